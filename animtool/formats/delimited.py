@@ -46,28 +46,28 @@ def decoded(text: bytes) -> str:
         return text.decode("latin-1")
 
 
-def separator_of(line: bytes, usual: bytes = b" ") -> bytes:
+def separator_of(line: bytes, default: bytes = b" ") -> bytes:
     """Return what separates the cells of a line: the usual, else the first that it has.
 
     >>> separator_of(b"a;b c"), separator_of(b"a b,c", b","), separator_of(b"a b")
     (b';', b',', b' ')
     """
-    if usual != b" " and usual in line:
-        return usual
+    if default != b" " and default in line:
+        return default
     return next((each for each in SEPARATORS if each in line), b" ")
 
 
-def row_separator(line: bytes, usual: bytes) -> bytes:
+def row_separator(line: bytes, default: bytes) -> bytes:
     """Return what separates the numbers of a row, in which commas may be decimal.
 
     >>> row_separator(b"1 0,5 2,5", b" "), row_separator(b"1, 0.5, 2.5", b" ")
     (b' ', b',')
     """
-    found = separator_of(line, usual)
-    if found == b"," and usual != b",":
+    separator = separator_of(line, default)
+    if separator == b"," and default != b",":
         cells = [cell.strip() for cell in line.strip().split(b",")]
         return b" " if any(b" " in cell for cell in cells) else b","
-    return found
+    return separator
 
 
 def split_cells(line: bytes, separator: bytes) -> list[str]:
@@ -91,7 +91,7 @@ def number_of(text: str | None) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class TextRows:
     """Rows of numbers as text.
 
     Attributes:
@@ -109,7 +109,7 @@ class Rows:
     cells: IntArray
     decimal_commas: bool = False
 
-    def without_last(self) -> Rows:
+    def without_last(self) -> TextRows:
         """Return all rows but the last."""
         return replace(
             self, texts=self.texts[:-1], lines=self.lines[:-1],
@@ -145,11 +145,11 @@ class Rows:
             for row in np.flatnonzero(filled < width).tolist():
                 texts[row] += b" nan" * (width - int(filled[row]))
             text = b"\n".join(texts) + b"\n"
-            block, _, _, _, _, found, token = _kernels.parse_bvh_rows(
+            block, _, _, _, _, count, token = _kernels.parse_bvh_rows(
                 text, width, len(texts), True
             )
             if len(block) < len(texts):
-                message = f"has {found} values instead of {width}"
+                message = f"has {count} values instead of {width}"
                 if token:
                     message = f"{excerpt(decoded(token))} is not a number"
                 raise error(message, int(self.lines[begin + len(block)]))
@@ -157,7 +157,7 @@ class Rows:
         return blocks[1] if len(blocks) == 2 else np.concatenate(blocks)
 
 
-def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> Rows:
+def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> TextRows:
     """Return the lines from one on as rows of numbers.
 
     A line without the separator is read as one between blanks. Commas are decimal
@@ -171,9 +171,9 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> Rows:
             if not line.strip(BLANK):
                 continue
             line = line.strip()
-            given = used = len(line.split())
+            cell_count = used = len(line.split())
         else:
-            given = used = line.count(separator) + 1
+            cell_count = used = line.count(separator) + 1
             if b" " in line:
                 line = separator.join([c.strip() for c in line.split(separator)])
             if line[-1:] == separator:
@@ -181,9 +181,9 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> Rows:
                 if not line:
                     continue
                 used = line.count(separator) + 1
-            held = len(line)
+            length = len(line)
             line = line.replace(twice, empty)
-            if len(line) > held:
+            if len(line) > length:
                 # Once more for the second of three separators.
                 line = line.replace(twice, empty)
             if line[:1] == separator:
@@ -193,10 +193,10 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> Rows:
         texts.append(line)
         numbers.append(i + 1)
         filled.append(used)
-        cells.append(given)
+        cells.append(cell_count)
     commas = separator != b"," and any(b"," in text for text in texts[:COMMA_ROWS])
     commas = commas and not any(b"." in text for text in texts)
     if commas:
         texts = [text.replace(b",", b".") for text in texts]
-    places, counts = np.array(numbers, np.int64), np.array(filled, np.int64)
-    return Rows(texts, places, counts, np.array(cells, np.int64), commas)
+    decimals, counts = np.array(numbers, np.int64), np.array(filled, np.int64)
+    return TextRows(texts, decimals, counts, np.array(cells, np.int64), commas)

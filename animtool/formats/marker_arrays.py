@@ -22,7 +22,7 @@ from animtool.motion.markers import Markers
 
 _UNIT = re.compile(r"_(mm|cm|m|in)")
 # What the array of positions is called that is read where none is named.
-USUAL = "markers"
+DEFAULT_PREFIX = "markers"
 
 
 def read_markers(
@@ -101,7 +101,7 @@ def _read(
         return float(archives.stored(path, name).ravel()[0]) if name in known else None
 
     def of_points(name: str) -> npt.NDArray[Any] | None:
-        if name not in known or key.partition("_")[0] != USUAL:
+        if name not in known or key.partition("_")[0] != DEFAULT_PREFIX:
             return None
         return archives.stored(path, name)
 
@@ -137,16 +137,16 @@ def _array(
         # What there is none of is said by the archive, with those that there are.
         archives.header(path, array)
         return array
-    usual = [key for key in known if key.partition("_")[0] == USUAL]
-    if not usual:
+    candidates = [key for key in known if key.partition("_")[0] == DEFAULT_PREFIX]
+    if not candidates:
         suited = [key for key in known if _UNIT.search(key)]
-        message = f"has no array of positions whose name starts with {USUAL!r}"
+        message = f"has no array of positions whose name starts with {DEFAULT_PREFIX!r}"
         hint = f"name one: {path.name}#{suited[0]}" if suited else None
         raise file.error("MKR012", f"{message}; its arrays are {listed(known)}", hint)
-    if len(usual) > 1:
+    if len(candidates) > 1:
         # Such as the names of the markers, which begin alike.
-        usual = [key for key in usual if _UNIT.search(key)] or usual
-    return usual[0]
+        candidates = [key for key in candidates if _UNIT.search(key)] or candidates
+    return candidates[0]
 
 
 def _start(stated: float | None) -> Fraction:

@@ -32,13 +32,13 @@ class TakeText:
 
 
 def number_rows(
-    values: FloatArray, places: Sequence[int], *, tabs: bool = False
+    values: FloatArray, decimals: Sequence[int], *, tabs: bool = False
 ) -> Iterator[bytes]:
     """Yield rows of numbers ``(F, C)``, some at once, between blanks or tabs.
 
-    places: most digits behind the point of each column.
+    decimals: most digits behind the point of each column.
     """
-    digits = np.array(places, np.int64)
+    digits = np.array(decimals, np.int64)
     for begin in range(0, len(values), ROWS_AT_ONCE):
         block = np.ascontiguousarray(values[begin : begin + ROWS_AT_ONCE])
         text = _kernels.format_bvh_rows(block, digits)
@@ -57,6 +57,6 @@ def write_text(
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
-    made = text(take)
-    write_parts(path, made.parts)
-    return made.notices
+    parts = text(take)
+    write_parts(path, parts.parts)
+    return parts.notices

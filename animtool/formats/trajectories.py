@@ -79,23 +79,23 @@ class MarkerFile:
         return rate_from_float(stated)
 
     def unit(
-        self, stated: str | None, given: LengthUnit | None, usual: LengthUnit
+        self, stated: str | None, option: LengthUnit | None, default: LengthUnit
     ) -> LengthUnit:
         """Return the unit of lengths: the option, else the file's, else the usual one.
 
         Raises:
             FormatError: The file states a unit that is none (MKR011).
         """
-        if given is not None:
-            return LengthUnit(given)
+        if option is not None:
+            return LengthUnit(option)
         if stated is None or not stated.strip():
-            message = f"states no unit; {usual} is assumed"
+            message = f"states no unit; {default} is assumed"
             self.note(
                 "MKR104",
                 message,
                 f"set the unit with {argument('source.unit')}",
             )
-            return usual
+            return default
         unit = _unit(stated.strip().lower().rstrip("s."))
         if unit is None:
             message = f"states the unit {excerpt(stated)}"
@@ -103,10 +103,10 @@ class MarkerFile:
             raise self.error("MKR011", message, hint)
         return unit
 
-    def up(self, stated: UpAxis | None, given: UpAxis | None) -> UpAxis:
+    def up(self, stated: UpAxis | None, option: UpAxis | None) -> UpAxis:
         """Return the up axis: the option, else what the file states, else Y."""
-        if given is not None:
-            return UpAxis(given)
+        if option is not None:
+            return UpAxis(option)
         if stated is None:
             message = "states no up axis; Y is assumed"
             self.note("MKR103", message, f"set Z up with {argument('source.up', 'Z')}")

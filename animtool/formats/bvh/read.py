@@ -156,9 +156,9 @@ def _rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
     joints = []
     names = distinct(joint.name for joint in header.joints)
     for joint, unique in zip(header.joints, names, strict=True):
-        made = _joint(joint, unit.meters)
+        converted = _joint(joint, unit.meters)
         source_name = joint.name if unique != joint.name else ""
-        joints.append(replace(made, name=unique, source_name=source_name))
+        joints.append(replace(converted, name=unique, source_name=source_name))
     return Rig(name, tuple(joints), unit.meters, up)
 
 
@@ -204,11 +204,11 @@ class _Layout:
         self.turning: list[int] = []
         slots: list[int] = []
         columns: list[int] = []
-        turn_columns: list[list[int]] = []
-        turn_axes: list[list[int]] = []
+        rotation_columns: list[list[int]] = []
+        rotation_axes: list[list[int]] = []
         column = 0
         for j, joint in enumerate(header.joints):
-            turns: list[tuple[int, int]] = []
+            rotations: list[tuple[int, int]] = []
             moves = False
             for name in joint.channels or ():
                 axis = "XYZ".index(name[0])
@@ -219,19 +219,19 @@ class _Layout:
                     columns.append(column)
                     moves = True
                 else:
-                    turns.append((column, axis))
+                    rotations.append((column, axis))
                 column += 1
             if moves:
                 self.moving.append(j)
-            if turns:
+            if rotations:
                 self.turning.append(j)
-                turns += [(-1, 0)] * (3 - len(turns))
-                turn_columns.append([c for c, _ in turns])
-                turn_axes.append([a for _, a in turns])
+                rotations += [(-1, 0)] * (3 - len(rotations))
+                rotation_columns.append([c for c, _ in rotations])
+                rotation_axes.append([a for _, a in rotations])
         self.slots = np.array(slots, np.int64)
         self.columns = np.array(columns, np.int64)
-        self.turn_columns = np.array(turn_columns, np.int32).reshape(-1, 3)
-        self.turn_axes = np.array(turn_axes, np.int32).reshape(-1, 3)
+        self.rotation_columns = np.array(rotation_columns, np.int32).reshape(-1, 3)
+        self.rotation_axes = np.array(rotation_axes, np.int32).reshape(-1, 3)
 
 
 def _blocks(
@@ -248,7 +248,7 @@ def _blocks(
         farthest = np.maximum(farthest, np.abs(rows[:, layout.columns]).max(axis=0))
         translations[:, layout.slots] = rows[:, layout.columns] * rig.meters_per_unit
         rotations = _kernels.euler_to_quaternion(
-            rows, layout.turn_columns, layout.turn_axes, previous
+            rows, layout.rotation_columns, layout.rotation_axes, previous
         )
         previous = rotations[-1].copy()
         yield Motion(

@@ -165,8 +165,10 @@ def _ratio(analog: float | None, point: float | None) -> int | None:
     if not analog or not point or not math.isfinite(analog) or not point > 0:
         return None
     ratio = analog / point
-    whole = math.isfinite(ratio) and 0.5 < ratio < WORD
-    return round(ratio) if whole and abs(ratio - round(ratio)) < 1e-3 * ratio else None
+    in_range = math.isfinite(ratio) and 0.5 < ratio < WORD
+    return (
+        round(ratio) if in_range and abs(ratio - round(ratio)) < 1e-3 * ratio else None
+    )
 
 
 def _frames(sections: Sections) -> Iterable[Claim]:

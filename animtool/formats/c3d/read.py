@@ -21,7 +21,7 @@ from animtool.formats.c3d.claims import WORD, Claim, claims_of, trial_fields, wo
 from animtool.formats.c3d.layout import (
     Evidence,
     Layout,
-    Outcome,
+    LayoutResult,
     choose_layout,
     contradicted,
 )
@@ -40,7 +40,7 @@ from animtool.motion.markers import Markers
 _AXIS = re.compile(r"([+-]?)([XYZ])")
 # For other up axes than +Y and +Z: the axis that is up once the positions are turned,
 # and which numbers, with which signs, are x, y and z then.
-_TURNS = {
+_UP_ROTATIONS = {
     "-Y": (UpAxis.Y, (0, 1, 2), (1, -1, -1)),
     "-Z": (UpAxis.Z, (0, 1, 2), (1, -1, -1)),
     "+X": (UpAxis.Y, (1, 0, 2), (-1, 1, 1)),
@@ -69,10 +69,10 @@ class Screen:
         return positions[..., self.order] * self.signs
 
 
-def read_screen(file: MarkerFile, sections: Sections, given: UpAxis | None) -> Screen:
+def read_screen(file: MarkerFile, sections: Sections, option: UpAxis | None) -> Screen:
     """Return the up axis that ``Y_SCREEN`` states; an option comes before it."""
-    if given is not None:
-        return Screen(UpAxis(given))
+    if option is not None:
+        return Screen(UpAxis(option))
     right, up = (_axis(file, sections, f"{name}_SCREEN") for name in "XY")
     if up is None and right is not None and right[1] == "Y":
         # Y points to the side, and cannot be assumed to point up.
@@ -88,9 +88,9 @@ def read_screen(file: MarkerFile, sections: Sections, given: UpAxis | None) -> S
             f"{message}{up} is used as up",
             f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}",
         )
-    if up not in _TURNS:
+    if up not in _UP_ROTATIONS:
         return Screen(UpAxis(up[1]))
-    axis, order, signs = _TURNS[up]
+    axis, order, signs = _UP_ROTATIONS[up]
     message = f"has {up} up; positions are rotated so that {axis} is up"
     file.note("C3D106", message)
     return Screen(axis, np.array(order), np.array(signs, np.float64))
@@ -98,8 +98,8 @@ def read_screen(file: MarkerFile, sections: Sections, given: UpAxis | None) -> S
 
 def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
     """Return an axis with its sign, as in ``+Z``."""
-    found = sections.texts("POINT", name)
-    text = found[0].strip() if found else ""
+    texts = sections.texts("POINT", name)
+    text = texts[0].strip() if texts else ""
     if not text:
         return None
     match = _AXIS.fullmatch(text.upper())
@@ -152,14 +152,14 @@ def _evidence(runs: FloatArray, width: int) -> Evidence:
             beyond = ~(sizes < MAX_COORDINATE)
             tiny = (sizes > 0) & (sizes < MIN_COORDINATE)
             wrong |= (beyond | tiny).any(axis=-1)
-        seen = ~wrong & (words > -0.5) & (sizes > 0).any(axis=-1)
-    if not seen.any():
+        visible = ~wrong & (words > -0.5) & (sizes > 0).any(axis=-1)
+    if not visible.any():
         return Evidence(float(wrong.mean()), 1.0)
-    spread = float(np.sqrt(positions[seen].var(axis=0).sum()))
-    both = seen[:, 1:] & seen[:, :-1]
+    spread = float(np.sqrt(positions[visible].var(axis=0).sum()))
+    both = visible[:, 1:] & visible[:, :-1]
     if not both.any() or spread == 0.0:
         return Evidence(float(wrong.mean()), math.nan)
-    positions = np.where(seen[..., None], positions, 0.0)
+    positions = np.where(visible[..., None], positions, 0.0)
     steps = np.linalg.norm(np.diff(positions, axis=1), axis=-1)[both]
     return Evidence(float(wrong.mean()), float(steps.mean()) / spread)
 
@@ -167,7 +167,7 @@ def _evidence(runs: FloatArray, width: int) -> Evidence:
 # Groups of labels under which models write angles and forces as if they were points.
 MODELLED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 # The group in which `write_c3d` keeps which positions were filled.
-OWN_GROUP = "ANIMTOOL"
+ANIMTOOL_GROUP = "ANIMTOOL"
 
 
 def read_c3d(
@@ -223,7 +223,7 @@ def read_c3d(
     positions, words = positions[:, kept], words[:, kept]
     positions[words < 0] = np.nan
     positions = screen.turned(file.cleaned(positions, length.meters))
-    seen = np.isfinite(positions[..., 0])
+    visible = np.isfinite(positions[..., 0])
     scale = abs(_scale(sections)) * length.meters
     first = _first(sections, layout.frames)
     clock = Clock(rate, Fraction(first), Fraction(1), layout.frames)
@@ -232,9 +232,9 @@ def read_c3d(
         clock,
         positions,
         screen.up,
-        _cameras(words, seen),
-        _residuals(words, seen, scale),
-        _filled(sections, words, seen, kept),
+        _cameras(words, visible),
+        _residuals(words, visible, scale),
+        _filled(sections, words, visible, kept),
         tuple(file.notices),
     )
 
@@ -255,12 +255,14 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     if layout.points * layout.frames > MAX_POSITIONS:
         message = f"claims {layout.points} points in {layout.frames} frames, "
         raise file.error("C3D001", message + "above the limit")
-    told = [_told(*each) for each in contradicted(claims, layout)]
-    if told:
+    contradictions = [
+        _contradiction_text(*each) for each in contradicted(claims, layout)
+    ]
+    if contradictions:
         message = (
             "its header, parameters and size disagree; what matches the file size is "
         )
-        file.warn("C3D101", f"{message}read: {'; '.join(told)}")
+        file.warn("C3D101", f"{message}read: {'; '.join(contradictions)}")
     if layout.rest >= min(BLOCK, layout.width * layout.row) or (
         layout.rest and len(data) % BLOCK
     ):
@@ -279,7 +281,7 @@ def _ends(sections: Sections, size: int) -> list[int]:
     return [end for end in [BLOCK * (block - 1)] if end < size]
 
 
-def _without_layout(file: MarkerFile, outcome: Outcome, size: int) -> FormatError:
+def _without_layout(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatError:
     """Return the error of a file in which no combination of counts fits."""
     if len(outcome.rivals) == 1:
         (alone,) = outcome.rivals
@@ -308,7 +310,7 @@ _QUANTITIES = {
 }
 
 
-def _told(name: str, value: int, against: list[Claim]) -> str:
+def _contradiction_text(name: str, value: int, against: list[Claim]) -> str:
     others = ", ".join(f"{claim.value} ({claim.source})" for claim in against)
     return f"{value} {_QUANTITIES[name]}, not {others}"
 
@@ -360,8 +362,8 @@ def _rate(
 
 
 def _unit(sections: Sections) -> str | None:
-    found = sections.texts("POINT", "UNITS")
-    return found[0] if found else None
+    texts = sections.texts("POINT", "UNITS")
+    return texts[0] if texts else None
 
 
 def _points(
@@ -404,54 +406,54 @@ def _names(
     return file.names([labels[i] for i in kept.tolist()], subject), kept
 
 
-def _cameras(words: IntArray, seen: BoolArray) -> IntArray | None:
+def _cameras(words: IntArray, visible: BoolArray) -> IntArray | None:
     """Return from how many of seven cameras each position is, where that is stated."""
-    mask = np.where(seen, (words >> 8) & 0x7F, 0)
+    mask = np.where(visible, (words >> 8) & 0x7F, 0)
     if not mask.any():
         return None
     return sum(((mask >> bit) & 1 for bit in range(7)), np.zeros_like(mask))
 
 
-def _residuals(words: IntArray, seen: BoolArray, scale: float) -> FloatArray | None:
+def _residuals(words: IntArray, visible: BoolArray, scale: float) -> FloatArray | None:
     """Return residuals [m]; one of 0 says that the position was not measured."""
     low = words & 0xFF
-    measured = seen & (low > 0)
+    measured = visible & (low > 0)
     return np.where(measured, low * scale, np.nan) if measured.any() else None
 
 
 def _filled(
-    sections: Sections, words: IntArray, seen: BoolArray, kept: IntArray
+    sections: Sections, words: IntArray, visible: BoolArray, kept: IntArray
 ) -> BoolArray | None:
     """Return which positions were not measured.
 
     Our own group says it; else the format does, with a residual and cameras of 0 in
     a file that has others.
     """
-    own = sections.groups.get(OWN_GROUP)
-    if own is not None:
-        return _own_filled(sections, seen, kept)
-    if not (seen & (words > 0)).any():
+    recorded = sections.groups.get(ANIMTOOL_GROUP)
+    if recorded is not None:
+        return _recorded_filled(sections, visible, kept)
+    if not (visible & (words > 0)).any():
         return None
-    filled = seen & (words == 0)
+    filled = visible & (words == 0)
     return filled if filled.any() else None
 
 
-def _own_filled(
-    sections: Sections, seen: BoolArray, kept: IntArray
+def _recorded_filled(
+    sections: Sections, visible: BoolArray, kept: IntArray
 ) -> BoolArray | None:
-    filled = np.zeros(seen.shape, bool)
+    filled = np.zeros(visible.shape, bool)
     columns = {point: column for column, point in enumerate(kept.tolist())}
     number = 1
     while True:
         key = "FILLED" if number == 1 else f"FILLED{number}"
-        rows = np.array(sections.numbers(OWN_GROUP, key))
+        rows = np.array(sections.numbers(ANIMTOOL_GROUP, key))
         if not len(rows):
             break
         for marker, first, last in rows[: len(rows) // 3 * 3].reshape(-1, 3):
             if np.isfinite([marker, first, last]).all() and marker in columns:
-                begin = int(min(max(first, 0), len(seen)))
-                end = int(min(max(last + 1, 0), len(seen)))
+                begin = int(min(max(first, 0), len(visible)))
+                end = int(min(max(last + 1, 0), len(visible)))
                 filled[begin:end, columns[int(marker)]] = True
         number += 1
-    filled &= seen
+    filled &= visible
     return filled if filled.any() else None

@@ -103,15 +103,15 @@ class Sections:
 
     def number(self, group: str, name: str) -> float | None:
         """Return the first number of a parameter."""
-        found = self.groups.get(group, {}).get(name)
-        if isinstance(found, np.ndarray) and found.size:
-            return float(found.ravel()[0])
+        value = self.groups.get(group, {}).get(name)
+        if isinstance(value, np.ndarray) and value.size:
+            return float(value.ravel()[0])
         return None
 
     def numbers(self, group: str, name: str) -> list[float]:
         """Return all numbers of a parameter."""
-        found = self.groups.get(group, {}).get(name)
-        return found.ravel().tolist() if isinstance(found, np.ndarray) else []
+        value = self.groups.get(group, {}).get(name)
+        return value.ravel().tolist() if isinstance(value, np.ndarray) else []
 
     def texts(self, group: str, name: str) -> list[str]:
         """Return the texts of a parameter, and of those that continue it.
@@ -119,14 +119,14 @@ class Sections:
         Names beyond 255 stand in ``LABELS2``, ``LABELS3`` and so on.
         """
         entries = self.groups.get(group, {})
-        found: list[str] = []
+        texts: list[str] = []
         number = 1
         key = name
         while isinstance(entries.get(key), list):
-            found += entries[key]
+            texts += entries[key]
             number += 1
             key = f"{name}{number}"
-        return found
+        return texts
 
 
 def read_sections(data: bytes) -> Sections:
@@ -140,15 +140,15 @@ def read_sections(data: bytes) -> Sections:
     if len(data) < BLOCK or data[1] != MAGIC:
         raise MalformedError("does not start like a C3D file")
     start = BLOCK * (data[0] - 1)
-    found = data[0] >= 2 and start + 4 <= len(data)
-    kind = data[start + 3] if found else 0
+    has_parameters = data[0] >= 2 and start + 4 <= len(data)
+    kind = data[start + 3] if has_parameters else 0
     known = kind in {int(p) for p in Processor}
     if known:
         processor = Processor(kind)
         sections = Sections(_header(data, processor), processor)
     else:
         sections = Sections(*_lone_header(data, kind), stated=False)
-    if found:
+    if has_parameters:
         _read_parameters(sections, data, start + 4)
     if not sections.groups:
         sections = Sections(*_lone_header(data, kind), stated=known)

@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.core.units import LengthUnit
-from animtool.formats.c3d.read import OWN_GROUP
+from animtool.formats.c3d.read import ANIMTOOL_GROUP
 from animtool.formats.c3d.sections import BLOCK, MAGIC, Processor
 from animtool.formats.trajectories import FLOAT32_MAX
 from animtool.maths.runs import runs
@@ -156,7 +156,7 @@ def _parameters(markers: Markers, data_block: int) -> bytes:
             _floats(np.array(spans[i : i + MAX_ENTRIES]))
             for i in range(0, len(spans), MAX_ENTRIES)
         ]
-        groups[OWN_GROUP] = _numbered("FILLED", rows)
+        groups[ANIMTOOL_GROUP] = _numbered("FILLED", rows)
     out = b""
     for number, (name, entries) in enumerate(groups.items(), 1):
         raw = name.encode()
@@ -203,8 +203,8 @@ def filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
         return []
     spans = []
     for marker in np.flatnonzero(markers.filled.any(axis=0)).tolist():
-        found = runs(markers.filled[:, marker])
-        spans += [(marker, first, end - 1) for first, end in found]
+        spans_of_marker = runs(markers.filled[:, marker])
+        spans += [(marker, first, end - 1) for first, end in spans_of_marker]
     return spans
 
 
@@ -223,8 +223,8 @@ def _parts(markers: Markers, head: bytes) -> Iterator[bytes]:
 
 def _rows(markers: Markers, frames: slice) -> bytes:
     positions = markers.positions[frames] * 1000.0
-    seen = np.asarray((np.abs(positions) <= FLOAT32_MAX).all(axis=-1))
-    words = np.zeros(seen.shape, np.int64)
+    visible = np.asarray((np.abs(positions) <= FLOAT32_MAX).all(axis=-1))
+    words = np.zeros(visible.shape, np.int64)
     if markers.residuals is not None:
         steps = markers.residuals[frames] * 1000.0 / abs(_scale(markers))
         known = np.isfinite(steps)
@@ -235,8 +235,8 @@ def _rows(markers: Markers, frames: slice) -> bytes:
         words += ((1 << some) - 1) << 8
     if markers.filled is not None:
         words[markers.filled[frames]] = 0
-    words[~seen] = -1
-    values = np.where(seen[..., None], positions, 0.0)
+    words[~visible] = -1
+    values = np.where(visible[..., None], positions, 0.0)
     return np.concatenate([values, words[..., None]], -1).astype("<f4").tobytes()
 
 

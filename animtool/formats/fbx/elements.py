@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
-from animtool.formats.gltf.places import Notes
+from animtool.formats.file_notices import FileNotices
 
 # Elements nest four deep for an object's keys; a file that goes on is no scene.
 MAX_DEPTH = 48
@@ -45,7 +45,7 @@ class Element:
         return value if isinstance(value, str) else ""
 
 
-def number(element: Element, index: int, notes: Notes) -> float:
+def number(element: Element, index: int, notes: FileNotices) -> float:
     """Return a finite number of an element."""
     value = element.values[index] if index < len(element.values) else None
     if isinstance(value, np.ndarray) and value.size:
@@ -57,37 +57,37 @@ def number(element: Element, index: int, notes: Notes) -> float:
 
 
 def floats(
-    parent: Element, name: str, notes: Notes, count: int | None = None
+    parent: Element, name: str, notes: FileNotices, count: int | None = None
 ) -> FloatArray | None:
     """Return the finite numbers of an element below; None where there is none."""
     element = parent.find(name)
     if element is None:
         return None
-    found = np.asarray(_array(element, notes), np.float64)
-    if not (np.abs(found) <= LARGEST).all():
+    values = np.asarray(_array(element, notes), np.float64)
+    if not (np.abs(values) <= LARGEST).all():
         notes.fail(
             "FBX005", element.where, f"{name} contains a value that is not finite"
         )
-    if count is not None and len(found) != count:
-        message = f"{name} has {len(found)} numbers instead of {count}"
+    if count is not None and len(values) != count:
+        message = f"{name} has {len(values)} numbers instead of {count}"
         notes.fail("FBX005", element.where, message)
-    return found
+    return values
 
 
-def integers(parent: Element, name: str, notes: Notes) -> IntArray | None:
+def integers(parent: Element, name: str, notes: FileNotices) -> IntArray | None:
     """Return the integers of an element below; None where there is none."""
     element = parent.find(name)
     if element is None:
         return None
-    found = _array(element, notes)
-    if found.dtype.kind == "f":
-        whole = np.isfinite(found).all() and (np.abs(found) < 2.0**63).all()
-        if not whole or (found != np.round(found)).any():
+    values = _array(element, notes)
+    if values.dtype.kind == "f":
+        in_range = np.isfinite(values).all() and (np.abs(values) < 2.0**63).all()
+        if not in_range or (values != np.round(values)).any():
             notes.fail("FBX005", element.where, f"{name} must hold integers")
-    return np.asarray(found, np.int64)
+    return np.asarray(values, np.int64)
 
 
-def _array(element: Element, notes: Notes) -> Any:
+def _array(element: Element, notes: FileNotices) -> Any:
     """Return the numbers of an element, one array or single values."""
     values = element.values
     if len(values) == 1 and isinstance(values[0], np.ndarray):

@@ -37,7 +37,7 @@ _REST = np.zeros(1, np.int64)
 class RowKind(Enum):
     """What of a node a joint carries."""
 
-    WHOLE = auto()
+    FULL = auto()
     OUTER = auto()  # translation, and the inverse scale of the parent
     INNER = auto()  # rotation and scale
 
@@ -50,14 +50,14 @@ class Row:
     kind: RowKind
 
 
-class State:
+class NodeTransforms:
     """Transforms of nodes at some times of a take; each is evaluated once."""
 
     def __init__(self, scene: FbxScene, take: AnimTake | None, ticks: IntArray) -> None:
         """Take times ``(F,)`` [ticks]; a take of None is the scene as saved."""
         self.models, self.take, self.ticks = scene.models, take, ticks
         self.basis = scene.settings.basis
-        self._turn = so3.from_matrix(self.basis)
+        self._axes_rotation = so3.from_matrix(self.basis)
         self._left = {one.parent for one in self.models if one.inherit != INHERIT}
         self._locals: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
 
@@ -70,7 +70,7 @@ class State:
             self._locals[i] = moved, turned, scales
         return self._locals[i]
 
-    def own(self, i: int) -> FloatArray:
+    def local_scale(self, i: int) -> FloatArray:
         """Return the scale of a node along its own axes, inherited parts included.
 
         It is what its children may leave out ``(F, 3)``.
@@ -82,21 +82,21 @@ class State:
 
     def world(self, i: int) -> FloatArray:
         """Return the world transforms of a node, in the file's axes ``(F, 4, 4)``."""
-        whole, chain = np.tile(np.eye(4), (len(self.ticks), 1, 1)), [i]
+        world, chain = np.tile(np.eye(4), (len(self.ticks), 1, 1)), [i]
         while self.models[chain[-1]].parent >= 0:
             chain.append(self.models[chain[-1]].parent)
         for node in reversed(chain):
             model = self.models[node]
             moved, turned, _ = self.local(node)
-            scaled, leaves = self.own(node), model.inherit != INHERIT
+            scaled, leaves = self.local_scale(node), model.inherit != INHERIT
             local = np.tile(np.eye(4), (len(self.ticks), 1, 1))
             local[:, :3, :3] = so3.to_matrix(turned) * scaled[:, None, :]
             if leaves and model.parent >= 0:
-                above = _inverse(self.own(model.parent))
+                above = _inverse(self.local_scale(model.parent))
                 local[:, :3, :3] = above[:, :, None] * local[:, :3, :3]
             local[:, :3, 3] = moved
-            whole = whole @ local
-        return np.asarray(whole)
+            world = world @ local
+        return np.asarray(world)
 
     def row(self, row: Row) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales of a joint, in the file's unit."""
@@ -105,18 +105,20 @@ class State:
         if model.parent < 0:
             if not np.array_equal(self.basis, np.eye(3)):
                 translations = translations @ self.basis.T
-                rotations = so3.multiply(self._turn, rotations)
+                rotations = so3.multiply(self._axes_rotation, rotations)
             return translations, rotations, scales
-        if row.kind is RowKind.WHOLE:
+        if row.kind is RowKind.FULL:
             if model.inherit == IGNORE:
-                scales = self.own(row.model) * _inverse(self.own(model.parent))
+                scales = self.local_scale(row.model) * _inverse(
+                    self.local_scale(model.parent)
+                )
             return translations, rotations, scales
-        above = self.own(model.parent)
+        above = self.local_scale(model.parent)
         if row.kind is RowKind.OUTER:
-            still = np.zeros_like(rotations)
-            still[:, 3] = 1.0
-            return translations, still, _inverse(above)
-        return np.zeros_like(translations), rotations, self.own(row.model)
+            identities = np.zeros_like(rotations)
+            identities[:, 3] = 1.0
+            return translations, identities, _inverse(above)
+        return np.zeros_like(translations), rotations, self.local_scale(row.model)
 
 
 def _inverse(scales: FloatArray) -> FloatArray:
@@ -136,23 +138,23 @@ class Changes:
         self.models, self.take = models, take
         self.moving = [moving(model, take) for model in models]
 
-    def own(self, i: int) -> bool:
+    def local_scale(self, i: int) -> bool:
         """Return whether the scale changes that children of a node may leave out."""
         return any(self.moving[one][2] for one in scale_chain(self.models, i))
 
     def row(self, row: Row) -> tuple[bool, bool, bool]:
         """Return whether translation, rotation and scale of a joint change."""
         model = self.models[row.model]
-        moves, turns, scales = self.moving[row.model]
-        if (turns or scales) and has_pivots(model, self.take):
+        moves, rotates, scales = self.moving[row.model]
+        if (rotates or scales) and has_pivots(model, self.take):
             moves = True
-        above = model.parent >= 0 and self.own(model.parent)
+        above = model.parent >= 0 and self.local_scale(model.parent)
         if row.kind is RowKind.OUTER:
             return moves, False, above
         if row.kind is RowKind.INNER:
-            return False, turns, self.own(row.model)
-        leaves = model.inherit == IGNORE and (above or self.own(row.model))
-        return moves, turns, scales or leaves
+            return False, rotates, self.local_scale(row.model)
+        leaves = model.inherit == IGNORE and (above or self.local_scale(row.model))
+        return moves, rotates, scales or leaves
 
 
 def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
@@ -168,7 +170,7 @@ def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
             if uneven[parent]:
                 rows += [Row(i, RowKind.OUTER), Row(i, RowKind.INNER)]
                 continue
-        rows.append(Row(i, RowKind.WHOLE))
+        rows.append(Row(i, RowKind.FULL))
     return rows
 
 
@@ -190,22 +192,22 @@ def _is_uneven(scene: FbxScene, i: int) -> bool:
             if any({c.pre.mode, c.post.mode} != {"C"} for c in curves):
                 span = int(times[-1] - times[0]) or TICKS
                 ticks = np.concatenate([ticks - span, ticks, ticks + span])
-        own = State(scene, take, ticks).own(chain[0])
-        spread = own.max(axis=1) - own.min(axis=1)
-        if (spread > SAME_SCALE * np.abs(own).max(axis=1)).any():
+        local_scale = NodeTransforms(scene, take, ticks).local_scale(chain[0])
+        spread = local_scale.max(axis=1) - local_scale.min(axis=1)
+        if (spread > SAME_SCALE * np.abs(local_scale).max(axis=1)).any():
             return True
     return False
 
 
 def even_rows(scene: FbxScene, rows: Sequence[Row]) -> tuple[FloatArray, BoolArray]:
     """Return scales as saved ``(J, 3)``, and which are even and never change."""
-    rest = State(scene, None, _REST)
+    rest = NodeTransforms(scene, None, _REST)
     scales = np.array([rest.row(row)[2][0] for row in rows]).reshape(-1, 3)
     low, high = scales.min(axis=1), scales.max(axis=1)
     even = (low > 0) & (high - low <= SAME_SCALE * np.abs(high))
     for take in scene.takes:
         changes = Changes(scene.models, take)
-        of_take = State(scene, take, np.array([take.begin], np.int64))
+        of_take = NodeTransforms(scene, take, np.array([take.begin], np.int64))
         for j, row in enumerate(rows):
             if not even[j] or not _is_touched(scene.models, row, take):
                 continue

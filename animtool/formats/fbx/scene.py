@@ -10,10 +10,10 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import listed
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.formats.fbx.geometry import Geometry, has_free_points, read_geometry
+from animtool.formats.fbx.geometry import FbxGeometry, has_free_points, read_geometry
 from animtool.formats.fbx.models import Model, read_models
 from animtool.formats.fbx.objects import FbxFile, Id, open_objects
-from animtool.formats.fbx.settings import Settings, read_settings
+from animtool.formats.fbx.settings import FbxSettings, read_settings
 from animtool.formats.fbx.takes import AnimTake, default_take, read_takes
 from animtool.formats.gltf.meshes import SkinEntry
 from animtool.formats.gltf.nodes import Node
@@ -39,9 +39,9 @@ class FbxScene:
     """
 
     file: FbxFile
-    settings: Settings
+    settings: FbxSettings
     models: list[Model]
-    meshes: dict[int, Geometry]
+    meshes: dict[int, FbxGeometry]
     takes: list[AnimTake]
     default: int
     nodes: tuple[Node, ...]
@@ -53,9 +53,9 @@ class FbxScene:
 
     def bind_worlds(self) -> list[FloatArray]:
         """Return where the mesh of each skin was when bound, axes as the rig's."""
-        turn = np.eye(4)
-        turn[:3, :3] = self.settings.basis
-        return [turn @ one for one in self.bind]
+        axes = np.eye(4)
+        axes[:3, :3] = self.settings.basis
+        return [axes @ one for one in self.bind]
 
     @property
     def path(self) -> Path:
@@ -100,7 +100,7 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
 
 
 def _skins(
-    meshes: dict[int, Geometry], index: dict[Id, int]
+    meshes: dict[int, FbxGeometry], index: dict[Id, int]
 ) -> tuple[list[SkinEntry], list[FloatArray]]:
     """Return the skins, the node of the mesh last of their joints where it counts."""
     skins, bind = [], []
@@ -121,7 +121,7 @@ def _skins(
 
 
 def _nodes(
-    models: list[Model], meshes: dict[int, Geometry], skins: dict[int, int]
+    models: list[Model], meshes: dict[int, FbxGeometry], skins: dict[int, int]
 ) -> tuple[Node, ...]:
     children: list[list[int]] = [[] for _ in models]
     for i, model in enumerate(models):
@@ -162,13 +162,13 @@ _LEFT_OUT = {
 def _left_out(file: FbxFile) -> tuple[str, ...]:
     """Return what a file holds that no rig and no take has a place for."""
     kinds = ("Material", "Texture", "Video")
-    found = {
+    labels = {
         _LEFT_OUT[key]: None
         for one in file.objects.values()
         for key in (one.kind if one.kind in kinds else one.subtype,)
         if key in _LEFT_OUT
     }
-    return tuple(sorted(found))
+    return tuple(sorted(labels))
 
 
 def _note_drivers(file: FbxFile) -> None:

@@ -40,7 +40,7 @@ CUSTOM = 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Settings:
+class FbxSettings:
     """What lengths, axes and times of a file are.
 
     Attributes:
@@ -56,7 +56,7 @@ class Settings:
     fps: Fraction
 
 
-def read_settings(file: FbxFile, up: UpAxis | None = None) -> Settings:
+def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
     """Return the settings of a file.
 
     up: which axis of the file points up; None is what it says.
@@ -71,7 +71,7 @@ def read_settings(file: FbxFile, up: UpAxis | None = None) -> Settings:
         message = f"UnitScaleFactor is {factor:g}, and must be positive"
         notes.fail("FBX005", settings.element.where, message)
     turned = (up, np.eye(3)) if up is not None else _axes(file)
-    return Settings(factor / 100.0, *turned, _rate(file))
+    return FbxSettings(factor / 100.0, *turned, _rate(file))
 
 
 def _axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
@@ -115,11 +115,13 @@ def _rate(file: FbxFile) -> Fraction:
 
 def _old_rate(file: FbxFile) -> Fraction:
     """Return the rate as files before 7000 state it besides."""
-    found: Element | None = file.root
+    element: Element | None = file.root
     for name in ("Version5", "Settings", "FrameRate"):
-        found = None if found is None else found.find(name)
+        element = None if element is None else element.find(name)
     try:
-        rate = parse_rate(str(found.values[0])) if found and found.values else None
+        rate = (
+            parse_rate(str(element.values[0])) if element and element.values else None
+        )
     except (ValueError, ArithmeticError):
         rate = None
     if rate is None or not Fraction(1, 100) <= rate <= 100_000:

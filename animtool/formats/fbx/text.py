@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.errors import excerpt
 from animtool.formats.fbx.elements import MAX_DEPTH, MAX_ELEMENTS, Element
-from animtool.formats.gltf.places import Notes
+from animtool.formats.file_notices import FileNotices
 
 _TOKEN = re.compile(
     rb"""(?P<space>(?:[\s\x00]+|;[^\n]*)+)
@@ -35,14 +35,14 @@ def looks_like_text(content: bytes) -> bool:
     return bool(_COMMENT.match(head)) or b"FBXHeaderExtension" in head
 
 
-def read_text(content: bytes, notes: Notes) -> tuple[int, Element]:
+def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
     """Return the version and the root of an FBX of text.
 
     Raises:
         FormatError: It does not parse (FBX001), with the line.
     """
-    found = _VERSION.search(content, 0, 100_000)
-    version = int(found[1]) if found else 0
+    match = _VERSION.search(content, 0, 100_000)
+    version = int(match[1]) if match else 0
     if not version:
         comment = _COMMENT.match(content)
         digits = comment.groups() if comment else (b"0",)
@@ -53,7 +53,7 @@ def read_text(content: bytes, notes: Notes) -> tuple[int, Element]:
 class _Parser:
     """Elements of a text, in one pass."""
 
-    def __init__(self, content: bytes, notes: Notes) -> None:
+    def __init__(self, content: bytes, notes: FileNotices) -> None:
         self.content, self.notes = content, notes
         self.count = 0
         self._at, self._line = 0, 1
@@ -160,13 +160,13 @@ def _add_numbers(element: Element, text: bytes, parts: list[bytes]) -> None:
 
 def _long(root: Element) -> list[Element]:
     """Return the elements that hold numbers in several pieces."""
-    found, stack = [], [root]
+    elements, stack = [], [root]
     while stack:
         one = stack.pop()
         if any(isinstance(value, np.ndarray) for value in one.values):
-            found.append(one)
+            elements.append(one)
         stack += one.children
-    return found
+    return elements
 
 
 def _join(element: Element) -> None:
@@ -176,11 +176,11 @@ def _join(element: Element) -> None:
     if all(isinstance(value, numeric) for value in values):
         try:
             parts = [np.atleast_1d(np.asarray(value)) for value in values]
-            whole = np.concatenate(parts)
+            joined = np.concatenate(parts)
         except (OverflowError, TypeError):
             return
-        if whole.dtype.kind in "if":
-            element.values = [whole]
+        if joined.dtype.kind in "if":
+            element.values = [joined]
             return
     flat: list[Any] = []
     for value in values:
@@ -196,12 +196,12 @@ def _number(text: bytes) -> int | float:
 
 
 # As C's printf spells them.
-_ODD = {"nan": np.nan, "-nan": np.nan, "inf": np.inf, "-inf": -np.inf}
+_NOT_FINITE = {"nan": np.nan, "-nan": np.nan, "inf": np.inf, "-inf": -np.inf}
 
 
 def _word(raw: bytes) -> Any:
     word = raw.decode("utf-8", "replace")
     lower = word.lower().split("(")[0]
-    if lower in _ODD or "#" in lower:
-        return float(_ODD.get(lower, np.nan))
+    if lower in _NOT_FINITE or "#" in lower:
+        return float(_NOT_FINITE.get(lower, np.nan))
     return word

@@ -15,8 +15,9 @@ import numpy.typing as npt
 from animtool.core.errors import FormatError, excerpt
 from animtool.core.files.reading import read_input, why_no_file
 from animtool.core.record import dataclass
+from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.container import Container
-from animtool.formats.gltf.places import Item, Notes
+from animtool.formats.gltf.json_items import JsonItem
 
 COMPONENTS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("i1"),
@@ -47,10 +48,10 @@ AnyArray = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class BufferView:
     """A bufferView: a part of a buffer."""
 
-    item: Item
+    item: JsonItem
     buffer: int
     offset: int
     length: int
@@ -73,7 +74,7 @@ class Sparse:
 class Accessor:
     """How numbers lie in a view."""
 
-    item: Item
+    item: JsonItem
     component: int
     kind: str  # such as ``VEC3``
     count: int
@@ -103,12 +104,12 @@ class Accessors:
 
     container: Container
     folder: Path
-    notes: Notes
+    notes: FileNotices
     skipped: frozenset[int]  # accessors that nothing here reads
     skipped_views: frozenset[int]
     skipped_buffers: frozenset[int]
-    buffers: list[Item] = field(default_factory=list)
-    views: list[View | None] = field(default_factory=list)
+    buffers: list[JsonItem] = field(default_factory=list)
+    views: list[BufferView | None] = field(default_factory=list)
     entries: list[Accessor | None] = field(default_factory=list)
     _bytes: dict[int, memoryview] = field(default_factory=dict)
     _arrays: dict[int, AnyArray] = field(default_factory=dict)
@@ -129,9 +130,9 @@ class Accessors:
 
     def get(self, index: int) -> Accessor:
         """Return an accessor, which is one that is read."""
-        found = self.entries[index]
-        assert found is not None
-        return found
+        accessor = self.entries[index]
+        assert accessor is not None
+        return accessor
 
     def declares(self, name: str) -> bool:
         """Return whether the file says that it uses an extension."""
@@ -209,7 +210,7 @@ class Accessors:
     ) -> AnyArray:
         where = f"{accessor.where}/sparse"
         at = self._used_view(sparse.index_view, f"{where}/indices")
-        own = self._used_view(sparse.value_view, f"{where}/values")
+        value_view = self._used_view(sparse.value_view, f"{where}/values")
         kind = COMPONENTS[accessor.component]
         indices = _strided(
             self.bytes_of(at.buffer),
@@ -224,8 +225,8 @@ class Accessors:
             self.notes.fail("GLT006", f"{where}/indices", message)
         values = base.copy()
         values[indices] = _strided(
-            self.bytes_of(own.buffer),
-            own.offset + sparse.value_offset,
+            self.bytes_of(value_view.buffer),
+            value_view.offset + sparse.value_offset,
             sparse.count,
             accessor.width,
             accessor.width * kind.itemsize,
@@ -233,7 +234,7 @@ class Accessors:
         )
         return values
 
-    def _used_view(self, index: int, where: str) -> View:
+    def _used_view(self, index: int, where: str) -> BufferView:
         view = self.views[index]
         if view is None:
             self.notes.fail("GLT008", where, f"bufferView {index} holds an image")
@@ -264,7 +265,7 @@ class Accessors:
             self.notes.fail("GLT007", buffer.pointer, message)
         return content[:length]
 
-    def _from_file(self, uri: str, buffer: Item) -> bytes:
+    def _from_file(self, uri: str, buffer: JsonItem) -> bytes:
         path = self._resolved(uri, buffer)
         reason = why_no_file(path)
         if reason is not None:
@@ -275,7 +276,7 @@ class Accessors:
         except FormatError as error:
             self.notes.fail("GLT007", buffer.at("uri"), str(error.faults[0].message))
 
-    def _resolved(self, uri: str, buffer: Item) -> Path:
+    def _resolved(self, uri: str, buffer: JsonItem) -> Path:
         """Return the file that a URI means, which is in the folder of the glTF."""
         where = buffer.at("uri")
         try:
@@ -299,7 +300,7 @@ class Accessors:
             self.notes.fail("GLT007", where, message, "put the file next to the glTF")
         return path
 
-    def _check_buffer(self, index: int, buffer: Item) -> None:
+    def _check_buffer(self, index: int, buffer: JsonItem) -> None:
         """Check what can be seen without opening a file."""
         length = buffer.size("byteLength", least=1)
         uri = buffer.text("uri")
@@ -326,7 +327,7 @@ class Accessors:
                 message = f"the file {uri!r} {reason}"
                 self.notes.fail("GLT007", buffer.at("uri"), message)
 
-    def _view(self, item: Item, skipped: bool) -> View | None:
+    def _view(self, item: JsonItem, skipped: bool) -> BufferView | None:
         if skipped:
             return None
         buffer = item.index("buffer", len(self.buffers), "buffer")
@@ -335,16 +336,16 @@ class Accessors:
         length = item.size("byteLength", least=1)
         offset = item.size("byteOffset", 0)
         stride = item.size("byteStride", 0)
-        whole = self.buffers[buffer].size("byteLength", least=1)
-        if offset + length > whole:
-            message = f"ends at byte {offset + length} of a buffer of {whole}"
+        available = self.buffers[buffer].size("byteLength", least=1)
+        if offset + length > available:
+            message = f"ends at byte {offset + length} of a buffer of {available}"
             self.notes.fail("GLT008", item.pointer, message)
         if stride and (stride % 4 or not 4 <= stride <= 252):
             message = f"byteStride {stride} is not a multiple of 4 from 4 to 252"
             self.notes.warn("GLT105", item.at("byteStride"), message)
-        return View(item, buffer, offset, length, stride)
+        return BufferView(item, buffer, offset, length, stride)
 
-    def _accessor(self, item: Item) -> Accessor | None:
+    def _accessor(self, item: JsonItem) -> Accessor | None:
         component = item.number("componentType")
         if component is None:
             item.missing("componentType")
@@ -425,7 +426,7 @@ class Accessors:
                 message = f"reads up to byte {end} of a bufferView of {part.length}"
                 self.notes.fail("GLT008", f"{accessor.where}/sparse/{key}", message)
 
-    def _sparse(self, item: Item, count: int) -> Sparse | None:
+    def _sparse(self, item: JsonItem, count: int) -> Sparse | None:
         sparse = item.child("sparse")
         if sparse is None:
             return None
@@ -505,7 +506,7 @@ def check_finite(values: AnyArray, accessor: Accessor) -> None:
         accessor.item.notes.fail("GLT010", accessor.where, message)
 
 
-def decode_data(uri: str, item: Item) -> bytes:
+def decode_data(uri: str, item: JsonItem) -> bytes:
     """Return the bytes of a data URI, whatever media type it says."""
     head, comma, text = uri.partition(",")
     where = item.at("uri")

@@ -71,9 +71,9 @@ class Binder:
 
     def node(self, node: int) -> tuple[FloatArray, int]:
         """Return the transform of the points of a mesh that a node carries."""
-        own = np.eye(4)
-        own[:3] *= self.folded[node]
-        geometry, joints = self._bound(own[None], [int(self.joints[node])], "")
+        folded = np.eye(4)
+        folded[:3] *= self.folded[node]
+        geometry, joints = self._bound(folded[None], [int(self.joints[node])], "")
         return geometry, joints[0]
 
     def _bound(
@@ -109,29 +109,29 @@ class Binder:
             first = shared[0]
             step = self._bind[joints[first]] @ np.linalg.inv(binds[first])
             geometry, binds = step @ geometry, step @ binds
-        found = []
+        bound = []
         for joint, bind in zip(joints, binds, strict=True):
             known = self._bind.setdefault(joint, bind)
             size = max(1e-300, float(np.abs(known).max()))
             if np.abs(known - bind).max() <= AGREE * size:
-                found.append(joint)
+                bound.append(joint)
                 continue
             self._helpers.append((joint, bind))
-            found.append(len(self._rig.joints) + len(self._helpers) - 1)
-        return geometry, found
+            bound.append(len(self._rig.joints) + len(self._helpers) - 1)
+        return geometry, bound
 
     def _geometry(self, back: FloatArray) -> FloatArray:
         """Return what makes the bind transforms of a skin rigid, if one thing does."""
         linear = back[:, :3, :3]
         squares = linear @ linear.swapaxes(1, 2)
         size = float(np.abs(squares).max())
-        whole = np.eye(4)
+        geometry = np.eye(4)
         spread = np.abs(squares - squares[0]).max() / size
         if spread <= RIGID and np.abs(squares[0] - np.eye(3)).max() > RIGID:
             values, vectors = np.linalg.eigh(squares[0])
             if values.min() > 1e-12 * values.max():
-                whole[:3, :3] = vectors @ np.diag(values**-0.5) @ vectors.T
-        return whole
+                geometry[:3, :3] = vectors @ np.diag(values**-0.5) @ vectors.T
+        return geometry
 
     def nodes(self, nodes: IntArray) -> IntArray:
         """Return the node of each joint, -1 of those that only carry meshes."""
@@ -150,9 +150,11 @@ class Binder:
         for name, (carrier, _) in zip(names[len(joints) :], self._helpers, strict=True):
             joints.append(Joint(name, carrier))
         rig = replace(rig, joints=tuple(joints))
-        own = dict(self._bind)
-        own |= {len(self._rig.joints) + i: b for i, (_, b) in enumerate(self._helpers)}
-        bind = _poses(rig, own)
+        binds = dict(self._bind)
+        binds |= {
+            len(self._rig.joints) + i: b for i, (_, b) in enumerate(self._helpers)
+        }
+        bind = _poses(rig, binds)
         return replace(rig, bind=bind, meshes=meshes, shapes=shapes)
 
 
@@ -180,19 +182,19 @@ def _poses(rig: Rig, known: dict[int, FloatArray]) -> dict[str, Pose]:
             world[j] = rest[j] if above < 0 else world[above] @ rest[j]
     upper = np.where((parents < 0)[:, None, None], np.eye(4), world[parents])
     back = upper[:, :3, :3].swapaxes(1, 2)
-    places = (back @ (world[:, :3, 3] - upper[:, :3, 3])[:, :, None])[:, :, 0]
-    turns = so3.from_matrix(back @ world[:, :3, :3])
+    positions = (back @ (world[:, :3, 3] - upper[:, :3, 3])[:, :, None])[:, :, 0]
+    rotations = so3.from_matrix(back @ world[:, :3, :3])
     size = float(np.abs(rest_world(rig).positions).max(initial=0.0)) or 1.0
-    moved = np.abs(places - rig.rest_translations).max(axis=1) > BIND * size
-    moved |= so3.angle_between(turns, rig.rest_rotations) > BIND
+    moved = np.abs(positions - rig.rest_translations).max(axis=1) > BIND * size
+    moved |= so3.angle_between(rotations, rig.rest_rotations) > BIND
     stretched = np.abs(stretches - np.eye(3)).max(axis=(1, 2)) > 1e-12
     poses: dict[str, Pose] = {}
     for j in np.flatnonzero(moved | stretched).tolist():
         joint = rig.joints[j]
         (x, y, z), (a, b, c, w) = joint.translation, joint.rotation
         if moved[j]:
-            x, y, z = places[j].tolist()
-            a, b, c, w = turns[j].tolist()
-        own = tuple(stretches[j].ravel().tolist()) if stretched[j] else None
-        poses[rig.names[j]] = Pose((x, y, z), (a, b, c, w), own)
+            x, y, z = positions[j].tolist()
+            a, b, c, w = rotations[j].tolist()
+        stretch = tuple(stretches[j].ravel().tolist()) if stretched[j] else None
+        poses[rig.names[j]] = Pose((x, y, z), (a, b, c, w), stretch)
     return poses

@@ -7,9 +7,11 @@ from typing import Any
 
 from animtool.core.errors import Severity, excerpt, listed
 from animtool.core.record import dataclass
+from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import Accessors
 from animtool.formats.gltf.animations import POINTER, Animation, read_animations
 from animtool.formats.gltf.container import Container, read_container
+from animtool.formats.gltf.json_items import JsonItem, escaped
 from animtool.formats.gltf.meshes import (
     QUANTIZATION,
     MeshEntry,
@@ -26,7 +28,6 @@ from animtool.formats.gltf.nodes import (
     read_scenes,
     roots,
 )
-from animtool.formats.gltf.places import Item, Notes, escaped
 from animtool.formats.gltf.unused import unused_parts
 
 # Extensions that a file may require.
@@ -83,8 +84,8 @@ class Gltf:
     scenes: list[list[int]]
     default_scene: int
     accessors: Accessors
-    root: Item
-    notes: Notes
+    root: JsonItem
+    notes: FileNotices
     left_out: tuple[str, ...]
 
 
@@ -96,7 +97,7 @@ def open_gltf(path: Path | str) -> Gltf:
             with the JSON pointer or the byte offset.
     """
     path = Path(path)
-    notes = Notes(str(path))
+    notes = FileNotices(str(path))
     container = read_container(path, notes)
     root = container.root
     _check_asset(root, notes)
@@ -110,7 +111,7 @@ def open_gltf(path: Path | str) -> Gltf:
     _check_weights(nodes, meshes, notes)
     animations = read_animations(root, accessors, nodes, meshes)
     left_out = _left_out(container)
-    found = Gltf(
+    gltf = Gltf(
         path,
         nodes,
         skins,
@@ -123,23 +124,23 @@ def open_gltf(path: Path | str) -> Gltf:
         notes,
         left_out,
     )
-    _check_skins(found)
-    return found
+    _check_skins(gltf)
+    return gltf
 
 
-def _accessors(container: Container, path: Path, notes: Notes) -> Accessors:
+def _accessors(container: Container, path: Path, notes: FileNotices) -> Accessors:
     unused = unused_parts(container.root.values)
     return Accessors(
         container, path.parent, notes, unused.accessors, unused.views, unused.buffers
     )
 
 
-def _count(root: Item, key: str) -> int:
-    found: Any = root.values.get(key, [])
-    return len(found) if isinstance(found, list) else 0
+def _count(root: JsonItem, key: str) -> int:
+    entries: Any = root.values.get(key, [])
+    return len(entries) if isinstance(entries, list) else 0
 
 
-def _check_asset(root: Item, notes: Notes) -> None:
+def _check_asset(root: JsonItem, notes: FileNotices) -> None:
     asset = root.required("asset")
     version = asset.text("version")
     if version is None:
@@ -153,7 +154,7 @@ def _check_asset(root: Item, notes: Notes) -> None:
         notes.fail("GLT003", asset.at("minVersion"), message)
 
 
-def _check_extensions(container: Container, notes: Notes, path: Path) -> None:
+def _check_extensions(container: Container, notes: FileNotices, path: Path) -> None:
     """Refuse a required extension that matters to motion and is not read."""
     root = container.root
     used = root.list_of("extensionsUsed")
@@ -177,15 +178,15 @@ def _check_extensions(container: Container, notes: Notes, path: Path) -> None:
             hint = f"unpack it with {UNPACKED_BY[name].format(path.name)}"
         message = f"the file needs the extension {name}, which is not supported"
         notes.fail("GLT004", where, message, hint)
-    found = _extensions(root) if container.extended else {}
-    for name, where in found.items():
+    in_use = _extensions(root) if container.extended else {}
+    for name, where in in_use.items():
         if name not in used:
             left = "" if name in READ else ": ignored"
             message = f"the extension {excerpt(name)} is not declared{left}"
             notes.warn("GLT106", where, message)
 
 
-def _check_lists(root: Item, used: list[Any], notes: Notes) -> None:
+def _check_lists(root: JsonItem, used: list[Any], notes: FileNotices) -> None:
     """Say where the lists of extensions do not go together."""
     required = root.list_of("extensionsRequired")
     for i, name in enumerate(used):
@@ -204,28 +205,28 @@ def _check_lists(root: Item, used: list[Any], notes: Notes) -> None:
 def _left_out(container: Container) -> tuple[str, ...]:
     """Return what a file has that is not read: parts, and extensions that matter."""
     root = container.root
-    found = [key for key in _NOT_READ if root.values.get(key)]
+    labels = [key for key in _NOT_READ if root.values.get(key)]
     names = _extensions(root) if container.extended else {}
     if "KHR_lights_punctual" in names:
-        found.append("lights")
-    found += [
+        labels.append("lights")
+    labels += [
         name
         for name in names
         if not (name in READ or name in LOOKS_ALONE or name.startswith(LOOKS))
     ]
-    return tuple(found)
+    return tuple(labels)
 
 
-def _extensions(root: Item) -> dict[str, str]:
+def _extensions(root: JsonItem) -> dict[str, str]:
     """Return the extensions that objects of a file have, and where each is first."""
-    found: dict[str, str] = {}
+    pointers: dict[str, str] = {}
     stack: list[tuple[Any, str]] = [(root.values, "")]
     while stack:
         value, where = stack.pop()
         if isinstance(value, dict):
-            own = value.get("extensions")
-            for name in own if isinstance(own, dict) else ():
-                found.setdefault(name, f"{where}/extensions/{escaped(name)}")
+            extensions = value.get("extensions")
+            for name in extensions if isinstance(extensions, dict) else ():
+                pointers.setdefault(name, f"{where}/extensions/{escaped(name)}")
             stack += [
                 (value[key], f"{where}/{escaped(key)}")
                 for key in reversed(value)
@@ -234,11 +235,11 @@ def _extensions(root: Item) -> dict[str, str]:
             ]
         elif isinstance(value, list) and value and isinstance(value[0], dict | list):
             stack += [(value[i], f"{where}/{i}") for i in range(len(value) - 1, -1, -1)]
-    return found
+    return pointers
 
 
 def _check_weights(
-    nodes: tuple[Node, ...], meshes: tuple[MeshEntry, ...], notes: Notes
+    nodes: tuple[Node, ...], meshes: tuple[MeshEntry, ...], notes: FileNotices
 ) -> None:
     for i, node in enumerate(nodes):
         if node.weights is not None:

@@ -11,7 +11,7 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.record import dataclass
 from animtool.core.similar import distinct
 from animtool.formats.gltf.binding import Binder
-from animtool.formats.gltf.characters import Character
+from animtool.formats.gltf.characters import CharacterNodes
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.meshes import Primitive, skin_weights, triangles
 from animtool.rig.parts import HeldArray, Mesh, Shape, Skin, Subdivision
@@ -20,7 +20,7 @@ ShapeKey = tuple[int, int]  # node and morph target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
+class _SharedVertices:
     """Vertices that primitives of a mesh share, and where they begin in the whole."""
 
     primitive: Primitive
@@ -29,7 +29,7 @@ class _Part:
 
 
 def mesh_parts(
-    gltf: Gltf, character: Character, binder: Binder
+    gltf: Gltf, character: CharacterNodes, binder: Binder
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], tuple[ShapeKey, ...], list[Fault]]:
     """Return meshes and shapes of a character, what shapes are of, and notices."""
     nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
@@ -58,8 +58,8 @@ def mesh_parts(
         name, deltas, normals = next(of_node)
         for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
             shape = next(called)
-            held = (deltas[target], normals[target]) if name else (None, None)
-            shapes.append(Shape(shape, name, *held))
+            arrays = (deltas[target], normals[target]) if name else (None, None)
+            shapes.append(Shape(shape, name, *arrays))
     notices = []
     if empty:
         message = f"{counted(len(empty), 'mesh', 'meshes')} with only points or lines, "
@@ -72,9 +72,9 @@ def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
     """Return distinct names of the meshes that nodes have, after the nodes."""
     named = []
     for node in nodes:
-        own = gltf.nodes[node]
-        mesh = gltf.meshes[own.mesh]
-        plain = mesh.called or own.name or mesh.name or f"mesh_{node}"
+        entry = gltf.nodes[node]
+        mesh = gltf.meshes[entry.mesh]
+        plain = mesh.called or entry.name or mesh.name or f"mesh_{node}"
         named.append("".join(c if c.isprintable() else "_" for c in plain).strip())
     names = distinct(name or "mesh" for name in named)
     return dict(zip(nodes, names, strict=True))
@@ -86,8 +86,8 @@ def shape_names(
     """Return distinct names of shapes; one that two meshes have gets its mesh's."""
     taken: dict[str, None] = {}
     for node, target in keys:
-        given = gltf.meshes[gltf.nodes[node].mesh].target_names
-        plain = given[target] if given else f"{meshes[node]}_{target}"
+        names = gltf.meshes[gltf.nodes[node].mesh].target_names
+        plain = names[target] if names else f"{meshes[node]}_{target}"
         plain = "".join(c if c.isprintable() else "_" for c in plain).strip()
         name = plain or f"{meshes[node]}_{target}"
         if name in taken:
@@ -99,23 +99,25 @@ def shape_names(
     return list(taken)
 
 
-def _shared(gltf: Gltf, node: int) -> list[_Part]:
+def _shared(gltf: Gltf, node: int) -> list[_SharedVertices]:
     """Return the vertices of a mesh, those that primitives share once."""
-    parts: dict[object, _Part] = {}
+    parts: dict[object, _SharedVertices] = {}
     first = 0
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
         if primitive.position >= 0 and primitive.vertices not in parts:
             count = gltf.accessors.get(primitive.position).count
-            parts[primitive.vertices] = _Part(primitive, first, count)
+            parts[primitive.vertices] = _SharedVertices(primitive, first, count)
             first += count
     return list(parts.values())
 
 
 def vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
     """Return where the vertices of a primitive begin in the mesh of a node."""
-    own = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive]
+    searched = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive]
     parts = _shared(gltf, node)
-    return next(one.first for one in parts if one.primitive.vertices == own.vertices)
+    return next(
+        one.first for one in parts if one.primitive.vertices == searched.vertices
+    )
 
 
 def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
@@ -126,8 +128,8 @@ def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
         if primitive.position >= 0:
             count = gltf.accessors.get(primitive.position).count
-            own = triangles(primitive, count, gltf.accessors)
-            faces.append(own + starts[primitive.vertices])
+            corners = triangles(primitive, count, gltf.accessors)
+            faces.append(corners + starts[primitive.vertices])
     if not sum(map(len, faces)):
         return None
     points = [gltf.accessors.floats(part.primitive.position) for part in parts]
@@ -144,7 +146,7 @@ def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
     )
 
 
-def _normals(gltf: Gltf, parts: list[_Part]) -> HeldArray | None:
+def _normals(gltf: Gltf, parts: list[_SharedVertices]) -> HeldArray | None:
     if any(part.primitive.normal < 0 for part in parts):
         return None
     accessors = gltf.accessors
@@ -153,7 +155,7 @@ def _normals(gltf: Gltf, parts: list[_Part]) -> HeldArray | None:
 
 
 def _skin(
-    gltf: Gltf, node: int, parts: list[_Part], binder: Binder
+    gltf: Gltf, node: int, parts: list[_SharedVertices], binder: Binder
 ) -> tuple[Skin, FloatArray]:
     """Return what a mesh follows: joints of its skin, or the node that has it."""
     index = gltf.nodes[node].skin
@@ -182,9 +184,9 @@ def _skin(
 
 
 def _wide(values: FloatArray | IntArray, width: int) -> FloatArray:
-    whole = np.zeros((len(values), width))
-    whole[:, : values.shape[1]] = values
-    return whole
+    padded = np.zeros((len(values), width))
+    padded[:, : values.shape[1]] = values
+    return padded
 
 
 def _targets(gltf: Gltf, node: int) -> tuple[list[HeldArray], list[HeldArray | None]]:
@@ -195,14 +197,14 @@ def _targets(gltf: Gltf, node: int) -> tuple[list[HeldArray], list[HeldArray | N
     with_normals = _normals(gltf, parts) is not None
     for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
         moves: list[FloatArray] = []
-        turns: list[FloatArray] = []
+        normal_rows: list[FloatArray] = []
         for part in parts:
-            own = part.primitive.targets[target]
-            for index, rows in ((own.position, moves), (own.normal, turns)):
-                given = index >= 0
+            morph = part.primitive.targets[target]
+            for index, rows in ((morph.position, moves), (morph.normal, normal_rows)):
+                is_stored = index >= 0
                 nothing = np.zeros((part.count, 3))
-                rows.append(gltf.accessors.floats(index) if given else nothing)
+                rows.append(gltf.accessors.floats(index) if is_stored else nothing)
         deltas.append(HeldArray(np.concatenate(moves)))
-        turned = np.concatenate(turns)
+        turned = np.concatenate(normal_rows)
         normals.append(HeldArray(turned) if with_normals and turned.any() else None)
     return deltas, normals

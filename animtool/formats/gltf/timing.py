@@ -23,7 +23,7 @@ RATES = (
     *(Fraction(n * 1000, 1001) for n in (24, 30, 60)),
     *(Fraction(n) for n in (90, 72, 240, 200, 144, 1000)),
 )
-USUAL = Fraction(30)
+DEFAULT_RATE = Fraction(30)
 # A key is on a frame that is nearer than this, and than the digits of its time [frame].
 ON_FRAME, DIGITS = 1e-3, 4e-7
 # What a take is held with: numbers that change, of all frames.
@@ -31,7 +31,7 @@ MAX_VALUES = 60_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Frames:
+class GltfFrames:
     """When the frames of a clip are."""
 
     fps: Fraction
@@ -47,7 +47,7 @@ class Frames:
 
 def frames_of(
     animation: Animation | None, fps: Fraction | None, path: str, width: int
-) -> Frames:
+) -> GltfFrames:
     """Return the frames of a clip.
 
     Time 0 is frame 0, unless animtool wrote the file, which then says.
@@ -59,10 +59,12 @@ def frames_of(
         width: Numbers of a frame.
     """
     if animation is None or not animation.tracks:
-        return Frames(fps or RATES[0], Fraction(0), Fraction(0), 1)
+        return GltfFrames(fps or RATES[0], Fraction(0), Fraction(0), 1)
     stated, start = _stated(animation.extras)
     times = key_times(animation)
-    rate = fps or stated or next((one for one in RATES if _fits(times, one)), USUAL)
+    rate = (
+        fps or stated or next((one for one in RATES if _fits(times, one)), DEFAULT_RATE)
+    )
     first, last = animation.span
     low = math.floor(first * float(rate) + _room(first, rate)) if first < 0 else 0
     high = max(low, math.ceil(last * float(rate) - _room(last, rate)))
@@ -75,7 +77,7 @@ def frames_of(
             Fault("GLT013", message, path, (), hint, where=animation.where)
         )
     notices = () if _fits(times, rate) else (_between(times, rate, path, animation),)
-    return Frames(rate, start, start + low, count, notices)
+    return GltfFrames(rate, start, start + low, count, notices)
 
 
 def key_times(animation: Animation) -> FloatArray:
@@ -112,12 +114,12 @@ def _between(
 
 def _stated(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]:
     """Return rate and time code of time 0 that animtool wrote of a clip."""
-    own = extras.get("animtool")
-    if not isinstance(own, dict):
+    entry = extras.get("animtool")
+    if not isinstance(entry, dict):
         return None, Fraction(0)
     try:
-        rate = parse_rate(str(own["fps"]))
-        start = Fraction(str(own.get("start", 0)))
+        rate = parse_rate(str(entry["fps"]))
+        start = Fraction(str(entry.get("start", 0)))
     except (KeyError, ValueError, ArithmeticError):
         return None, Fraction(0)
     return rate, start if abs(start) < 10**9 else Fraction(0)

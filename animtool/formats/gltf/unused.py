@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from animtool.core.record import dataclass
-from animtool.formats.gltf.places import is_number
+from animtool.formats.gltf.json_items import is_number
 
 # Of a primitive: what moves, and what faces are made of.
 _READ = re.compile(r"POSITION|NORMAL|(?:JOINTS|WEIGHTS)_(?:0|[1-9]\d{0,3})")
@@ -44,9 +44,9 @@ def unused_parts(root: dict[str, Any]) -> Unused:
     }
     views = frozenset((images | of_other) - of_read)
     named = list(enumerate(_dicts(root.get("bufferViews"))))
-    own = {_index(view.get("buffer")) for i, view in named if i not in views}
+    kept = {_index(view.get("buffer")) for i, view in named if i not in views}
     theirs = {_index(view.get("buffer")) for i, view in named if i in views}
-    return Unused(accessors, views, frozenset(theirs - own - {-1}))
+    return Unused(accessors, views, frozenset(theirs - kept - {-1}))
 
 
 def is_read(attribute: str) -> bool:

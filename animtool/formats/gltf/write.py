@@ -37,23 +37,23 @@ def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     if not rig.joints and not rig.meshes:
         message = f"{rig.name!r} has no joints and no meshes"
         raise OptionError(Fault("RIG044", message, hint="write USD, or a .clip.yaml"))
-    made = GlbBuilder({"asset": {"version": "2.0", "generator": "animtool"}})
+    builder = GlbBuilder({"asset": {"version": "2.0", "generator": "animtool"}})
     scales = _rest_scales(first)
-    written = write_rig(made, rig, scales, _rest_weights(first))
+    written = write_rig(builder, rig, scales, _rest_weights(first))
     names = options.names or (path.stem,)
     notices = list(written.notices)
     for one, name in zip(takes, names, strict=True):
-        notices += write_clip(made, one, name, written, scales, options.tolerance)
+        notices += write_clip(builder, one, name, written, scales, options.tolerance)
     clock = take.clock
     span = FrameSpan(clock.span.first, clock.span.last, clock.span.fps)
-    contents = {path: _contents(made, path)}
+    contents = {path: _contents(builder, path)}
     return TakeFiles(contents, span, len(rig.joints), notices)
 
 
-def _contents(made: GlbBuilder, path: Path) -> Any:
+def _contents(builder: GlbBuilder, path: Path) -> Any:
     if path.suffix.lower() == ".gltf":
-        return made.text_parts()
-    return made.parts()
+        return builder.text_parts()
+    return builder.parts()
 
 
 def _upright(take: Take) -> Take:

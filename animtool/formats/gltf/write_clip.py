@@ -29,7 +29,7 @@ SAME = 1e-9
 class _Animation:
     """Collects samplers and channels."""
 
-    made: GlbBuilder
+    builder: GlbBuilder
     samplers: list[dict[str, Any]] = field(default_factory=list)
     channels: list[dict[str, Any]] = field(default_factory=list)
     parts: list[tuple[int, str, Keys]] = field(default_factory=list)
@@ -40,7 +40,7 @@ class _Animation:
         """Return the accessor of times; those of several channels are stored once."""
         if id(times) not in self.inputs:
             rows = times.astype(np.float32)[:, None]
-            self.inputs[id(times)] = (times, self.made.accessor(rows, bounds=True))
+            self.inputs[id(times)] = (times, self.builder.accessor(rows, bounds=True))
         return self.inputs[id(times)][1]
 
     def add(self, node: int, path: str, keys: Keys) -> None:
@@ -57,8 +57,8 @@ class _Animation:
         for k, (node, path, keys) in enumerate(self.parts):
             if len(keys.times) == 1:
                 times = np.array([keys.times[0], end])
-                held = Keys(times, np.repeat(keys.values, 2, axis=0))
-                self.parts[k] = (node, path, held)
+                extended = Keys(times, np.repeat(keys.values, 2, axis=0))
+                self.parts[k] = (node, path, extended)
                 return True
         return False
 
@@ -71,7 +71,7 @@ class _Animation:
         rows = keys.rows(scalars=path == "weights")
         sampler: dict[str, Any] = {
             "input": self.input(keys.times),
-            "output": self.made.accessor(rows.astype(np.float32, copy=False)),
+            "output": self.builder.accessor(rows.astype(np.float32, copy=False)),
         }
         if keys.interpolation != "LINEAR":
             sampler["interpolation"] = keys.interpolation
@@ -81,7 +81,7 @@ class _Animation:
 
 
 def write_clip(
-    made: GlbBuilder,
+    builder: GlbBuilder,
     take: Take,
     name: str,
     written: WrittenRig,
@@ -95,7 +95,7 @@ def write_clip(
     keys; others have a key a frame, or with a tolerance those that linear keys need.
 
     Args:
-        made: What it is added to.
+        builder: What it is added to.
         take: Y up.
         name: Of the animation.
         written: Where the rig is in it.
@@ -104,8 +104,8 @@ def write_clip(
     """
     clock = take.clock
     seconds = (clock.times - float(clock.start)) / float(clock.fps)
-    animation = _Animation(made)
-    keyed = {} if tolerance is not None else _own_keys(take)
+    animation = _Animation(builder)
+    keyed = {} if tolerance is not None else _source_keys(take)
     bounds = None
     if tolerance is not None:
         bounds = joint_bounds(take.rig, tolerance, {})
@@ -145,11 +145,11 @@ def write_clip(
         "samplers": animation.samplers,
         "extras": {"animtool": _stated(clock.fps, clock.start)},
     }
-    made.add("animations", entry)
+    builder.add("animations", entry)
     return left
 
 
-def _own_keys(take: Take) -> dict[tuple[int, str], Keys]:
+def _source_keys(take: Take) -> dict[tuple[int, str], Keys]:
     """Return the keys of the clip or the glTF that a take is still of."""
     start = take.clock.start
     if not is_of_curve(take):
@@ -233,10 +233,10 @@ def _joint_keys(
 
 def _tolerance(path: str, joint: int, bounds: FloatArray, take: Take) -> float:
     """Return how far keys of a joint may be off: [m], [rad] or [1]."""
-    own = float(bounds[joint])
+    bound = float(bounds[joint])
     if path == "translation":
-        return own
-    return own / max(SHELL, float(_reach(take)[joint]))
+        return bound
+    return bound / max(SHELL, float(_reach(take)[joint]))
 
 
 def _reach(take: Take) -> FloatArray:
@@ -265,7 +265,7 @@ def _weights(
         return []
     names = [shape.name for shape in take.rig.shapes]
     dense = weights.dense()[:, :, 0]
-    rest = animation.made.json
+    rest = animation.builder.json
     for node, shapes in written.targets.items():
         rows = [names.index(shape) for shape in shapes]
         values = dense[:, rows]
@@ -302,7 +302,7 @@ def _same_times(one: Keys, other: Keys) -> bool:
     return same and np.array_equal(one.times, other.times)
 
 
-def _still(like: Keys, value: float) -> Keys:
+def _static_keys(like: Keys, value: float) -> Keys:
     """Return keys of one value at the times of others."""
     values = np.full((len(like.times), 1), value)
     slopes = None if like.ins is None else np.zeros_like(values)
@@ -334,19 +334,21 @@ def _joined(parts: list[Keys | None], samples: FloatArray) -> Keys | None:
     first = next((part for part in parts if part is not None), None)
     if first is None:
         return None
-    still = (samples == samples[:1]).all(axis=0).tolist()
+    static = (samples == samples[:1]).all(axis=0).tolist()
     parts = [
-        _still(first, float(samples[0, k])) if part is None and still[k] else part
+        _static_keys(first, float(samples[0, k]))
+        if part is None and static[k]
+        else part
         for k, part in enumerate(parts)
     ]
-    found = [part for part in parts if part is not None]
-    if len(found) < len(parts):
+    present = [part for part in parts if part is not None]
+    if len(present) < len(parts):
         return None
-    if not all(_same_times(one, first) for one in found):
-        return _merged(found)
+    if not all(_same_times(one, first) for one in present):
+        return _merged(present)
 
     def columns(name: str) -> FloatArray | None:
-        rows = [getattr(one, name) for one in found]
+        rows = [getattr(one, name) for one in present]
         return None if rows[0] is None else np.concatenate(rows, axis=1)
 
     values = columns("values")

@@ -69,11 +69,11 @@ class Recording:
     Attributes:
         path: The file.
         shapes: Name of each column of weights, ARKit's spelling where it is one.
-        angles: Which of `ANGLES` there are, in the order of ``turns``.
+        angles: Which of `ANGLES` there are, in the order of ``rotations``.
         labels: Time code of each row, as written.
         lines: 1-based line of each row ``(R,)``.
         weights: Of the shapes ``(R, S)``; NaN where the file has none.
-        turns: Angles [rad] ``(R, A)``, as ``weights``.
+        rotations: Angles [rad] ``(R, A)``, as ``weights``.
         notices: What is odd.
     """
 
@@ -83,7 +83,7 @@ class Recording:
     labels: list[str]
     lines: IntArray
     weights: FloatArray
-    turns: FloatArray
+    rotations: FloatArray
     notices: list[Fault] = field(default_factory=list)
 
 
@@ -147,7 +147,7 @@ class _Table:
         if faults:
             raise FormatError(faults)
         rest = [i for i in range(len(lower)) if i not in (self.time, self.count)]
-        self.turns = [i for i in rest if lower[i] in _ANGLES]
+        self.angle_columns = [i for i in rest if lower[i] in _ANGLES]
         self.shapes = [i for i in rest if lower[i] not in _ANGLES and self.names[i]]
 
     def _cells(self, line: str) -> list[str]:
@@ -194,37 +194,37 @@ class _Table:
             raise FormatError(Fault("LLF001", message, str(self.path), (self.line,)))
         values = self._numbers(cells)
         lines = np.array([number for number, _ in cells], np.int64)
-        found = Recording(
+        recording = Recording(
             self.path,
             tuple(arkit_name(self.names[i]) or self.names[i] for i in self.shapes),
-            tuple(_ANGLES[self.names[i].lower()] for i in self.turns),
+            tuple(_ANGLES[self.names[i].lower()] for i in self.angle_columns),
             [row[self.time].strip().strip('"') for _, row in cells],
             lines,
             values[:, self.shapes],
-            values[:, self.turns],
+            values[:, self.angle_columns],
             notices,
         )
-        if not (set(found.shapes) & set(ARKIT_SHAPES)) and not self.shapes:
+        if not (set(recording.shapes) & set(ARKIT_SHAPES)) and not self.shapes:
             message = "has no weight columns"
             raise FormatError(Fault("LLF001", message, str(self.path), (self.line,)))
         notices += self._count_notice(values, lines)
-        return found
+        return recording
 
     def _numbers(self, cells: Sequence[tuple[int, list[str]]]) -> FloatArray:
         """Return all values ``(R, C)``, NaN where there is none."""
-        columns = [*self.shapes, *self.turns]
+        columns = [*self.shapes, *self.angle_columns]
         if self.count is not None:
             columns.append(self.count)
-        made = np.full((len(cells), len(self.names)), np.nan)
+        values = np.full((len(cells), len(self.names)), np.nan)
         faults: list[Fault] = []
         for r, (number, row) in enumerate(cells):
             try:
-                made[r, columns] = [float(row[c]) for c in columns]
+                values[r, columns] = [float(row[c]) for c in columns]
             except ValueError:
                 for c in columns:
                     text = row[c].strip().strip('"')
                     try:
-                        made[r, c] = float(text) if text else np.nan
+                        values[r, c] = float(text) if text else np.nan
                     except ValueError:
                         message = f"{self.names[c]}: {excerpt(text)} is not a number"
                         faults.append(self._fault("LLF004", c, message, number))
@@ -232,19 +232,19 @@ class _Table:
                 break
         if faults:
             raise FormatError(faults[:MAX_FAULTS])
-        made[~(np.abs(made) <= MAX_VALUE)] = np.nan
-        return made
+        values[~(np.abs(values) <= MAX_VALUE)] = np.nan
+        return values
 
     def _count_notice(self, values: FloatArray, lines: IntArray) -> list[Fault]:
         """Return a warning where rows do not have as many values as they say."""
         if self.count is None:
             return []
-        has = {len(self.shapes) + len(self.turns), len(self.shapes)}
+        has = {len(self.shapes) + len(self.angle_columns), len(self.shapes)}
         stated = values[:, self.count]
-        odd: BoolArray = np.isfinite(stated) & ~np.isin(stated, list(has))
-        if not odd.any():
+        mismatched: BoolArray = np.isfinite(stated) & ~np.isin(stated, list(has))
+        if not mismatched.any():
             return []
-        row = int(np.flatnonzero(odd)[0])
+        row = int(np.flatnonzero(mismatched)[0])
         message = (
             f"{COUNT} is {stated[row]:g}, but the row has {counted(max(has), 'value')}"
         )

@@ -21,7 +21,7 @@ from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, face_rotations, head_jo
 from animtool.rig.shapes import arkit_name
 
 # As the app prints them.
-PLACES = 10
+DECIMALS = 10
 _JOINTS = dict(zip(PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
 
 
@@ -91,7 +91,7 @@ def livelink_text(take: Take) -> TakeText:
 
 def _angles(take: Take) -> FloatArray:
     """Return yaw, pitch and roll of head, left eye and right eye [rad] ``(F, 9)``."""
-    made = np.zeros((take.clock.count, len(ANGLES)))
+    angles = np.zeros((take.clock.count, len(ANGLES)))
     joints = head_joints(take.rig)
     for k, part in enumerate(PARTS):
         joint = joints.get(_JOINTS[part])
@@ -99,15 +99,15 @@ def _angles(take: Take) -> FloatArray:
             continue
         local = take.motion.rotations.gather(np.array([joint]))[:, 0]
         turned = align_signs(face_rotations(take.rig, joint, local))
-        made[:, 3 * k : 3 * k + 3] = np.radians(from_quaternion(turned, "YXZ"))
-    return made
+        angles[:, 3 * k : 3 * k + 3] = np.radians(from_quaternion(turned, "YXZ"))
+    return angles
 
 
 def _rows(weights: FloatArray, angles: FloatArray, rate: Fraction) -> Iterator[bytes]:
     count = len(APP_SHAPES) + len(ANGLES)
-    row = f"%s,{count}," + ",".join([f"%.{PLACES}f"] * count) + "\n"
+    row = f"%s,{count}," + ",".join([f"%.{DECIMALS}f"] * count) + "\n"
     # No minus in front of a zero.
-    values = np.round(np.concatenate([weights, angles], axis=1), PLACES) + 0.0
+    values = np.round(np.concatenate([weights, angles], axis=1), DECIMALS) + 0.0
     for frame, numbers in enumerate(values.tolist()):
         yield (row % (timecode(frame, rate), *numbers)).encode()
 

@@ -10,15 +10,15 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
-from animtool.formats.mjcf.equality import Ties
-from animtool.formats.mjcf.reduced import LEAST_MASS, Reduced, place
-from animtool.formats.robots.notes import LARGEST, Notes
+from animtool.formats.mjcf.equality import JointEqualities
+from animtool.formats.mjcf.reduced import LEAST_MASS, Reduced, label_of
+from animtool.formats.robots.notes import LARGEST, XmlNotes
 from animtool.formats.robots.parts import (
     UNTURNED,
     Link,
     Move,
     Robot,
-    Solid,
+    SimpleShape,
     Triangles,
     Weight,
     quaternion,
@@ -44,7 +44,7 @@ HIDDEN = 3
 _SOLIDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
 
 
-def compiled(reduced: Reduced, notes: Notes) -> Any:
+def compiled(reduced: Reduced, notes: XmlNotes) -> Any:
     """Return MuJoCo's model of a reduced MJCF.
 
     Raises:
@@ -70,38 +70,38 @@ def compiled(reduced: Reduced, notes: Notes) -> Any:
     raise AssertionError
 
 
-def _refused(text: str, reduced: Reduced, notes: Notes) -> None:
+def _refused(text: str, reduced: Reduced, notes: XmlNotes) -> None:
     """Note what MuJoCo says, at the line of the file and not of the reduced text."""
-    found = _LINE.search(text)
+    match = _LINE.search(text)
     element, body = None, ""
-    if found is not None and 0 < int(found[1]) <= len(reduced.elements):
-        element = reduced.elements[int(found[1]) - 1]
-        body = reduced.bodies[int(found[1]) - 1]
+    if match is not None and 0 < int(match[1]) <= len(reduced.elements):
+        element = reduced.elements[int(match[1]) - 1]
+        body = reduced.bodies[int(match[1]) - 1]
     message = _LINE.sub("", _START.sub("", text)).strip()
     message = re.sub(r"\s*\n\s*", ", ", message)
     message = re.sub(r",? *Element (name )?'[^']*'(, id \d+)?,?", "", message)
-    where = None if element is None else place(element)
+    where = None if element is None else label_of(element)
     if where is None and element is not None and body:
         where = f"{element.tag} of body {excerpt(body)}"
     notes.add("MJC008", element, f"MuJoCo refuses it: {message}", where=where)
 
 
-def robot_of(model: Any, reduced: Reduced, notes: Notes) -> Robot:
+def robot_of(model: Any, reduced: Reduced, notes: XmlNotes) -> Robot:
     """Return the robot of a compiled model; what a rig holds otherwise is noted."""
     _check_sizes(model, notes)
-    ties = Ties.of(model, notes)
+    ties = JointEqualities.of(model, notes)
     notes.check()
     links = [_link(model, body, ties, reduced) for body in range(1, model.nbody)]
     for site in range(model.nsite):
         body, name = int(model.site_bodyid[site]), model.site(site).name
         if name and body > 0:
-            pose = vector(model.site_pos[site]), turn_of(model.site_quat[site])
+            pose = vector(model.site_pos[site]), rotation_of(model.site_quat[site])
             links[body - 1].sites.append((name, *pose))
     _note(model, reduced, ties, notes)
     return Robot(str(model.names[: model.names.index(b"\0")], "utf-8"), links)
 
 
-def _check_sizes(model: Any, notes: Notes) -> None:
+def _check_sizes(model: Any, notes: XmlNotes) -> None:
     """Note numbers of a compiled model that no position may have."""
     for name in ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "qpos0", "geom_size",
                  "geom_pos", "site_pos"):  # fmt: skip
@@ -113,16 +113,16 @@ def _check_sizes(model: Any, notes: Notes) -> None:
             return
 
 
-def turn_of(wxyz: FloatArray) -> Quaternion:
+def rotation_of(wxyz: FloatArray) -> Quaternion:
     """Return a rotation (x, y, z, w) of MuJoCo's (w, x, y, z)."""
     w, x, y, z = np.asarray(wxyz, np.float64)
     return quaternion(np.array([x, y, z, w]))
 
 
-def _link(model: Any, body: int, ties: Ties, reduced: Reduced) -> Link:
+def _link(model: Any, body: int, ties: JointEqualities, reduced: Reduced) -> Link:
     """Return a body: each joint turns about its own place in the body's frame."""
     position = np.array(model.body_pos[body])
-    rotation = np.array(turn_of(model.body_quat[body]))
+    rotation = np.array(rotation_of(model.body_quat[body]))
     name = model.body(body).name
     link = Link(name, int(model.body_parentid[body]) - 1)
     before = np.zeros(3)
@@ -137,8 +137,8 @@ def _link(model: Any, body: int, ties: Ties, reduced: Reduced) -> Link:
     if link.moves:
         link.after = vector(-before)
     else:
-        still = Move("", JointType.FIXED, vector(position), quaternion(rotation))
-        link.moves.append(still)
+        fixed = Move("", JointType.FIXED, vector(position), quaternion(rotation))
+        link.moves.append(fixed)
     link.solids, link.shown = _solids(model, body)
     mass = float(model.body_mass[body])
     heavy = [mass, *model.body_inertia[body], *model.body_ipos[body]]
@@ -149,7 +149,11 @@ def _link(model: Any, body: int, ties: Ties, reduced: Reduced) -> Link:
 
 
 def _move(
-    model: Any, joint: int, translation: FloatArray, rotation: FloatArray, ties: Ties
+    model: Any,
+    joint: int,
+    translation: FloatArray,
+    rotation: FloatArray,
+    ties: JointEqualities,
 ) -> Move:
     """Return a joint, whose coordinate is MuJoCo's qpos, but for that of a free one.
 
@@ -184,9 +188,9 @@ def _move(
     )
 
 
-def _solids(model: Any, body: int) -> tuple[list[Solid], list[Triangles]]:
+def _solids(model: Any, body: int) -> tuple[list[SimpleShape], list[Triangles]]:
     """Return the simple geoms of a body that collide, and those that are shown."""
-    found, shown = [], []
+    colliding, shown = [], []
     first = int(model.body_geomadr[body])
     for geom in range(first, first + int(model.body_geomnum[body])):
         kind = _SOLIDS.get(int(model.geom_type[geom]))
@@ -199,29 +203,33 @@ def _solids(model: Any, body: int) -> tuple[list[Solid], list[Triangles]]:
             "cylinder": [half[0], 2 * half[1]],
             "box": [2 * side for side in half],
         }[kind]
-        place_: Vector = vector(model.geom_pos[geom])
-        solid = Solid(kind, tuple(size), place_, turn_of(model.geom_quat[geom]))
+        position: Vector = vector(model.geom_pos[geom])
+        solid = SimpleShape(
+            kind, tuple(size), position, rotation_of(model.geom_quat[geom])
+        )
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
-            found.append(solid)
+            colliding.append(solid)
         if model.geom_group[geom] < HIDDEN and model.geom_rgba[geom][3] > 0:
             shown.append(triangles_of(solid))
-    return found, shown
+    return colliding, shown
 
 
 def _weight(model: Any, body: int, mass: float) -> Weight:
-    turn = so3.to_matrix(np.array(turn_of(model.body_iquat[body])))
-    moments = np.array(model.body_inertia[body])
-    return Weight(mass, vector(model.body_ipos[body]), turn @ np.diag(moments) @ turn.T)
+    rotation = so3.to_matrix(np.array(rotation_of(model.body_iquat[body])))
+    inertia = np.array(model.body_inertia[body])
+    return Weight(
+        mass, vector(model.body_ipos[body]), rotation @ np.diag(inertia) @ rotation.T
+    )
 
 
-def _note(model: Any, reduced: Reduced, ties: Ties, notes: Notes) -> None:
+def _note(model: Any, reduced: Reduced, ties: JointEqualities, notes: XmlNotes) -> None:
     """Note what a rig holds otherwise, and joints that nothing drives."""
     names = [model.joint(joint).name for joint in range(model.njnt)]
 
-    def add(code: str, found: list[int], message: str, hint: str) -> None:
-        if found:
-            shown = [excerpt(names[j]) if names[j] else "one unnamed" for j in found]
-            message = message.format(counted(len(found), "joint"))
+    def add(code: str, joints: list[int], message: str, hint: str) -> None:
+        if joints:
+            shown = [excerpt(names[j]) if names[j] else "one unnamed" for j in joints]
+            message = message.format(counted(len(joints), "joint"))
             message += f": {listed(shown, MAX_NAMED)}"
             notes.add(code, None, message, hint, severity=Severity.NOTE)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.errors import circle, excerpt
 from animtool.core.record import dataclass
-from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.notes import XmlNotes
 from animtool.rig.drivers import ANGLE, SLIDE, Driver
 from animtool.rig.expressions import parse_expression
 from animtool.rig.skeleton import Mimic
@@ -19,14 +19,14 @@ _SLIDE = 2
 
 
 @dataclass(slots=True, eq=False)
-class Ties:
+class JointEqualities:
     """What joints are tied to, by index of the joint."""
 
     mimics: dict[int, Mimic] = field(default_factory=dict)
     drivers: dict[int, Driver] = field(default_factory=dict)
 
     @staticmethod
-    def of(model: Any, notes: Notes) -> Ties:
+    def of(model: Any, notes: XmlNotes) -> JointEqualities:
         """Return the active ties of a model; those that no rig holds are noted."""
         rows: dict[int, tuple[int, list[float]]] = {}
         for tie in range(model.neq):
@@ -43,7 +43,7 @@ class Ties:
                 notes.add("MJC010", None, message, hint, joint=name)
                 continue
             rows[one] = (other, np.array(model.eq_data[tie][:5]).tolist())
-        ties = Ties()
+        ties = JointEqualities()
         if not _rings(model, rows, notes):
             for one in rows:
                 ties._add(model, one, rows)
@@ -60,8 +60,8 @@ class Ties:
             further, inner = rows[other]
             if further < 0 or any(inner[2:]):
                 break
-            own, factor = _linear(model, other, further, inner)
-            offset, gain, other = offset + gain * own, gain * factor, further
+            linear, factor = _linear(model, other, further, inner)
+            offset, gain, other = offset + gain * linear, gain * factor, further
         if other < 0:
             text = repr(offset)
             self.drivers[one] = Driver(parse_expression(text, coordinates=True))
@@ -104,10 +104,12 @@ def _driver(model: Any, one: int, other: int, polynomial: list[float]) -> Driver
     return Driver(parse_expression(text, coordinates=True))
 
 
-def _rings(model: Any, rows: dict[int, tuple[int, list[float]]], notes: Notes) -> bool:
+def _rings(
+    model: Any, rows: dict[int, tuple[int, list[float]]], notes: XmlNotes
+) -> bool:
     """Note joints that are tied in a ring, and return whether there are any."""
     done: set[int] = set()
-    found = False
+    has_rings = False
     for start in rows:
         path: list[int] = []
         one = start
@@ -117,9 +119,9 @@ def _rings(model: Any, rows: dict[int, tuple[int, list[float]]], notes: Notes) -
                 message = f"joints are tied in a ring: {circle([*names, names[0]])}"
                 hint = "remove one of these equalities"
                 notes.add("MJC010", None, message, hint, joint=names[0])
-                found = True
+                has_rings = True
                 break
             path.append(one)
             one = rows[one][0]
         done.update(path)
-    return found
+    return has_rings

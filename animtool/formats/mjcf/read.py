@@ -8,7 +8,7 @@ from animtool.formats.mjcf.compiled import compiled, robot_of
 from animtool.formats.mjcf.includes import read_model
 from animtool.formats.mjcf.reduced import reduced_model
 from animtool.formats.robots.build import RobotCodes, build_rig
-from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.robots.standing import standing
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
@@ -32,9 +32,9 @@ def read_mjcf_rig(path: Path | str) -> Rig:
         OptionError: MuJoCo is not installed (MJC005).
     """
     path = Path(path)
-    notes = Notes(path, "MJC007")
-    root, places = read_model(path, notes)
-    reduced = reduced_model(root, places, notes)
+    notes = XmlNotes(path, "MJC007")
+    root, folders = read_model(path, notes)
+    reduced = reduced_model(root, folders, notes)
     notes.check()
     model = compiled(reduced, notes)
     robot = robot_of(model, reduced, notes)

@@ -111,20 +111,22 @@ def _frames(
         return _from(times, rate, at, rounding)
     steps = find_steps(times, None, stated, rounding)
     between = int(steps.frames[-1]) if steps.even else 1
-    found = rate_of_step(steps.step, rounding, between)
-    if found is None:
+    exact_rate = rate_of_step(steps.step, rounding, between)
+    if exact_rate is None:
         raise file.error(
             "MOF006",
             f"has a row every {steps.step:g} s",
             f"set the rate with {argument('source.fps')}",
         )
     if stated is not None and is_rate_of(stated, steps, rounding):
-        found = file.rate(stated, None)
+        exact_rate = file.rate(stated, None)
     elif stated is not None:
-        message = f"states DataRate {stated:g}, but its times are at {float(found):g}"
+        message = (
+            f"states DataRate {stated:g}, but its times are at {float(exact_rate):g}"
+        )
         file.warn("MOF101", f"{message} fps: using the times")
     with np.errstate(over="ignore"):
-        at = (times - times[0]) * float(found)
+        at = (times - times[0]) * float(exact_rate)
     if steps.even:
         at = steps.frames.astype(np.float64)
     if not has_room(at, len(header.names)):
@@ -132,12 +134,12 @@ def _frames(
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise file.error("MOF006", message, hint)
     if not steps.even:
-        message = f"times are uneven: resampled at {float(found):g} fps, linearly "
+        message = f"times are uneven: resampled at {float(exact_rate):g} fps, linearly "
         file.warn("MOF105", f"{message}between rows, but not over gaps")
     elif (absent := int(at[-1]) + 1 - count) > 0:
         message = f"{counted(absent, 'frame')} without a row: no marker is seen there"
         file.warn("MOF105", message)
-    return _from(times, found, at, rounding)
+    return _from(times, exact_rate, at, rounding)
 
 
 def _from(

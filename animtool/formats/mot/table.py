@@ -11,7 +11,7 @@ from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt,
 from animtool.core.record import dataclass
 from animtool.formats.delimited import (
     BLANK,
-    Rows,
+    TextRows,
     decoded,
     gather_rows,
     number_of,
@@ -85,8 +85,8 @@ def read_table(path: Path) -> MotionTable:
     rows = read_rows(path, lines, header, len(names) + 1, notices)
     decimals, numbers = rows.decimals(0), rows.lines
     values = numbers_of(path, rows, len(names) + 1)
-    wanted = {"rows": len(values), "columns": len(names) + 1}
-    for what, count in wanted.items():
+    counts = {"rows": len(values), "columns": len(names) + 1}
+    for what, count in counts.items():
         if what in stated and stated[what] != count:
             message = f"states {stated[what]:g} {what}, but has {count}"
             warning = Severity.WARNING
@@ -248,7 +248,7 @@ def _check_kind(path: Path, header: MotHeader, lines: list[bytes]) -> None:
     raise FormatError(Fault("MOF009", message, str(path), (row + 1,), hint))
 
 
-def numbers_of(path: Path, rows: Rows, width: int) -> FloatArray:
+def numbers_of(path: Path, rows: TextRows, width: int) -> FloatArray:
     """Return the numbers of rows ``(R, width)`` (MOF003)."""
     return rows.values(width, lambda text, line: _error("MOF003", path, text, line))
 
@@ -259,7 +259,7 @@ def read_rows(
     header: MotHeader,
     width: int,
     notices: list[Fault],
-) -> Rows:
+) -> TextRows:
     """Return rows of one width; one that the file's end cuts is left out (MOF103)."""
     rows = gather_rows(lines, header.begin, header.separator)
     warning = Severity.WARNING

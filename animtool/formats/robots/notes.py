@@ -10,7 +10,7 @@ from pathlib import Path
 
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt
 from animtool.core.record import dataclass
-from animtool.formats.robots.xml import Element
+from animtool.formats.robots.xml import XmlElement
 
 # More are of one cause.
 MAX_FAULTS = 50
@@ -20,7 +20,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclass(slots=True, eq=False)
-class Notes:
+class XmlNotes:
     """Faults and notices of a file.
 
     Attributes:
@@ -40,7 +40,7 @@ class Notes:
     def add(
         self,
         code: str,
-        element: Element | None,
+        element: XmlElement | None,
         message: str,
         hint: str | None = None,
         *,
@@ -71,7 +71,7 @@ class Notes:
 
     def numbers(
         self,
-        element: Element,
+        element: XmlElement,
         name: str,
         count: int,
         default: tuple[float, ...],
@@ -91,7 +91,7 @@ class Notes:
             problem = f"{counted(len(values), 'value')}, not {count}"
             if "," in text:
                 hint = "separate numbers by blanks, and write decimals with a point"
-        found = []
+        numbers = []
         for value in values:
             number = to_number(value)
             if number is None:
@@ -103,14 +103,16 @@ class Notes:
             elif abs(number) > most:
                 problem = problem or f"{excerpt(value)} is beyond {most:g}"
             else:
-                found.append(number)
+                numbers.append(number)
         if problem:
             message = f"{name} of <{element.tag}> is {excerpt(text)}: {problem}"
             self.add(self.number_code, element, message, hint, where=where)
             return default
-        return tuple(found)
+        return tuple(numbers)
 
-    def number(self, element: Element, name: str, default: float, where: str) -> float:
+    def number(
+        self, element: XmlElement, name: str, default: float, where: str
+    ) -> float:
         """Return the number of an attribute; see `numbers`."""
         return self.numbers(element, name, 1, (default,), where)[0]
 

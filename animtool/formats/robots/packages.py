@@ -25,7 +25,7 @@ class OutsideError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
+class PackageFolders:
     """Where a robot may name files.
 
     Attributes:
@@ -39,7 +39,7 @@ class Places:
     packages: dict[str, Path]
 
     @staticmethod
-    def of(path: Path, codes: XmlCodes) -> Places:
+    def of(path: Path, codes: XmlCodes) -> PackageFolders:
         """Return the places of a file.
 
         The package that a file is in is part of its project: the folder above it whose
@@ -55,7 +55,7 @@ class Places:
                 packages.setdefault(name, above)
                 break
         roots = (*project_roots(path), *packages.values())
-        return Places(folder, tuple(root.resolve() for root in roots), packages)
+        return PackageFolders(folder, tuple(root.resolve() for root in roots), packages)
 
     def find(self, name: str) -> Path | None:
         """Return the file that a name means; None where there is none.
@@ -75,9 +75,9 @@ class Places:
         package, _, inner = rest.lstrip("/").partition("/")
         tried = [folder for folder in self._folders(package) if inner]
         for folder in tried:
-            found = self._inside(folder / inner, name)
-            if found is not None:
-                return found
+            path = self._inside(folder / inner, name)
+            if path is not None:
+                return path
         if not tried:
             # What leads out does so in whichever folder the package is.
             self._inside(self.folder / package / inner, name)
@@ -85,17 +85,17 @@ class Places:
 
     def _folders(self, package: str) -> list[Path]:
         """Return folders that may be a package."""
-        found = []
+        folders = []
         if package in self.packages:
-            found.append(self.packages[package])
+            folders.append(self.packages[package])
         if package in {"", ".", ".."}:
-            return found
+            return folders
         for root in self.roots:
             above = [self.folder, *self.folder.parents]
             inside = [one for one in above if one.is_relative_to(root)]
-            found += [one for one in inside if one.name == package]
-            found += [one / package for one in inside]
-        return found
+            folders += [one for one in inside if one.name == package]
+            folders += [one / package for one in inside]
+        return folders
 
     def _inside(self, path: Path, name: str) -> Path | None:
         try:

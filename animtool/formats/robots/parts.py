@@ -43,7 +43,7 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
-class Solid:
+class SimpleShape:
     """A simple shape of a link, in its frame.
 
     Attributes:
@@ -96,7 +96,7 @@ class Link:
     parent: int
     moves: list[Move] = field(default_factory=list)
     after: Vector = ORIGIN
-    solids: list[Solid] = field(default_factory=list)
+    solids: list[SimpleShape] = field(default_factory=list)
     shown: list[Triangles] = field(default_factory=list)
     weight: Weight | None = None
     sites: list[tuple[str, Vector, Quaternion]] = field(default_factory=list)

@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.formats.robots.parts import Solid, Weight, quaternion, vector
+from animtool.formats.robots.parts import SimpleShape, Weight, quaternion, vector
 from animtool.maths import so3
 from animtool.rig.mass_entries import moments_problem
 from animtool.rig.parts import Capsule, Mass, Vector
 
 
-def capsule_of(solid: Solid, shift: Vector) -> tuple[Capsule, float]:
+def capsule_of(solid: SimpleShape, shift: Vector) -> tuple[Capsule, float]:
     """Return the capsule of a shape, and how far its surface is off [m].
 
     A cylinder that is longer than wide has a capsule of its radius and length, a
@@ -59,13 +59,13 @@ def _square(thin: float, wide: float, long: float) -> tuple[float, float, float]
 
 def masses_of(joint: str, weight: Weight, shift: Vector) -> Mass:
     """Return the mass of a joint of a rig; ``shift`` is from it to the link."""
-    moments, axes = np.linalg.eigh(weight.inertia)
+    principal, axes = np.linalg.eigh(weight.inertia)
     if np.linalg.det(axes) < 0:
         axes[:, 0] = -axes[:, 0]
-    a, b, c = np.maximum(moments, 0.0).tolist()
+    a, b, c = np.maximum(principal, 0.0).tolist()
     centre = vector(np.array(weight.centre) + np.array(shift))
-    turn = quaternion(so3.from_matrix(axes))
-    return Mass(joint, weight.mass, centre, (a, b, c), turn)
+    rotation = quaternion(so3.from_matrix(axes))
+    return Mass(joint, weight.mass, centre, (a, b, c), rotation)
 
 
 def weight_problem(mass: float, inertia: FloatArray) -> str:

@@ -25,11 +25,11 @@ def zero_coordinates(rig: Rig) -> FloatArray:
     """
     slices = coordinate_slices(rig)
     q = np.zeros((1, slices[-1].stop if slices else 0))
-    for joint, place in zip(rig.joints, slices, strict=True):
+    for joint, slice_ in zip(rig.joints, slices, strict=True):
         if joint.type in {JointType.FREE, JointType.BALL}:
-            q[0, place.stop - 1] = 1.0
+            q[0, slice_.stop - 1] = 1.0
         elif isinstance(joint.limits, RangeLimit):
-            q[0, place] = joint.limits.clamped(q[0, place])
+            q[0, slice_] = joint.limits.clamped(q[0, slice_])
     return following(rig, q, rig.names)
 
 

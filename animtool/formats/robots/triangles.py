@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.formats.robots.parts import Solid, Triangles
+from animtool.formats.robots.parts import SimpleShape, Triangles
 from animtool.maths import so3
 
 AROUND, ALONG = 24, 12  # corners of a circle, and of half of one
@@ -22,7 +22,7 @@ def joined(parts: list[Triangles]) -> Triangles:
     )
 
 
-def triangles_of(solid: Solid) -> Triangles:
+def triangles_of(solid: SimpleShape) -> Triangles:
     """Return the surface of a shape where it is on its link.
 
     >>> box = triangles_of(Solid("box", (1.0, 2.0, 3.0)))
@@ -30,15 +30,15 @@ def triangles_of(solid: Solid) -> Triangles:
     (24, 12, [0.5, 1.0, 1.5])
     """
     if solid.kind == "box":
-        made = _box(np.array(solid.size))
+        shape = _box(np.array(solid.size))
     elif solid.kind == "cylinder":
         radius, length = solid.size
-        made = _cylinder(radius, length)
+        shape = _cylinder(radius, length)
     else:
         length = solid.size[1] if solid.kind == "capsule" else 0.0
-        made = _round(solid.size[0], length)
-    points = so3.rotate(np.array(solid.rotation), made.points)
-    return Triangles(points + np.array(solid.position), made.faces)
+        shape = _round(solid.size[0], length)
+    points = so3.rotate(np.array(solid.rotation), shape.points)
+    return Triangles(points + np.array(solid.position), shape.faces)
 
 
 def _box(size: FloatArray) -> Triangles:

@@ -22,7 +22,7 @@ MAX_TEXT = 1000
 
 
 @dataclass(slots=True, eq=False)
-class Element:
+class XmlElement:
     """An element of a file.
 
     Attributes:
@@ -40,14 +40,14 @@ class Element:
     path: Path
     line: int
     column: int
-    children: list[Element] = field(default_factory=list)
+    children: list[XmlElement] = field(default_factory=list)
     text: str = ""
 
-    def all(self, tag: str) -> list[Element]:
+    def all(self, tag: str) -> list[XmlElement]:
         """Return the children of a name."""
         return [child for child in self.children if child.tag == tag]
 
-    def walk(self) -> Iterator[Element]:
+    def walk(self) -> Iterator[XmlElement]:
         """Yield it and all below it, in the order of the file."""
         waiting = [self]
         while waiting:
@@ -73,7 +73,7 @@ class _Refused(Exception):  # noqa: N818  # control flow inside this module
         super().__init__(message)
 
 
-def read_xml(path: Path, codes: XmlCodes) -> Element:
+def read_xml(path: Path, codes: XmlCodes) -> XmlElement:
     """Return the root element of an XML file.
 
     Raises:
@@ -83,7 +83,7 @@ def read_xml(path: Path, codes: XmlCodes) -> Element:
     return parse_xml(read_input(path, MAX_TEXT_BYTES), path, codes)
 
 
-def parse_xml(content: bytes, path: Path, codes: XmlCodes) -> Element:
+def parse_xml(content: bytes, path: Path, codes: XmlCodes) -> XmlElement:
     """Return the root element of the content of a file; see `read_xml`."""
     return _Parsing(path, codes).root_of(content)
 
@@ -93,8 +93,8 @@ class _Parsing:
 
     def __init__(self, path: Path, codes: XmlCodes) -> None:
         self._path, self._codes = path, codes
-        self._open: list[Element] = []
-        self._root: Element | None = None
+        self._open: list[XmlElement] = []
+        self._root: XmlElement | None = None
         self._count = 0
         self._before = 0  # lines that the parser is not given
         parser = expat.ParserCreate()
@@ -108,7 +108,7 @@ class _Parsing:
         parser.ExternalEntityRefHandler = self._doctype
         self._parser = parser
 
-    def root_of(self, content: bytes) -> Element:
+    def root_of(self, content: bytes) -> XmlElement:
         # A declaration behind blank lines is no XML, and many tools write it.
         declared = content.lstrip(b" \t\r\n")
         if declared.startswith(b"<?xml"):
@@ -180,7 +180,7 @@ class _Parsing:
             raise _Refused(self._codes.limits, message, over)
         line = self._parser.CurrentLineNumber + self._before
         column = self._parser.CurrentColumnNumber + 1
-        element = Element(tag, attributes, self._path, line, column)
+        element = XmlElement(tag, attributes, self._path, line, column)
         if self._open:
             self._open[-1].children.append(element)
         else:
@@ -195,7 +195,7 @@ class _Parsing:
         if len(inner.text) < MAX_TEXT:
             inner.text += text[:MAX_TEXT]
 
-    def _doctype(self, *_given: object) -> int:
+    def _doctype(self, *_names: object) -> int:
         message = "it has a DTD, and so may have entities: these are not read"
         hint = "delete the DOCTYPE, and write out what its entities stand for"
         raise _Refused(self._codes.entities, message, hint)

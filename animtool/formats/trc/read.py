@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.delimited import (
     BLANK,
-    Rows,
+    TextRows,
     decoded,
     gather_rows,
     number_of,
@@ -107,8 +107,8 @@ def _stated(above: bytes, below: bytes) -> dict[str, str]:
     ]
     values = split_cells(below, row_separator(below, separator))
     if len(values) < len(keys):
-        apart = [each for value in values for each in value.split() or [""]]
-        values = apart if len(apart) <= len(keys) else values
+        words = [each for value in values for each in value.split() or [""]]
+        values = words if len(words) <= len(keys) else values
     lowered = [key.lower() for key in keys]
     unit = lowered.index("units") if "units" in lowered else len(values)
     if unit < len(values) == len(keys) - 1 and number_of(values[unit]) is not None:
@@ -146,8 +146,8 @@ def _stems(cells: list[str]) -> list[str]:
     """
     names = [cell[:-1].rstrip("_-. :") for cell in cells]
     axes = [cell[-1:].upper() for cell in cells]
-    whole = len(cells) % 3 == 0 and axes == list("XYZ") * (len(cells) // 3)
-    if not whole or names[::3] != names[1::3] or names[::3] != names[2::3]:
+    is_triples = len(cells) % 3 == 0 and axes == list("XYZ") * (len(cells) // 3)
+    if not is_triples or names[::3] != names[1::3] or names[::3] != names[2::3]:
         return []
     return names[::3]
 
@@ -169,16 +169,16 @@ def columns_of(
     """
     rows = max(0, -(-(filled - 2) // 3))
     names, stated = header.names, header.markers
-    held = max(rows, header.axes if header.axes == stated else 0)
-    if header.separator == b" " and len(names) > held > 0 and held == stated:
-        message = f"names {len(names)} markers above the columns of {held}"
+    columns = max(rows, header.axes if header.axes == stated else 0)
+    if header.separator == b" " and len(names) > columns > 0 and columns == stated:
+        message = f"names {len(names)} markers above the columns of {columns}"
         hint = f"names between blanks have no blanks: {excerpt(' '.join(names))}"
         raise file.error("TRC001", message, hint)
-    if len(names) > held > 0 and held == stated:
-        message = f"names {len(names)} markers, but has columns of {held}"
+    if len(names) > columns > 0 and columns == stated:
+        message = f"names {len(names)} markers, but has columns of {columns}"
         file.warn("TRC101", f"{message}; the last names are ignored")
-        names = names[:held]
-    count = max(len(names), held)
+        names = names[:columns]
+    count = max(len(names), columns)
     if stated is not None and stated not in (count, len(header.names)):
         message = f"states {stated:g} markers, but has {count}"
         file.warn("TRC101", f"{message}; all of them are read")
@@ -221,7 +221,9 @@ def read_trc(
     header = read_header(file, lines)
     rows = gather_rows(lines, header.begin, header.separator)
     names = _names(file, header, rows)
-    rows = _whole_rows(file, rows, len(lines) if lines[-1] else 0, 2 + 3 * len(names))
+    rows = _complete_rows(
+        file, rows, len(lines) if lines[-1] else 0, 2 + 3 * len(names)
+    )
 
     def fault(message: str, line: int) -> FormatError:
         return FormatError(Fault("TRC002", message, file.path, (line,)))
@@ -254,7 +256,7 @@ def read_trc(
     return Markers(labels, clock, positions, axis, notices=notices, begin=frames.begin)
 
 
-def _names(file: MarkerFile, header: TrcHeader, rows: Rows) -> list[str]:
+def _names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
     """Return the names of the markers that rows have, empty where one has none."""
     if not rows.texts:
         if not header.names:
@@ -295,7 +297,9 @@ def _names(file: MarkerFile, header: TrcHeader, rows: Rows) -> list[str]:
     return names
 
 
-def _whole_rows(file: MarkerFile, rows: Rows, unended: int, width: int) -> Rows:
+def _complete_rows(
+    file: MarkerFile, rows: TextRows, unended: int, width: int
+) -> TextRows:
     """Return rows without one that the file's end cuts; warn of those cut (TRC109).
 
     unended: The line that the file ends in without an end of line, 0 without.

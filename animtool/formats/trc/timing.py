@@ -14,7 +14,7 @@ from animtool.formats.row_times import (
     EVEN,
     LAST_START,
     RowFrames,
-    Steps,
+    TimeSteps,
     find_steps,
     has_room,
     is_rate_of,
@@ -50,7 +50,7 @@ def frames_of_rows(
         OptionError: fps is no rate (SCN022).
     """
     numbers, times = columns[:, 0], columns[:, 1]
-    counted_frames = _whole_frames(numbers)
+    counted_frames = _counted_frames(numbers)
     if fps is not None or len(times) == 1 or np.isnan(times).all():
         rate = file.rate(stated, fps)
         if fps is None and len(times) > 1:
@@ -79,7 +79,7 @@ def frames_of_rows(
     return RowFrames(rate, start, at.astype(np.float64), begin)
 
 
-def _whole_frames(numbers: FloatArray) -> IntArray | None:
+def _counted_frames(numbers: FloatArray) -> IntArray | None:
     """Return frames from 0 by Frame#, in steps of one; None where it does not count."""
     first = numbers[0]
     usable = np.isfinite(numbers) & (np.abs(numbers) < LAST_START)
@@ -93,8 +93,8 @@ def _whole_frames(numbers: FloatArray) -> IntArray | None:
 
 
 def _start(number: float) -> int:
-    whole = np.isfinite(number) and number == np.floor(number)
-    return int(number) if whole and abs(number) < LAST_START else 1
+    is_integer = np.isfinite(number) and number == np.floor(number)
+    return int(number) if is_integer and abs(number) < LAST_START else 1
 
 
 def _frame(number: float, line: int) -> str:
@@ -131,7 +131,7 @@ def _check_times(
 
 
 def _rate(
-    file: MarkerFile, steps: Steps, stated: float | None, rounding: float
+    file: MarkerFile, steps: TimeSteps, stated: float | None, rounding: float
 ) -> Fraction:
     """Return the rate of times; that of the header where it is meant."""
     if stated is not None and is_rate_of(stated, steps, rounding):
@@ -194,7 +194,11 @@ def _warn_gaps(file: MarkerFile, at: IntArray, lines: IntArray, rate: float) -> 
 
 
 def _warn_uneven(
-    file: MarkerFile, steps: Steps, times: FloatArray, rate: Fraction, lines: IntArray
+    file: MarkerFile,
+    steps: TimeSteps,
+    times: FloatArray,
+    rate: Fraction,
+    lines: IntArray,
 ) -> None:
     """Warn of times that became even (TRC106)."""
     between = np.diff(times)
@@ -242,7 +246,7 @@ def _compared(
     numbers, times = columns[:, 0], columns[:, 1]
     start = _start(numbers[0])
     by_time = times[0] * float(rate) + 1
-    if _whole_frames(numbers) is None:
+    if _counted_frames(numbers) is None:
         _warn_numbers(file, numbers, lines, "rows are placed by their Time")
         return start, float(times[0])
     off = np.flatnonzero(numbers - numbers[0] != at)

@@ -76,14 +76,14 @@ def _parts(markers: Markers, name: str) -> Iterator[bytes]:
     seconds = (np.arange(frames) + start - 1) / float(markers.clock.rate)
     if markers.begin is not None:
         seconds = markers.begin + np.arange(frames) / float(markers.clock.rate)
-    places = np.array([0, 9, *[DECIMALS] * (3 * count)], np.int64)
+    decimals = np.array([0, 9, *[DECIMALS] * (3 * count)], np.int64)
     for begin in range(0, frames, ROWS_AT_ONCE):
         part = slice(begin, begin + ROWS_AT_ONCE)
         block = markers.positions[part].reshape(-1, 3 * count) * 1000.0
         missing = np.isnan(block)
         numbers = np.arange(begin, begin + len(block)) + start
         rows = np.column_stack([numbers, seconds[part], np.where(missing, 0.0, block)])
-        text = _kernels.format_bvh_rows(np.ascontiguousarray(rows), places)
+        text = _kernels.format_bvh_rows(np.ascontiguousarray(rows), decimals)
         yield _emptied(text, missing)
 
 

@@ -7,9 +7,9 @@ from dataclasses import field
 from enum import StrEnum
 
 from animtool.core.record import dataclass
-from animtool.formats.robots.notes import Notes, named
-from animtool.formats.robots.parts import ORIGIN, Solid, Weight
-from animtool.formats.robots.xml import Element, XmlCodes
+from animtool.formats.robots.notes import XmlNotes, named
+from animtool.formats.robots.parts import ORIGIN, SimpleShape, Weight
+from animtool.formats.robots.xml import XmlCodes, XmlElement
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Mimic, Quaternion
@@ -17,7 +17,7 @@ from animtool.rig.skeleton import Mimic, Quaternion
 CODES = XmlCodes("URD001", "URD002", "URD003")
 
 
-class Kind(StrEnum):
+class UrdfJointKind(StrEnum):
     """What a joint of a URDF does."""
 
     REVOLUTE = "revolute"
@@ -29,16 +29,18 @@ class Kind(StrEnum):
 
 
 # Kinds with one coordinate.
-SCALAR = frozenset({Kind.REVOLUTE, Kind.CONTINUOUS, Kind.PRISMATIC})
+SCALAR = frozenset(
+    {UrdfJointKind.REVOLUTE, UrdfJointKind.CONTINUOUS, UrdfJointKind.PRISMATIC}
+)
 
 
 @dataclass(slots=True, eq=False)
 class UrdfJoint:
     """A joint as it is written."""
 
-    element: Element
+    element: XmlElement
     name: str
-    kind: Kind
+    kind: UrdfJointKind
     parent: str
     child: str
     position: Vector = ORIGIN
@@ -57,8 +59,8 @@ class UrdfJoint:
 class Visual:
     """A mesh that a link looks like, or a simple shape."""
 
-    mesh: Element | None
-    solid: Solid  # of a mesh, where it is
+    mesh: XmlElement | None
+    solid: SimpleShape  # of a mesh, where it is
     scale: Vector = (1.0, 1.0, 1.0)
 
 
@@ -66,11 +68,11 @@ class Visual:
 class UrdfLink:
     """A link as it is written."""
 
-    element: Element
+    element: XmlElement
     name: str
     weight: Weight | None = None
-    solids: list[Solid] = field(default_factory=list)
-    meshes: list[Element] = field(default_factory=list)
+    solids: list[SimpleShape] = field(default_factory=list)
+    meshes: list[XmlElement] = field(default_factory=list)
     visuals: list[Visual] = field(default_factory=list)
 
 
@@ -86,20 +88,20 @@ class UrdfFile:
 
 
 def one_of(
-    element: Element, tag: str, where: str, notes: Notes, *, needed: bool = False
-) -> Element | None:
+    element: XmlElement, tag: str, where: str, notes: XmlNotes, *, needed: bool = False
+) -> XmlElement | None:
     """Return the child of a name; none where it is missing, the first of several."""
-    found = element.all(tag)
-    if any(one.attributes != found[0].attributes for one in found):
-        message = f"<{tag}> is given {len(found)} times, not alike"
-        notes.add("URD006", found[1], message, "keep one", where=where)
-    if not found and needed:
+    elements = element.all(tag)
+    if any(one.attributes != elements[0].attributes for one in elements):
+        message = f"<{tag}> is given {len(elements)} times, not alike"
+        notes.add("URD006", elements[1], message, "keep one", where=where)
+    if not elements and needed:
         notes.add("URD006", element, f"<{tag}> is missing", where=where)
-    return found[0] if found else None
+    return elements[0] if elements else None
 
 
 def text_of(
-    element: Element, name: str, where: str | None, notes: Notes, hint: str = ""
+    element: XmlElement, name: str, where: str | None, notes: XmlNotes, hint: str = ""
 ) -> str:
     """Return an attribute that must be there; empty where it is not."""
     text = element.attributes.get(name, "")
@@ -111,7 +113,9 @@ def text_of(
     return text
 
 
-def pose_of(element: Element, where: str, notes: Notes) -> tuple[Vector, Quaternion]:
+def pose_of(
+    element: XmlElement, where: str, notes: XmlNotes
+) -> tuple[Vector, Quaternion]:
     """Return the origin of an element."""
     origin = one_of(element, "origin", where, notes)
     if origin is None:

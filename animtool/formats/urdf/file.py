@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from animtool.core.errors import excerpt
-from animtool.formats.robots.notes import Notes
-from animtool.formats.robots.xml import Element, read_xml
+from animtool.formats.robots.notes import XmlNotes
+from animtool.formats.robots.xml import XmlElement, read_xml
 from animtool.formats.urdf.elements import CODES, UrdfFile, UrdfJoint, UrdfLink
 from animtool.formats.urdf.joints import add_joint
 from animtool.formats.urdf.links import add_link
@@ -16,7 +16,7 @@ _XACRO = "${", "$("
 EXPAND = "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package of ROS)"
 
 
-def read_file(path: Path, notes: Notes) -> UrdfFile:
+def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
     """Return a file's links and joints; faults are noted.
 
     Raises:
@@ -41,7 +41,7 @@ def read_file(path: Path, notes: Notes) -> UrdfFile:
     return UrdfFile(name, links, joints, driven, drives)
 
 
-def _check_root(root: Element, notes: Notes) -> None:
+def _check_root(root: XmlElement, notes: XmlNotes) -> None:
     """Note what is no URDF, and a xacro file, which makes one."""
     for element in root.walk():
         texts = element.attributes.values()
@@ -74,7 +74,7 @@ _OF_JOINTS = {
 }
 
 
-def _not_read(root: Element) -> Iterator[str]:
+def _not_read(root: XmlElement) -> Iterator[str]:
     """Yield what of a robot no rig holds, in words."""
     for element in root.children:
         if element.tag == "material":
@@ -89,7 +89,7 @@ def _not_read(root: Element) -> Iterator[str]:
                 yield from ("limits of effort and velocity",) if names else ()
 
 
-def _driven(root: Element) -> tuple[frozenset[str], bool]:
+def _driven(root: XmlElement) -> tuple[frozenset[str], bool]:
     """Return the joints that transmissions or controllers name, and if any exists."""
     drives = [*root.all("transmission"), *root.all("ros2_control")]
     names = {
