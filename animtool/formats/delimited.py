@@ -1,4 +1,4 @@
-"""Delimited text: lines of cells between tabs, semicolons, commas or blanks."""
+"""Delimited text: lines of cells separated by tabs, semicolons, commas or blanks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SMALL_TABLE = 5_000_000
 
 
 def read_lines(path: Path) -> list[bytes]:
-    """Return the lines of a file in UTF-8, whatever ends them, without its mark."""
+    """Return the lines of a UTF-8 file without BOM; any line ending."""
     data = read_input(path, MAX_INPUT_BYTES)
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         # As spreadsheets save "Unicode text".
@@ -39,7 +39,7 @@ def read_lines(path: Path) -> list[bytes]:
 
 
 def decoded(text: bytes) -> str:
-    """Return text of UTF-8, or of Latin-1 where it is none."""
+    """Return bytes decoded as UTF-8, else Latin-1."""
     try:
         return text.decode()
     except UnicodeDecodeError:
@@ -71,13 +71,13 @@ def row_separator(line: bytes, default: bytes) -> bytes:
 
 
 def split_cells(line: bytes, separator: bytes) -> list[str]:
-    """Return the cells of a line, without blanks and quotes around them."""
+    """Return the cells of a line, stripped of blanks and quotes."""
     cells = line.split() if separator == b" " else line.split(separator)
     return [decoded(cell).strip().strip('"').strip() for cell in cells]
 
 
 def number_of(text: str | None) -> float | None:
-    """Return a finite number, its decimal mark a point or a comma; else None.
+    """Return a finite number with decimal point or comma; else None.
 
     >>> number_of("59,94"), number_of("1e3"), number_of("x")
     (59.94, 1000.0, None)
@@ -117,7 +117,7 @@ class TextRows:
         )  # fmt: skip
 
     def decimals(self, column: int) -> int:
-        """Return the most places after the point in a column; 15 with an exponent."""
+        """Return the most decimals in a column; 15 for exponents."""
         most = 0
         for text in self.texts:
             begin = text[: MAX_CELL * (column + 1)]
@@ -129,7 +129,7 @@ class TextRows:
     def values(
         self, width: int, error: Callable[[str, int], AnimtoolError]
     ) -> FloatArray:
-        """Return the numbers ``(R, width)``, NaN where a row ends before.
+        """Parse the numbers ``(R, width)``; NaN where a row is too short.
 
         error: From a message and the number of a line to what is raised where a cell
             is no number, or a row has more than ``width``.
@@ -158,7 +158,7 @@ class TextRows:
 
 
 def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> TextRows:
-    """Return the lines from one on as rows of numbers.
+    """Collect the lines from one on as rows of numbers.
 
     A line without the separator is read as one between blanks. Commas are decimal
     where they are not the separator and there is no point anywhere.

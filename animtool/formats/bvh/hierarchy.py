@@ -27,7 +27,7 @@ _WORDS = re.compile(r"[{}]|[^\s{}]+")
 
 @dataclass(slots=True)
 class BvhJoint:
-    """A joint as the file has it, in file units."""
+    """A joint as the file states it, in file units."""
 
     name: str
     parent: int
@@ -39,7 +39,7 @@ class BvhJoint:
 
 @dataclass(slots=True)
 class BvhHeader:
-    """Everything before the rows of numbers."""
+    """Hierarchy, frame count and frame time: everything above the rows."""
 
     joints: list[BvhJoint]  # in file order, parents first
     declared_frames: int = 0  # what ``Frames:`` says
@@ -50,7 +50,7 @@ class BvhHeader:
 
 @dataclass(slots=True)
 class _OpenBrace:
-    """An open brace: of a joint, or of an End Site (its parent's index)."""
+    """An unclosed brace of a joint, or of an End Site (with its parent's index)."""
 
     joint: int
     is_end: bool
@@ -60,7 +60,7 @@ class _OpenBrace:
 
 
 class _Hierarchy:
-    """The statements of a HIERARCHY block, applied one by one."""
+    """Parser state: applies the statements of a HIERARCHY block one by one."""
 
     def __init__(self, lines: HeaderLines) -> None:
         self.lines = lines
@@ -165,7 +165,7 @@ class _Hierarchy:
 
     @staticmethod
     def _take_name(words: list[str]) -> str:
-        """Take the words up to a brace: names may hold spaces."""
+        """Consume a name up to its brace; names may contain spaces."""
         name = []
         while words and words[0] not in {"{", "}"}:
             name.append(words.pop(0))
@@ -249,7 +249,7 @@ class _Hierarchy:
 
 
 def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
-    """Read everything before the rows of numbers."""
+    """Read everything above the rows of numbers."""
     hierarchy = _Hierarchy(lines)
     hierarchy.read()
     header = BvhHeader(hierarchy.joints)

@@ -25,14 +25,14 @@ from animtool.core.files.reading import (
 from animtool.core.record import dataclass
 
 CHUNK_BYTES = 1 << 19
-# A header line names one joint or its channels; a longer one is not a BVH's.
+# A header line names one joint or its channels; BVH files have no longer lines.
 LONGEST_LINE_BYTES = 1 << 16
 # A joint has five or six of them.
 MAX_LINES = 1_000_000
 # A quarter of a megabyte of float64 a block: it stays in the processor's cache from
 # the parser to the writer.
 BLOCK_VALUES = 1 << 15
-# No number is printed with more characters than this, blanks included.
+# The longest number in characters, blanks included.
 LONGEST_NUMBER_BYTES = 1024
 # A channel may lose this many samples, or this share of them, before filling them
 # in would be inventing motion.
@@ -45,7 +45,7 @@ _LINE_END = re.compile(rb"\r\n?|\n")
 
 
 class HeaderLines:
-    """Lines of a file with their numbers; CR, LF and CR LF each end one.
+    """Header lines with their numbers; CR, LF and CR LF all end a line.
 
     Attributes:
         number: 1-based number of the line last returned.
@@ -124,7 +124,7 @@ class HeaderLines:
 
 @dataclass(slots=True)
 class RowSource:
-    """Where the rows come from."""
+    """File, byte offset and channel names that rows are read from."""
 
     path: Path  # the file
     state: FileState  # what it was when its header was read
@@ -138,7 +138,7 @@ class RowSource:
 
 
 class RowReader:
-    """Blocks of rows ``(F, C)``, every value finite and within float32.
+    """Reader of blocks of rows ``(F, C)``, all values finite and within float32.
 
     Attributes:
         notices: What was repaired or does not fit, complete after the last block.
@@ -270,7 +270,7 @@ class RowReader:
             )
 
     def _fill(self, block: FloatArray) -> None:
-        """Fill NaN by interpolation between finite neighbours, nearest at the ends."""
+        """Fill NaN: linear between finite neighbours, nearest value at both ends."""
         for column in np.flatnonzero(np.isnan(block).any(axis=0)):
             values = block[:, column]
             if self._last is not None:
@@ -285,7 +285,7 @@ class RowReader:
             block[:, column] = filled[-len(block) :]
 
     def _check(self) -> None:
-        """Refuse a file without rows, or a channel that lost too much."""
+        """Raise for a file without rows, or a channel with too many lost values."""
         path = self._path
         if not self._count:
             line = self.source.line

@@ -51,7 +51,7 @@ def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
 
 
 def bvh_text(take: Take) -> TakeText:
-    """Return a take as BVH, in the unit of its rig, which has joints (else RIG044).
+    """Return a take as BVH text in its rig's unit (RIG044 without joints).
 
     Joints keep the channels and names that they were read with where these can hold the
     motion; others get ``Zrotation Xrotation Yrotation``, roots and joints that move
@@ -75,7 +75,7 @@ def bvh_text(take: Take) -> TakeText:
     decimals: list[int] = []
     layouts: dict[int, tuple[str, ...]] = {}
     rotations = motion.rotations.dense()
-    # Values stand in the order in which the hierarchy names the joints.
+    # Columns follow the joints' order in the hierarchy.
     for j in _depth_first(take.rig, children):
         joint = take.rig.joints[j]
         tolerance = UNUSED_LENGTH_TOLERANCE * size
@@ -99,7 +99,7 @@ def bvh_text(take: Take) -> TakeText:
 
 
 def _depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
-    """Return the joints, each followed by all that is below it."""
+    """Return joint indices depth-first: each joint, then everything below it."""
     order, pending = [], rig.roots[::-1]
     while pending:
         j = pending.pop()
@@ -144,7 +144,7 @@ def _rotations(joint: Joint, values: FloatArray) -> tuple[tuple[str, ...], Float
 def _ordered(
     joint: Joint, positions: tuple[str, ...], rotations: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the channels in the joint's own order where it has one."""
+    """Return the channels in the order the joint declares, if it does."""
     declared = joint.channels or ()
     needed = set(positions) | set(rotations)
     if needed == set(declared):
@@ -188,7 +188,7 @@ def _header(
 
 
 def _tips(joint: Joint, children: list[int]) -> tuple[tuple[float, float, float], ...]:
-    """Return the End Sites: a leaf gets one where its source had no say in it."""
+    """Return End Sites: leaf joints get one unless their source decided."""
     if joint.tips or children or joint.channels is not None:
         return joint.tips
     return ((0.0, 0.0, 0.0),)
@@ -201,7 +201,7 @@ def _vector(values: FloatArray) -> str:
 
 
 def frame_time(rate: Fraction) -> str:
-    """Return the shortest frame time [s], 6 decimals or more, that reads as the rate.
+    """Return the shortest frame time [s], 6 decimals or more, equal to the rate.
 
     >>> frame_time(Fraction(30)), frame_time(Fraction(24000, 1001))
     ('0.033333', '0.041708')
@@ -217,7 +217,7 @@ def frame_time(rate: Fraction) -> str:
 
 
 def _unit_notices(rig: Rig) -> list[Fault]:
-    """Say what a BVH cannot, where a reader would take it for something else."""
+    """Return notices about unit and up axis, which BVH cannot store."""
     unit = unit_name(rig.meters_per_unit)
     if (unit, rig.up) == (LengthUnit.CM.value, UpAxis.Y):
         return []

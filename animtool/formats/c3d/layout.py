@@ -1,4 +1,4 @@
-"""Where the points of a C3D file are: the combination of claims that fills the file."""
+"""C3D data layout: the combination of stated counts that fits the file's size."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DIRTY, REST, SKIPPED, OTHER, FITTED, SOLVED = 0.75, 3.0, 1.0, 0.5, 1.0, 1.5
 MAX_OUTLIERS, SMOOTH, NOISE = 0.1, 0.25, 0.5
 # What decides for one combination against another.
 DECISIVE = 0.2
-# Combinations whose numbers are looked at.
+# Number of combinations whose values are judged.
 MAX_JUDGED = 16
 # Claims of less weight are hints.
 HEAVY = 0.5
@@ -27,7 +27,7 @@ HEAVY = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A combination of counts.
+    """Counts of points, analogue values and frames, and where the data begins.
 
     Attributes:
         begin: Byte of the first frame.
@@ -53,16 +53,16 @@ class Layout:
 
     @property
     def row(self) -> int:
-        """Numbers of a frame."""
+        """Count of numbers per frame."""
         return 4 * self.points + self.analog
 
     @property
     def end(self) -> int:
-        """Byte behind the last frame."""
+        """Byte offset after the last frame."""
         return self.begin + self.width * self.row * self.frames
 
     def __str__(self) -> str:
-        """Return the counts in words."""
+        """Return the counts as text."""
         kind = "floats" if self.width == 4 else "integers"
         return (
             f"{self.frames} frames of {self.points} points and {self.analog} "
@@ -72,7 +72,7 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """How much the numbers of a layout look like positions over frames.
+    """How plausible the numbers of a layout are as positions over frames.
 
     Attributes:
         outliers: Fraction of points that can be no positions.
@@ -86,7 +86,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class LayoutResult:
-    """The layout, or why there is none.
+    """The chosen layout, or why none fits.
 
     Attributes:
         layout: The combination that is read; None where there is none.
@@ -105,7 +105,7 @@ def choose_layout(
     ends: Sequence[int],
     judge: Callable[[Layout], Evidence],
 ) -> LayoutResult:
-    """Return the combination of claims that fills the file and contradicts least.
+    """Return the combination of claims that fits the file at the lowest cost.
 
     Args:
         claims: What the file states.
@@ -134,8 +134,8 @@ def choose_layout(
             cheapest[key] = candidate
     ranked = sorted(cheapest.values(), key=_order)[:MAX_JUDGED]
     if short is not None and short.cost < HEAVY:
-        # What the file says with one voice, and has no room for, is cut short, unless
-        # something else that it says fills it.
+        # Where all claims agree but the file is too small, it is truncated, unless
+        # other claims fill it.
         ranked = [each for each in ranked if each.rest == 0 and not each.solved]
     if not ranked:
         return LayoutResult(None, short)
@@ -151,7 +151,7 @@ def choose_layout(
 
 
 def _tail(data: bytes) -> int:
-    """Return how many zeros the last block ends in, where it is a full one."""
+    """Return the number of trailing zero bytes, if the last block is full."""
     if len(data) % BLOCK:
         return 0
     last = data[-BLOCK:]
@@ -159,7 +159,7 @@ def _tail(data: bytes) -> int:
 
 
 def contradicted(claims: Claims, layout: Layout) -> list[tuple[str, int, list[Claim]]]:
-    """Return what is read against what is stated: quantity, value and the claims."""
+    """Return quantities read against claims: name, value and those claims."""
     contradictions = []
     for name in ("frames", "points", "analog", "width", "begin"):
         value = getattr(layout, name)
@@ -184,7 +184,7 @@ def _order(layout: Layout) -> tuple[float, ...]:
 
 
 def _combinations(claims: Claims, size: int, tail: int) -> Iterable[Layout]:
-    """Yield combinations of what is stated, and of what the size gives for one.
+    """Yield combinations of stated counts, one of them solved from the size.
 
     size, tail: Of the file, and of the zeros that it ends in [byte].
     """
@@ -202,7 +202,7 @@ def _combinations(claims: Claims, size: int, tail: int) -> Iterable[Layout]:
 def _counts(
     claims: Claims, room: int, least: int
 ) -> Iterable[tuple[int, int, int, float, bool]]:
-    """Yield points, analogue numbers and frames, what they cost, and if one is solved.
+    """Yield points, analogue values, frames, cost, and whether one is solved.
 
     room, least: Numbers for which there is room, with and without zeros at the end.
     """
@@ -232,7 +232,7 @@ def _counts(
 def _priced(
     claims: Sequence[Claim], others: Sequence[int] = ()
 ) -> list[tuple[int, float]]:
-    """Return values that are tried, each with what it contradicts."""
+    """Return candidate values, each with the cost of contradicted claims."""
     stated = {claim.value for claim in claims}
     extra = OTHER if claims else 0.0
     return [(value, _cost(claims, value)) for value in sorted(stated)] + [
@@ -245,18 +245,18 @@ def _cost(claims: Sequence[Claim], value: int) -> float:
 
 
 def _agreed(claims: Sequence[Claim]) -> bool:
-    """Return whether all that is stated with weight is one value."""
+    """Return whether all claims with weight state one value."""
     return len({claim.value for claim in claims if claim.weight >= HEAVY}) == 1
 
 
 def _open(claims: Sequence[Claim]) -> bool:
-    """Return whether the size may give a value: nothing settles it."""
+    """Return whether a value may be solved from the size: no claims settle it."""
     decisive = [claim for claim in claims if claim.weight >= HEAVY]
     return len(decisive) < 2 or not _agreed(claims)
 
 
 def _fitted(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
-    """Return numbers of frames by the size, what they cost, and if they are solved.
+    """Return frame counts that fit the size, their cost, and if solved.
 
     That is where stated counts end at 16 bits, begin again at 0 there, differ, or where
     nothing is stated.
@@ -275,7 +275,7 @@ def _fitted(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
 
 
 def _skipping(layout: Layout, after: int, data: bytes) -> Layout:
-    """Return a layout with the cost of bytes before it that are not zero."""
+    """Return a layout with the cost of skipped bytes that are not zero."""
     gap = layout.begin - after
     if gap <= 0 or data.count(b"\0", after, layout.begin) == gap:
         return layout
@@ -283,7 +283,7 @@ def _skipping(layout: Layout, after: int, data: bytes) -> Layout:
 
 
 def _filled(layout: Layout, data: bytes, end: int) -> Layout:
-    """Return a layout with the bytes that it leaves, and what they cost."""
+    """Return a layout with its count of unused bytes, and their cost."""
     rest = end - layout.end
     if rest < 0:
         return replace(layout, rest=-rest, cost=layout.cost + REST)
@@ -304,7 +304,7 @@ def _decide(
     short: Layout | None,
     judge: Callable[[Layout], Evidence],
 ) -> LayoutResult:
-    """Return the best of several, after a look at their numbers."""
+    """Return the best of several layouts after judging their numbers."""
     judged = [(layout, judge(layout)) for layout in ranked]
     outliers = min(evidence.outliers for _, evidence in judged)
     rough = min((e.rough for _, e in judged if e.rough >= 0), default=0.0)
@@ -336,12 +336,12 @@ def _decide(
 
 
 def _no_positions(layout: Layout, evidence: Evidence) -> bool:
-    """Return whether numbers look like none; one static point is all noise."""
+    """Return whether numbers look like noise; a single static point always does."""
     return evidence.outliers > MAX_OUTLIERS or (
         layout.points > 1 and evidence.rough > NOISE
     )
 
 
 def _rows(layout: Layout) -> tuple[int, ...]:
-    """Return what decides which number is which coordinate."""
+    """Return the values that decide which number is which coordinate."""
     return layout.begin, layout.width, layout.points, layout.row

@@ -1,4 +1,4 @@
-"""A C3D file as marker trajectories."""
+"""C3D reader: marker trajectories of a file."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _UP_ROTATIONS = {
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """The up axis, and how positions are turned so that it points up.
+    """The up axis, and the axis permutation that makes it up.
 
     Attributes:
         up: The up axis of the turned positions.
@@ -63,14 +63,14 @@ class Screen:
     signs: FloatArray | None = None
 
     def turned(self, positions: FloatArray) -> FloatArray:
-        """Return positions ``(..., 3)`` with `up` up."""
+        """Return positions ``(..., 3)`` rotated so that `up` is up."""
         if self.order is None or self.signs is None:
             return positions
         return positions[..., self.order] * self.signs
 
 
 def read_screen(file: MarkerFile, sections: Sections, option: UpAxis | None) -> Screen:
-    """Return the up axis that ``Y_SCREEN`` states; an option comes before it."""
+    """Return the up axis of ``X_SCREEN`` and ``Y_SCREEN``; an option overrides it."""
     if option is not None:
         return Screen(UpAxis(option))
     right, up = (_axis(file, sections, f"{name}_SCREEN") for name in "XY")
@@ -97,7 +97,7 @@ def read_screen(file: MarkerFile, sections: Sections, option: UpAxis | None) -> 
 
 
 def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
-    """Return an axis with its sign, as in ``+Z``."""
+    """Return a signed axis such as ``+Z``."""
     texts = sections.texts("POINT", name)
     text = texts[0].strip() if texts else ""
     if not text:
@@ -116,7 +116,7 @@ def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
 
 # Whether numbers of a C3D file look like positions over frames.
 
-# Runs of consecutive frames that are looked at, and how long each one is.
+# Runs of consecutive frames that are judged, and their length.
 RUNS = 8
 RUN_FRAMES = 8
 # Positions of captures, in whichever unit: beyond are numbers of something else.
@@ -126,7 +126,7 @@ MAX_WORD = 32768.0
 
 
 def judge(layout: Layout, data: bytes, processor: Processor) -> Evidence:
-    """Return how much the numbers of a layout look like positions over frames."""
+    """Return how plausible a layout's numbers are as positions over frames."""
     if layout.points == 0:
         return Evidence(0.0, math.nan)
     length = min(RUN_FRAMES, layout.frames)
@@ -143,7 +143,7 @@ def judge(layout: Layout, data: bytes, processor: Processor) -> Evidence:
 
 
 def _evidence(runs: FloatArray, width: int) -> Evidence:
-    """Return the evidence of runs ``(R, L, M, 4)``."""
+    """Return the plausibility of runs of frames ``(R, L, M, 4)``."""
     positions, words = runs[..., :3], runs[..., 3]
     with np.errstate(invalid="ignore", over="ignore"):
         sizes = np.abs(positions)
@@ -178,7 +178,7 @@ def read_c3d(
     fps: FractionLike | None = None,
     subject: str | None = None,
 ) -> Markers:
-    """Return the markers of a C3D file.
+    """Return the marker trajectories of a C3D file.
 
     Integer and float files of Intel, DEC and SGI processors are read, and more than 255
     labels. Where header, parameters and the size of the file disagree about counts,
@@ -240,7 +240,7 @@ def read_c3d(
 
 
 def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
-    """Return the layout that fills the file, and say what it contradicts."""
+    """Return the layout that fits the file; warn about contradicted claims."""
     claims = claims_of(sections)
     ends = [*_ends(sections, len(data)), len(data)]
     outcome = choose_layout(
@@ -273,7 +273,7 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
 
 
 def _ends(sections: Sections, size: int) -> list[int]:
-    """Return where the points may end before the end of the file: at rotations."""
+    """Return offsets where points may end before the file does: at rotations."""
     block = word_of(sections, "ROTATION", "DATA_START")
     used = sections.number("ROTATION", "USED")
     if not block or not used or not block > 2:
@@ -282,7 +282,7 @@ def _ends(sections: Sections, size: int) -> list[int]:
 
 
 def _without_layout(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatError:
-    """Return the error of a file in which no combination of counts fits."""
+    """Return the error of a file whose size fits no combination of counts."""
     if len(outcome.rivals) == 1:
         (alone,) = outcome.rivals
         message = f"its counts do not match its size of {size} bytes: {alone} end at "
@@ -316,7 +316,7 @@ def _contradiction_text(name: str, value: int, against: list[Claim]) -> str:
 
 
 def _first(sections: Sections, frames: int) -> int:
-    """Return the number of the first frame; the header has no room for all of them."""
+    """Return the number of the first frame, which may not fit the header."""
     header = sections.header
     start, end = trial_fields(sections)
     if start is None or end is None or end - start + 1 != frames:
@@ -326,14 +326,14 @@ def _first(sections: Sections, frames: int) -> int:
 
 
 def _scale(sections: Sections) -> float:
-    """Return the scale of integers; below 0 numbers are floats."""
+    """Return the scale of integers; negative means floats."""
     stated = sections.number("POINT", "SCALE")
     scale = sections.header.scale if stated is None else stated
     return scale if np.isfinite(scale) and scale != 0 else -1.0
 
 
 def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
-    """Warn of integers whose scale is not stated, or stated twice."""
+    """Warn about a scale that is missing or stated twice."""
     header, stated = sections.header.scale, sections.number("POINT", "SCALE")
     if layout.width == 4:
         return
@@ -351,7 +351,7 @@ def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
 def _rate(
     file: MarkerFile, sections: Sections, fps: FractionLike | None
 ) -> float | None:
-    """Return the stated rate; that of the parameters comes before the header's."""
+    """Return the stated frame rate; parameters come before the header."""
     header, stated = sections.header.rate, sections.number("POINT", "RATE")
     if not stated or not np.isfinite(stated):
         return header
@@ -369,7 +369,7 @@ def _unit(sections: Sections) -> str | None:
 def _points(
     sections: Sections, layout: Layout, data: bytes
 ) -> tuple[FloatArray, IntArray]:
-    """Return positions ``(F, M, 3)`` in the file's unit, and the fourth words."""
+    """Return positions ``(F, M, 3)`` in file units, and the fourth words."""
     raw = data[layout.begin : layout.end]
     rows = sections.processor.rows(raw, layout.width, layout.row, 4 * layout.points)
     rows = rows.reshape(layout.frames, layout.points, 4)
@@ -378,7 +378,7 @@ def _points(
         positions *= abs(_scale(sections))
     last = rows[..., 3]
     usable = np.isfinite(last) & (np.abs(last) < 2**31)
-    # A sign in the last word alone says that a point was not seen.
+    # The sign of the last word marks a point as not visible.
     words = np.where(usable, last, np.where(last < 0, -1.0, 0.0)).astype(np.int64)
     words[last < 0] = -1
     return positions, words
@@ -387,7 +387,7 @@ def _points(
 def _names(
     file: MarkerFile, sections: Sections, points: int, subject: str | None
 ) -> tuple[tuple[str, ...], IntArray]:
-    """Return names of markers, and which points they are: models' are left out."""
+    """Return marker names and point indices, without model outputs."""
     labels = sections.texts("POINT", "LABELS")
     if len(labels) < points:
         message = f"names {len(labels)} of {counted(points, 'point')}"
@@ -407,7 +407,7 @@ def _names(
 
 
 def _cameras(words: IntArray, visible: BoolArray) -> IntArray | None:
-    """Return from how many of seven cameras each position is, where that is stated."""
+    """Return the number of cameras (of seven) per position, if stated."""
     mask = np.where(visible, (words >> 8) & 0x7F, 0)
     if not mask.any():
         return None
@@ -415,7 +415,7 @@ def _cameras(words: IntArray, visible: BoolArray) -> IntArray | None:
 
 
 def _residuals(words: IntArray, visible: BoolArray, scale: float) -> FloatArray | None:
-    """Return residuals [m]; one of 0 says that the position was not measured."""
+    """Return residuals [m]; 0 means the position was not measured."""
     low = words & 0xFF
     measured = visible & (low > 0)
     return np.where(measured, low * scale, np.nan) if measured.any() else None
@@ -424,7 +424,7 @@ def _residuals(words: IntArray, visible: BoolArray, scale: float) -> FloatArray 
 def _filled(
     sections: Sections, words: IntArray, visible: BoolArray, kept: IntArray
 ) -> BoolArray | None:
-    """Return which positions were not measured.
+    """Return which positions were filled in, not measured.
 
     Our own group says it; else the format does, with a residual and cameras of 0 in
     a file that has others.

@@ -1,4 +1,4 @@
-"""Marker trajectories as a C3D file."""
+"""C3D writer: marker trajectories to a file."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _head(markers: Markers, path: Path) -> bytes:
 
 
 def _shown(clock: Clock) -> tuple[int, int]:
-    """Return the first and the last frame as the header has room for them."""
+    """Return the first and last frame number, clamped to the header's range."""
     first, last = _fields(clock)
     if last <= MAX_COUNT:
         return first, last
@@ -107,7 +107,7 @@ def _fields(clock: Clock) -> tuple[int, int]:
 
 
 def _scale(markers: Markers) -> float:
-    """Return the scale, below 0 as for floats: a residual is so many of it [mm]."""
+    """Return the scale [mm], negative for floats: the unit of residuals."""
     residuals = markers.residuals
     if residuals is not None and np.nanmax(residuals, initial=0.0) > 0:
         return -float(np.nanmax(residuals)) * 1000.0 / RESIDUAL_STEPS
@@ -117,7 +117,7 @@ def _scale(markers: Markers) -> float:
 
 
 def _parameters(markers: Markers, data_block: int) -> bytes:
-    """Return the parameter section, without its first bytes' numbers."""
+    """Return the parameter section without its first four bytes."""
     frames, count = markers.positions.shape[:2]
     first, last = _fields(markers.clock)
     shown = min(frames, MAX_COUNT)
@@ -169,7 +169,7 @@ def _parameters(markers: Markers, data_block: int) -> bytes:
 
 
 def _numbered(name: str, values: Sequence[bytes]) -> dict[str, bytes]:
-    """Return parameters that continue each other: NAME, NAME2, NAME3."""
+    """Return a parameter and its continuations: NAME, NAME2, NAME3."""
     return {
         name if i == 0 else f"{name}{i + 1}": value for i, value in enumerate(values)
     }
@@ -241,7 +241,7 @@ def _rows(markers: Markers, frames: slice) -> bytes:
 
 
 def _lost(markers: Markers, path: str) -> list[Fault]:
-    """Return what the format cannot hold."""
+    """Return warnings about data that C3D cannot hold."""
     lost = []
     if markers.cameras is not None and (markers.cameras > MAX_CAMERAS).any():
         lost.append(f"a point has more than {MAX_CAMERAS} cameras")

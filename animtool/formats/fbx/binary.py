@@ -1,4 +1,4 @@
-"""Binary FBX: records of elements, with 32-bit offsets, or 64-bit ones from 7500 on."""
+"""Binary FBX records, with 32-bit offsets, or 64-bit ones from version 7500."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SCALARS = {
 }
 _ARRAYS = {"f": "<f4", "d": "<f8", "l": "<i8", "i": "<i4", "b": "u1", "c": "u1"}
 _SAME = {"I": "<i4", "F": "<f4", "D": "<f8", "L": "<i8"}
-# No deflated byte gives more bytes than this.
+# The maximum ratio of deflate compression.
 MOST_INFLATED = 1032
 # Lists of single values as long as this are read at once.
 LONG = 12
@@ -60,7 +60,7 @@ def _fail(notes: FileNotices, where: int, message: str) -> NoReturn:
 
 
 class _Records:
-    """The records of a file; nothing is read that is not there."""
+    """The records of a file; lengths are checked before reading."""
 
     def __init__(self, content: bytes, version: int, notes: FileNotices) -> None:
         self.content, self.notes = content, notes
@@ -91,7 +91,7 @@ class _Records:
         end: int,
         depth: int,
     ) -> int:
-        """Read one record; return where the next is."""
+        """Read one record; return the offset of the next."""
         stop, count, length, named = head
         first = at + self.head.size + named
         if not first <= stop <= end:
@@ -141,7 +141,7 @@ class _Records:
         return values
 
     def _same(self, at: int, count: int, end: int) -> Any:
-        """Return a long list of single numbers of one type; None of others."""
+        """Return a long list of single numbers of one type; else None."""
         kind = chr(self.content[at]) if count >= LONG and at < end else ""
         if kind not in _SAME:
             return None
@@ -178,7 +178,7 @@ class _Records:
         return np.frombuffer(data, dtype, count), first + stored
 
     def _inflated(self, data: memoryview, size: int, at: int) -> bytes:
-        """Return an array inflated, never more than it states."""
+        """Return an array inflated to exactly its stated size."""
         engine = zlib.decompressobj()
         try:
             inflated = engine.decompress(data, size) if size else b""

@@ -1,4 +1,4 @@
-"""A take of an FBX as a clip, with the keys of the file where a clip can hold them."""
+"""An FBX take as a clip: file keys where a clip can hold them, else samples."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SAME = 1e-12
 def clip_of_fbx(
     name: str, fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames
 ) -> tuple[Clip, list[Fault]]:
-    """Return a clip of a take, and how far it is off where keys could not be kept.
+    """Return a clip of a take, and notices about channels that are sampled.
 
     Translations, scales, Euler angles and shapes keep their keys where a take has one
     layer; what a clip cannot say is a key a frame, and one at each key between frames.
@@ -60,7 +60,7 @@ def clip_of_fbx(
 
 @dataclass(slots=True, eq=False)
 class _Off:
-    """How far sampled channels are off between their keys."""
+    """Errors of sampled channels between their keys."""
 
     count: int = 0
     metres: float = 0.0
@@ -69,7 +69,7 @@ class _Off:
 
 
 class _ClipBuilder:
-    """Channels of a clip, one after the other."""
+    """Builder of a clip's channels from curves or samples."""
 
     def __init__(self, fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames) -> None:
         self.fbx_rig, self.moving, self.frames = fbx_rig, moving, frames
@@ -125,7 +125,7 @@ class _ClipBuilder:
         return f"joint/{self.fbx_rig.rig.names[j]}.{_TARGETS[part]}"
 
     def _kept(self, part: int, j: int) -> list[ClipChannel]:
-        """Return the channels of a joint's part with the keys of the file, if any."""
+        """Return channels of a joint's part with the file's keys, if possible."""
         model = self.models[self.fbx_rig.rows[j].model]
         track = self._track(model, (TRANSLATION, ROTATION, SCALING)[part])
         keys = None if track is None else joined_keys(track, model.base[part])
@@ -155,7 +155,7 @@ class _ClipBuilder:
         return None if take is None else take.tracks.get((model.object.id, name))
 
     def _shift(self, model: Model) -> FloatArray | None:
-        """Return what pivots add to translations; None where that moves."""
+        """Return the pivots' constant translation offset; None if it moves."""
         if any(self._track(model, name) is not None for name in PIVOTS):
             return None
         offset, pivot, stretch, centre = model.pivots
@@ -169,7 +169,7 @@ class _ClipBuilder:
         return np.asarray(model.local(None, ticks)[0][0] - model.base[0])
 
     def _turned(self, j: int, model: Model, keys: JoinedKeys) -> list[ClipChannel]:
-        """Return Euler angles after the rotation before them."""
+        """Return Euler angle channels after the constant pre-rotation."""
         if any(self._track(model, name) is not None for name in OUTER_ROTATIONS):
             return []
         if np.abs(model.post[:3]).max() > SAME:
@@ -193,7 +193,7 @@ class _ClipBuilder:
         shift: FloatArray,
         order: str = "",
     ) -> ClipChannel:
-        """Return keys whose values are turned and scaled, then moved."""
+        """Return keys with values transformed by a matrix and an offset."""
         per_second = float(self.frames.fps)
         handles = []
         for one in (keys.ins, keys.outs):
@@ -215,7 +215,7 @@ class _ClipBuilder:
         )
 
     def _codes(self, ticks: IntArray) -> FloatArray:
-        """Return times of keys [frames]; those within a tick of a frame are it."""
+        """Return key times [frames], snapped to a frame within a tick."""
         per_tick = float(self.frames.fps) / TICKS
         codes = ticks * per_tick
         rounded = np.round(codes)
@@ -243,7 +243,7 @@ class _ClipBuilder:
         )
 
     def _times(self) -> IntArray:
-        """Return the times of all frames, and of keys between them [ticks]."""
+        """Return the times of all frames and of keys between them [ticks]."""
         codes = np.arange(self.frames.count, dtype=np.float64) + self.frames.first
         ticks = self.frames.ticks(codes)
         take = self.moving.take
@@ -256,7 +256,7 @@ class _ClipBuilder:
         return ticks if len(keys) > len(ticks) else np.union1d(ticks, keys)
 
     def _samples(self, part: int) -> list[ClipChannel]:
-        """Return samples of what could not be kept; note how far they are off."""
+        """Return sampled channels of a part; record their errors."""
         rows = self.sampled[part]
         if not rows:
             return []
@@ -294,7 +294,7 @@ class _ClipBuilder:
         return np.asarray(channel.values)
 
     def notices(self) -> list[Fault]:
-        """Say once how many channels are sampled, and how far off they are."""
+        """Return one notice with the count and errors of sampled channels."""
         off = self.off
         if not off.count:
             return []

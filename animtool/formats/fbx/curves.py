@@ -1,4 +1,4 @@
-"""Curves of an FBX: keys, tangents, and what lies outside of them.
+"""FBX animation curves: keys, tangents and extrapolation.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimCurve` and `FbxAnimCurveKey`.
 Between two keys a cubic segment is a Bézier curve whose handles lie at a weight of the
@@ -22,7 +22,7 @@ MAX_TICKS = 2**61
 
 @dataclass(frozen=True, slots=True)
 class Outside:
-    """What a curve does before or after its keys.
+    """Extrapolation before the first or after the last key.
 
     mode: C holds, R repeats, A repeats with offset, M mirrors, K goes on straight.
     count: How often; below 0 without end.
@@ -34,7 +34,7 @@ class Outside:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FbxCurve:
-    """One value over time.
+    """Keys of one scalar over time.
 
     Attributes:
         times: Of its K keys, ascending ``(K,)`` [ticks].
@@ -58,7 +58,7 @@ class FbxCurve:
     post: Outside = Outside()
 
     def is_static(self) -> bool:
-        """Return whether it has one value for all times."""
+        """Return whether the value never changes."""
         if (self.values != self.values[0]).any():
             return False
         cubic = self.modes[:-1] == CUBIC
@@ -133,7 +133,7 @@ class FbxCurve:
 
 
 def bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return where on a Bézier segment a share of its time is ``(F,)``.
+    """Return the Bézier parameter ``(F,)`` of time fractions of a segment.
 
     By bisection, then Newton's method where it stays between the bounds.
     """

@@ -1,4 +1,4 @@
-"""The tree of elements that an FBX is, binary or text."""
+"""The element tree of an FBX, shared by binary and text files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LARGEST = 3.4028234663852886e38
 
 @dataclass(slots=True, eq=False)
 class Element:
-    """A named list of values with elements below."""
+    """A named list of values with child elements."""
 
     name: str
     values: list[Any]  # int, float, str, bytes, or an array
@@ -32,15 +32,15 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def find(self, name: str) -> Element | None:
-        """Return the first element below with a name."""
+        """Return the first child element of a name."""
         return next((one for one in self.children if one.name == name), None)
 
     def all(self, name: str) -> Iterator[Element]:
-        """Yield the elements below with a name."""
+        """Yield the child elements of a name."""
         return (one for one in self.children if one.name == name)
 
     def text(self, index: int) -> str:
-        """Return a value that is text; empty where it is none."""
+        """Return a value that is text; else an empty string."""
         value = self.values[index] if index < len(self.values) else ""
         return value if isinstance(value, str) else ""
 
@@ -59,7 +59,7 @@ def number(element: Element, index: int, notes: FileNotices) -> float:
 def floats(
     parent: Element, name: str, notes: FileNotices, count: int | None = None
 ) -> FloatArray | None:
-    """Return the finite numbers of an element below; None where there is none."""
+    """Return the finite numbers of a child element; None if missing."""
     element = parent.find(name)
     if element is None:
         return None
@@ -75,7 +75,7 @@ def floats(
 
 
 def integers(parent: Element, name: str, notes: FileNotices) -> IntArray | None:
-    """Return the integers of an element below; None where there is none."""
+    """Return the integers of a child element; None if missing."""
     element = parent.find(name)
     if element is None:
         return None

@@ -22,7 +22,7 @@ MAX_CELLS = 100_000_000
 
 @dataclass(slots=True, eq=False)
 class Cluster:
-    """What one bone moves of a mesh.
+    """Skin weights of one bone on a mesh.
 
     Attributes:
         bone: Its node, by id.
@@ -43,7 +43,7 @@ class Cluster:
 
 @dataclass(slots=True, eq=False)
 class ShapeChannel:
-    """A blend shape, with those between.
+    """A blend shape channel with its in-between targets.
 
     Attributes:
         id: Of the channel, whose percentage is animated.
@@ -60,7 +60,7 @@ class ShapeChannel:
 
 @dataclass(slots=True, eq=False)
 class FbxGeometry:
-    """A mesh, which nodes show.
+    """A mesh, shown by one or several nodes.
 
     Attributes:
         name: As in the file, often empty.
@@ -80,7 +80,7 @@ class FbxGeometry:
 
 
 def read_geometry(file: FbxFile) -> dict[Id, FbxGeometry]:
-    """Return the mesh of each node that shows one, by id of the node.
+    """Return the mesh of each node that shows one, by node id.
 
     Raises:
         FormatError: Numbers of a mesh, skin or shape are broken (FBX005, FBX008), or it
@@ -126,7 +126,7 @@ def _geometry(file: FbxFile, of: Object, model: Object) -> FbxGeometry | None:
 def _faces(
     file: FbxFile, of: Object, corners: IntArray | None, count: int, name: str
 ) -> IntArray:
-    """Return faces; the last corner of each is its index inverted, bit by bit."""
+    """Return faces; FBX bit-inverts the last corner index of each."""
     if corners is None or not len(corners):
         return np.zeros((0, 3), np.int64)
     ends = corners < 0
@@ -220,7 +220,7 @@ def _cluster(file: FbxFile, of: Object, points: int, name: str) -> Cluster | Non
 
 
 def _matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
-    """Return a matrix for column vectors; files have it for rows."""
+    """Return a column-vector matrix; files store row-vector ones."""
     flat = floats(element, name, file.notes, 16)
     if flat is None:
         return np.eye(4)
@@ -234,7 +234,7 @@ def _matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
 
 
 def skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
-    """Return cluster and weight of the influences of each point ``(V, I)``.
+    """Return cluster indices and weights of each point ``(V, I)``.
 
     Weights are normalised. The cluster after the last is the mesh's own node, which
     points without a weight follow.
@@ -262,7 +262,7 @@ def skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
 
 
 def has_free_points(mesh: FbxGeometry) -> bool:
-    """Return whether a point of a skinned mesh follows no bone."""
+    """Return whether some point of a skinned mesh has no weights."""
     sums = np.zeros(len(mesh.points))
     for one in mesh.clusters:
         np.add.at(sums, one.indices, one.weights)
@@ -314,7 +314,7 @@ def _channel(file: FbxFile, of: Object, points: int) -> ShapeChannel | None:
 
 
 def _counts_points(file: FbxFile) -> bool:
-    """Return whether full weights are of points: Blender's are of a vertex group."""
+    """Return whether full weights are per point (Blender writes vertex groups)."""
     header = file.root.find("FBXHeaderExtension")
     creators = [one for top in (file.root, header) if top for one in top.all("Creator")]
     return any(one.text(0).lower().startswith(_BLENDER) for one in creators)
@@ -327,7 +327,7 @@ def _offsets(
     points: int,
     parts: FloatArray | None = None,
 ) -> FloatArray:
-    """Return the offsets of a shape ``(V, 3)``.
+    """Return the point offsets of a shape ``(V, 3)``.
 
     parts: How much of each offset that it states counts [%].
     """

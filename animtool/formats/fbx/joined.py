@@ -1,4 +1,4 @@
-"""Curves of the parts of a property as keys that hold all parts."""
+"""Curves of a property's components joined to keys of all components."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class JoinedKeys:
 
 
 def joined_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
-    """Return the keys of a property; None where no such keys are exactly its curves.
+    """Return keys of all components of a property; None if not exact.
 
     Keys of one part alone split the segments of the others, which changes no value.
 
@@ -84,7 +84,7 @@ def joined_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
 def _outside(
     curves: Sequence[FbxCurve],
 ) -> tuple[Extrapolation, Extrapolation] | None:
-    """Return how all of some curves go on; None where they differ or stop."""
+    """Return the common extrapolation of curves; None if they differ."""
     sides = []
     for side in ("pre", "post"):
         kinds = {_extrapolation(one, getattr(one, side)) for one in curves}
@@ -166,14 +166,14 @@ def _part(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
 
 
 def _never(k: IntArray) -> FloatArray:
-    """Return weights that no keys have."""
+    """Return weights that no keys have, as NaN."""
     return np.full((len(k), 2), np.nan)
 
 
 def _slope_at(
     curve: FbxCurve, k: IntArray, fraction: FloatArray, span: FloatArray
 ) -> FloatArray:
-    """Return the slopes of segments whose handles are at thirds [1/s]."""
+    """Return slopes within segments whose handles are at thirds [1/s]."""
     right, left = curve.right[k], curve.left[k]
     chord = (curve.values[k + 1] - curve.values[k]) / span
     middle = 3.0 * chord - right - left
@@ -184,7 +184,7 @@ def _slope_at(
 
 
 def _kinds(parts: Sequence[_SegmentedCurve], count: int) -> list[Interp] | None:
-    """Return how segments run, all parts of each; None where they differ."""
+    """Return the interpolation of each segment; None if components differ."""
     curved = np.logical_or.reduce([one.curved & ~one.flat for one in parts])
     moving = np.logical_or.reduce([~one.flat & ~one.stepped for one in parts])
     stepped = np.logical_or.reduce([one.stepped & ~one.flat for one in parts])
@@ -200,7 +200,7 @@ def _kinds(parts: Sequence[_SegmentedCurve], count: int) -> list[Interp] | None:
 
 
 def _weights(parts: Sequence[_SegmentedCurve]) -> FloatArray | None:
-    """Return the weights of segments that all parts share; None where they differ."""
+    """Return the tangent weights common to all components; else None."""
     weights = np.full(parts[0].weights.shape, THIRD)
     fixed = np.zeros(len(weights), bool)
     for one in parts:

@@ -1,4 +1,4 @@
-"""Curves of files from version 7000 on, and what every curve is checked for."""
+"""Curves of FBX 7000 and newer, and the checks of every curve."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WEIGHT = 1e-4
 
 
 def curve_of_object(element: Element, notes: FileNotices) -> FbxCurve | None:
-    """Return the curve of an object, as files from 7000 on have it.
+    """Return the curve of an AnimationCurve object (FBX 7000 and newer).
 
     Raises:
         FormatError: Its arrays do not fit together, or times descend (FBX006).
@@ -73,7 +73,7 @@ def curve_of_object(element: Element, notes: FileNotices) -> FbxCurve | None:
 
 
 def _bits(data: Element, notes: FileNotices) -> Any:
-    """Return attributes as the bits of float32; text writes them as integers."""
+    """Return key attributes as float32 bits; text files write integers."""
     values = data.values[0] if len(data.values) == 1 else np.array(data.values)
     array = np.asarray(values)
     if array.dtype.kind == "f":
@@ -85,7 +85,7 @@ def _bits(data: Element, notes: FileNotices) -> Any:
 
 
 def checked(curve: FbxCurve, element: Element, notes: FileNotices) -> FbxCurve:
-    """Return a curve with what is outside of its keys, its numbers checked."""
+    """Return a curve with its extrapolation; raise for invalid numbers."""
     times = curve.times
     check_times(times, element, notes)
     for slopes in (curve.right, curve.left):
@@ -109,14 +109,14 @@ def checked(curve: FbxCurve, element: Element, notes: FileNotices) -> FbxCurve:
 
 
 def _shared_row(rows: Any) -> Any:
-    """Return an array whose rows are all the same without a copy of each."""
+    """Return an array of equal rows as a view of one row."""
     if len(rows) > 1 and (rows == rows[:1]).all():
         return np.broadcast_to(rows[0].copy(), rows.shape)
     return rows
 
 
 def check_times(times: IntArray, element: Element, notes: FileNotices) -> None:
-    """Refuse times of keys that descend or are out of range."""
+    """Raise for key times that descend or are out of range."""
     if len(times) > MAX_KEYS:
         notes.fail("FBX013", element.where, f"{len(times)} keys in one curve")
     # The least integer has no opposite.

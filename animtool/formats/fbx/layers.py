@@ -1,4 +1,4 @@
-"""What the layers of a take make of a property, one over the other.
+"""Animation layers: additive and override blending of a property.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimLayer`: blend mode, rotation and
 scale accumulation mode. Rotations that accumulate by layer are composed as if of order
@@ -30,7 +30,7 @@ FULL_WEIGHT = 0.99999
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """A layer of a take.
+    """An animation layer of a take.
 
     Attributes:
         name: As in the file.
@@ -49,7 +49,7 @@ class Layer:
     by_product: bool = False
 
     def weights(self, ticks: IntArray) -> FloatArray:
-        """Return its weight at times ``(F,)`` [1]."""
+        """Return the layer weight at times ``(F,)`` [1]."""
         if self.curve is None:
             return np.full(
                 len(ticks), 1.0 if self.weight > FULL_WEIGHT else self.weight
@@ -60,7 +60,7 @@ class Layer:
 
 @dataclass(slots=True, eq=False)
 class LayerValues:
-    """What a layer says of a property."""
+    """Curves and defaults of a property on one layer."""
 
     layer: Layer
     is_first: bool  # of its take
@@ -84,7 +84,7 @@ class LayerValues:
 
 @dataclass(slots=True, eq=False)
 class PropertyTrack:
-    """A property over time.
+    """A property over time, all layers blended.
 
     Attributes:
         of: The object, by its id.
@@ -140,6 +140,6 @@ class PropertyTrack:
 
 
 def _power(scales: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return a part of scales as a factor, their signs kept; no part of them is 1."""
+    """Return scales raised to a weight, signs kept; weight 0 gives 1."""
     sign = np.where((scales < 0) & (weights > 0), -1.0, 1.0)
     return np.asarray(np.abs(scales) ** weights * sign)

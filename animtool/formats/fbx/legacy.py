@@ -23,7 +23,7 @@ _UNREAD = (
 
 
 def with_objects(root: Element, notes: FileNotices) -> Element:
-    """Return the elements of a file as those of version 6100.
+    """Convert the elements of versions 5000 to 5999 to the 6100 layout.
 
     Raises:
         FormatError: A model has what is not read (FBX004).

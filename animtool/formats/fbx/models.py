@@ -1,4 +1,4 @@
-"""The nodes of an FBX, and how their transforms are made up.
+"""FBX nodes (models) and the evaluation of their transforms.
 
 ``local = T · Roff · Rp · Rpre · R · Rpost⁻¹ · Rp⁻¹ · Soff · Sp · S · Sp⁻¹``; the
 linear part is a rotation times a scale. A child may leave out its parent's own scale
@@ -69,7 +69,7 @@ class Model:
 
     @property
     def name(self) -> str:
-        """Its name, namespace kept."""
+        """The node name, namespace included."""
         return self.object.name
 
     def local(
@@ -133,7 +133,7 @@ def read_models(file: FbxFile) -> list[Model]:
 
 
 def _is_of_viewer(file: FbxFile, one: Object) -> bool:
-    """Return whether a node is a camera that old exporters add, in no scene."""
+    """Return whether a node is a default camera that old exporters add."""
     return one.subtype.startswith("Camera") and one.id not in file.above
 
 
@@ -208,7 +208,7 @@ def _state(model: Model, take: AnimTake | None, ticks: IntArray) -> FloatArray:
 
 
 def _pivots(model: Model, take: AnimTake | None, ticks: IntArray) -> list[FloatArray]:
-    """Return offset and pivot of rotations, then of scales ``(3,)`` or ``(F, 3)``."""
+    """Return rotation offset and pivot, scaling offset and pivot."""
     pivots = list(model.pivots)
     for k, name in enumerate(PIVOTS):
         track = _track(model, take, name)
@@ -225,7 +225,7 @@ def has_pivots(model: Model, take: AnimTake | None) -> bool:
 
 
 def moving(model: Model, take: AnimTake | None) -> tuple[bool, bool, bool]:
-    """Return which of translation, rotation and scale change in a take."""
+    """Return whether translation, rotation and scale change in a take."""
 
     def moves(name: str, base: FloatArray) -> bool:
         track = _track(model, take, name)

@@ -1,4 +1,4 @@
-"""The objects of an FBX, their properties, and what is connected to what."""
+"""FBX objects, their properties and connections."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Object:
 
 @dataclass(slots=True, eq=False)
 class FbxFile:
-    """A file as objects.
+    """The objects and connections of a file.
 
     Attributes:
         path: The file.
@@ -81,12 +81,12 @@ class FbxFile:
     above: dict[Id, list[tuple[Id, str]]] = field(default_factory=dict)
 
     def sources(self, of: Id, kind: str, subtype: str | None = None) -> list[Object]:
-        """Return the objects of a kind that are connected to one."""
+        """Return objects of a kind connected to an object as sources."""
         objects = [self.objects.get(one) for one, _ in self.below.get(of, ())]
         return [one for one in objects if one is not None and _is(one, kind, subtype)]
 
     def targets(self, of: Id, kind: str) -> list[Object]:
-        """Return the objects of a kind that one is connected to."""
+        """Return objects of a kind that an object is connected to."""
         objects = [self.objects.get(one) for one, _ in self.above.get(of, ())]
         return [one for one in objects if one is not None and one.kind == kind]
 
@@ -102,7 +102,7 @@ def _is(one: Object, kind: str, subtype: str | None) -> bool:
 def vector(
     of: Object, name: str, default: tuple[float, ...], notes: FileNotices
 ) -> tuple[float, ...]:
-    """Return the numbers of a property, as many as the default has."""
+    """Return a vector property with as many numbers as its default."""
     values = of.values(name)[: len(default)]
     if len(values) < len(default):
         return default
@@ -113,12 +113,12 @@ def vector(
 
 
 def scalar(of: Object, name: str, default: float, notes: FileNotices) -> float:
-    """Return the number of a property."""
+    """Return a scalar property."""
     return vector(of, name, (default,), notes)[0]
 
 
 def open_objects(path: Path | str) -> FbxFile:
-    """Return the objects of an FBX.
+    """Open an FBX; return its objects.
 
     Raises:
         FormatError: It is none (FBX001), is broken (FBX001, FBX002), of a version that
@@ -164,7 +164,7 @@ def open_objects(path: Path | str) -> FbxFile:
 
 
 def _stated_version(root: Element, version: int) -> int:
-    """Return the version that a file states; headers of old ones have another."""
+    """Return the version in the header element, which old files state there."""
     header = root.find("FBXHeaderExtension")
     stated = None if header is None else header.find("FBXVersion")
     if stated is not None and stated.values and isinstance(stated.values[0], int):
@@ -173,7 +173,7 @@ def _stated_version(root: Element, version: int) -> int:
 
 
 def plain_name(text: str) -> tuple[str, str]:
-    r"""Return kind and name of an object's name.
+    r"""Split an object name into kind and name.
 
     >>> plain_name("Model::hero:hips"), plain_name("hips\x00\x01Model")
     (('Model', 'hero:hips'), ('Model', 'hips'))

@@ -41,7 +41,7 @@ LAYOUT_OF_5000 = 4004
 def curve_of_channel(
     element: Element, notes: FileNotices, layout: int = LAYOUT
 ) -> FbxCurve | None:
-    """Return the curve of a channel of a take, as files before 7000 have it.
+    """Return the curve of a take's channel (before FBX 7000).
 
     layout: Of its keys, where it states none.
 
@@ -76,7 +76,7 @@ def curve_of_channel(
 
 
 class _Keys:
-    """The values of the keys of a channel, one after the other."""
+    """Cursor over the key values of a channel."""
 
     def __init__(self, element: Element, notes: FileNotices, layout: int) -> None:
         values = element.values
@@ -141,7 +141,7 @@ _GUESSED = {"p": (2, 1, 2), "q": (2, 1, 2), "t": (3, 0, 0), "d": (1, 1, 1)}
 
 
 def _tangent(keys: _Keys) -> tuple[int, float, float, int]:
-    """Return flags and slopes of a cubic key, and how many lists of weights follow."""
+    """Return flags and slopes of a cubic key, and the count of weight lists."""
     kind = keys.letter()
     if kind in {"s", "b"}:
         right, left = keys.number(), keys.number()

@@ -1,4 +1,4 @@
-"""Local transforms of the joints that nodes of an FBX become.
+"""Local transforms of joints, evaluated from FBX nodes.
 
 A node is a joint. Where it leaves out an uneven scale of its parent, or takes it along
 its own axes, no rotation and scale hold its transform: a joint above it carries the
@@ -35,7 +35,7 @@ _REST = np.zeros(1, np.int64)
 
 
 class RowKind(Enum):
-    """What of a node a joint carries."""
+    """Which part of a node's transform a joint takes."""
 
     FULL = auto()
     OUTER = auto()  # translation, and the inverse scale of the parent
@@ -44,17 +44,17 @@ class RowKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A joint."""
+    """A joint: a node and the part of its transform."""
 
     model: int
     kind: RowKind
 
 
 class NodeTransforms:
-    """Transforms of nodes at some times of a take; each is evaluated once."""
+    """Node transforms at given times of a take, each evaluated once."""
 
     def __init__(self, scene: FbxScene, take: AnimTake | None, ticks: IntArray) -> None:
-        """Take times ``(F,)`` [ticks]; a take of None is the scene as saved."""
+        """Evaluate at times ``(F,)`` [ticks]; None is the saved scene."""
         self.models, self.take, self.ticks = scene.models, take, ticks
         self.basis = scene.settings.basis
         self._axes_rotation = so3.from_matrix(self.basis)
@@ -62,7 +62,7 @@ class NodeTransforms:
         self._locals: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
 
     def local(self, i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return translations, rotations and scales of a node, as it has them."""
+        """Return local translations, rotations and scales of a node."""
         if i not in self._locals:
             moved, turned, scales = self.models[i].local(self.take, self.ticks)
             # What a child leaves out is divided by.
@@ -71,7 +71,7 @@ class NodeTransforms:
         return self._locals[i]
 
     def local_scale(self, i: int) -> FloatArray:
-        """Return the scale of a node along its own axes, inherited parts included.
+        """Return a node's scale along its local axes, inheritance included.
 
         It is what its children may leave out ``(F, 3)``.
         """
@@ -81,7 +81,7 @@ class NodeTransforms:
         return scale
 
     def world(self, i: int) -> FloatArray:
-        """Return the world transforms of a node, in the file's axes ``(F, 4, 4)``."""
+        """Return world transforms of a node in file axes ``(F, 4, 4)``."""
         world, chain = np.tile(np.eye(4), (len(self.ticks), 1, 1)), [i]
         while self.models[chain[-1]].parent >= 0:
             chain.append(self.models[chain[-1]].parent)
@@ -131,7 +131,7 @@ def _no_zeros(scales: FloatArray) -> FloatArray:
 
 
 class Changes:
-    """Which transforms of joints a take changes."""
+    """Which joint transforms a take changes."""
 
     def __init__(self, models: Sequence[Model], take: AnimTake | None) -> None:
         """Take the nodes of a file and a take of it."""
@@ -139,7 +139,7 @@ class Changes:
         self.moving = [moving(model, take) for model in models]
 
     def local_scale(self, i: int) -> bool:
-        """Return whether the scale changes that children of a node may leave out."""
+        """Return whether the scale that children may compensate changes."""
         return any(self.moving[one][2] for one in scale_chain(self.models, i))
 
     def row(self, row: Row) -> tuple[bool, bool, bool]:
@@ -158,7 +158,7 @@ class Changes:
 
 
 def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
-    """Return the joints of nodes, in their order."""
+    """Return the joints of nodes, in node order."""
     uneven: dict[int, bool] = {}
     rows = []
     for i in kept:
@@ -175,7 +175,7 @@ def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
 
 
 def _is_uneven(scene: FbxScene, i: int) -> bool:
-    """Return whether the scale of a node ever differs between its axes."""
+    """Return whether a node's scale ever differs between axes."""
     chain = scale_chain(scene.models, i)
     keys = [(scene.models[one].object.id, SCALING) for one in chain]
     for take in (None, *scene.takes):
@@ -200,7 +200,7 @@ def _is_uneven(scene: FbxScene, i: int) -> bool:
 
 
 def even_rows(scene: FbxScene, rows: Sequence[Row]) -> tuple[FloatArray, BoolArray]:
-    """Return scales as saved ``(J, 3)``, and which are even and never change."""
+    """Return saved scales ``(J, 3)``, and which are uniform and static."""
     rest = NodeTransforms(scene, None, _REST)
     scales = np.array([rest.row(row)[2][0] for row in rows]).reshape(-1, 3)
     low, high = scales.min(axis=1), scales.max(axis=1)
@@ -217,7 +217,7 @@ def even_rows(scene: FbxScene, rows: Sequence[Row]) -> tuple[FloatArray, BoolArr
 
 
 def _is_touched(models: Sequence[Model], row: Row, take: AnimTake) -> bool:
-    """Return whether a take says something of a scale of a joint."""
+    """Return whether a take animates a joint's scale."""
     chain, model = scale_chain(models, row.model), models[row.model]
     if model.parent >= 0 and model.inherit != INHERIT:
         chain += scale_chain(models, model.parent)
@@ -225,7 +225,7 @@ def _is_touched(models: Sequence[Model], row: Row, take: AnimTake) -> bool:
 
 
 def scale_chain(models: Sequence[Model], i: int) -> list[int]:
-    """Return a node and all whose scales it takes along its own axes."""
+    """Return a node and the ancestors whose scale it inherits."""
     chain = [i]
     while (i := models[i].scale_from) >= 0:
         chain.append(i)

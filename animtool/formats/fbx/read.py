@@ -1,4 +1,4 @@
-"""An FBX as a rig, and its takes as streams of motion."""
+"""FBX reader: rigs, and takes as streams of motion."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def read_fbx(
     prim_path: str | None = None,
     take: str | None = None,
 ) -> TakeStream:
-    """Open a take of an FBX on the character that it moves, meshes included.
+    """Open a take of an FBX on the character it animates, meshes included.
 
     Time 0 is frame 0. The stream is sampled at the file's rate; between frames its
     curve is what the file's curves give.
@@ -95,7 +95,7 @@ def _keyed(
     moving: FbxSampler,
     frames: FbxFrames,
 ) -> MotionCurve:
-    """Return the motion of a stream at any time, with the keys that it is of."""
+    """Attach the clip with the file's keys to a stream."""
 
     def clip() -> Clip:
         clip_, notices = clip_of_fbx(name, fbx_rig, moving, frames)
@@ -106,7 +106,7 @@ def _keyed(
 
 
 def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
-    """Return the rig of an FBX with its meshes and shapes, as the scene was saved.
+    """Return the rig of an FBX with meshes and shapes, as saved.
 
     Args:
         path: A .fbx file.
@@ -124,7 +124,7 @@ def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
 
 
 def take_names(path: Path) -> list[str]:
-    """Return the names of the takes of an FBX, in its order.
+    """Return the names of an FBX's takes, in file order.
 
     Raises:
         FormatError: As `read_fbx` does.
@@ -133,7 +133,7 @@ def take_names(path: Path) -> list[str]:
 
 
 def take_names_of(scene: FbxScene) -> list[str]:
-    """Return a distinct name for every take."""
+    """Return distinct names of all takes."""
     plain = [
         "".join(c if c.isprintable() else "_" for c in one.name).strip()
         for one in scene.takes
@@ -148,7 +148,7 @@ def _character(
 
 
 def _left_out(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
-    """Say once what of the file no take holds."""
+    """Return one notice about file contents that takes cannot hold."""
     names = list(scene.left_out)
     if take is not None and take.visible:
         names.append("animated visibility")
@@ -161,7 +161,7 @@ def _left_out(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
 def _take(
     scene: FbxScene, fbx_rig: FbxRig, take: str | None
 ) -> tuple[int, list[Fault]]:
-    """Return which take is read, -1 for none, and a note of the others."""
+    """Return the index of the take to read, -1 for none, and a note of others."""
     path, names = str(scene.path), take_names_of(scene)
     if take is not None:
         if take in names:

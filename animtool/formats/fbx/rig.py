@@ -1,4 +1,4 @@
-"""A character of an FBX as a rig: joints, bind pose, meshes and shapes."""
+"""An FBX character as a rig: joints, bind pose, meshes and shapes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NEAREST = 1e-5
 
 @dataclass(slots=True, eq=False)
 class FbxRig:
-    """A rig, and what of the file its joints and shapes are.
+    """A rig with the nodes and channels its joints and shapes come from.
 
     Attributes:
         rig: J joints.
@@ -67,7 +67,7 @@ def build_rig(
     *,
     surfaces: bool = True,
 ) -> FbxRig:
-    """Return the rig of a character, at rest as the scene was saved.
+    """Return the rig of a character; the rest pose is the saved scene.
 
     Every node is a joint, but for those of skinned meshes with nothing below, whose
     transform has no effect. A scale that is even and never moves goes into the
@@ -124,7 +124,7 @@ def build_rig(
 
 
 def _moved_meshes(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
-    """Name skinned meshes whose own node is not where it was when they were bound."""
+    """Return a note of skinned meshes whose node moved since binding."""
     rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
     names = []
     for node in character.nodes:
@@ -153,7 +153,7 @@ def _moved_meshes(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
 
 
 def _only_a_skin(scene: FbxScene, node: int) -> bool:
-    """Return whether a node is that of a skinned mesh, and nothing else."""
+    """Return whether a node only carries a skinned mesh."""
     entry = scene.nodes[node]
     if entry.skin < 0 or entry.children:
         return False
@@ -240,7 +240,7 @@ def _put_shapes_and_meshes(
 
 
 def _full(channel: ShapeChannel) -> float:
-    """Return the percentage at which the last shape of a channel is full."""
+    """Return the percentage at which a channel's last shape is full."""
     last = channel.targets[-1][0]
     return last if abs(last) > 100 * NEAREST else 100.0
 
@@ -277,7 +277,7 @@ def _mesh(scene: FbxScene, node: int, name: str, binder: Binder) -> Mesh:
 def _skin(
     scene: FbxScene, node: int, mesh: FbxGeometry, binder: Binder
 ) -> tuple[Skin, FloatArray]:
-    """Return what a mesh follows: bones of its skin, or the node that shows it."""
+    """Return the skin of a mesh: its bones, or the node that shows it."""
     index = scene.nodes[node].skin
     if index >= 0:
         geometry, joints = binder.skin(index)
@@ -298,7 +298,7 @@ def _skin(
 
 
 def scale_notice(fbx_rig: FbxRig, where: str) -> list[Fault]:
-    """Name the joints whose scale, at rest or at bind time, a rig does not hold."""
+    """Return a notice of joint scales that a rig cannot hold."""
     rig = fbx_rig.rig
     scaled = np.abs(fbx_rig.scales - 1.0).max(axis=1) > 1e-4
     names = Counter(rig.names[j] for j in np.flatnonzero(scaled).tolist())

@@ -1,4 +1,4 @@
-"""A take of an FBX as motion of a rig, at any times."""
+"""FBX takes sampled as rig motion at any times."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward
 
-# Frames of a block: 60 joints take 2 MB.
+# Frames per block: 60 joints take 2 MB.
 BLOCK = 1024
 # What a take is held with: numbers that change, of all frames.
 MAX_VALUES = 60_000_000
@@ -39,14 +39,14 @@ MAX_MEASURED = 256
 
 @dataclass(frozen=True, slots=True)
 class FbxFrames:
-    """When the frames of a take are: frame 0 is at time 0."""
+    """The frame range and rate of a take: frame 0 is at time 0."""
 
     fps: Fraction
     first: int
     count: int
 
     def ticks(self, codes: FloatArray) -> IntArray:
-        """Return the times of time codes [ticks]."""
+        """Return times of frame numbers [ticks]."""
         # One product of two floats: a frame is exact as long as its tick is.
         per_frame = float(Fraction(TICKS) / self.fps)
         return np.rint(np.clip(codes * per_frame, -MAX_TICKS, MAX_TICKS)).astype(
@@ -55,10 +55,10 @@ class FbxFrames:
 
 
 class FbxSampler:
-    """The motion of a rig by one take, at any times."""
+    """Sampler of a take's rig motion at any times."""
 
     def __init__(self, scene: FbxScene, fbx_rig: FbxRig, take: AnimTake | None) -> None:
-        """Take a rig of a scene; by a take of None it stands as it was saved."""
+        """Sample a rig by a take; None leaves it as saved."""
         self.scene, self.fbx_rig, self.take = scene, fbx_rig, take
         changes = Changes(scene.models, take)
         flags = np.array([changes.row(row) for row in fbx_rig.rows]).reshape(-1, 3)
@@ -72,12 +72,12 @@ class FbxSampler:
 
     @property
     def numbers(self) -> int:
-        """Numbers of a frame that change."""
+        """Count of animated numbers per frame."""
         moves, rotations, scales = (len(one) for one in self.moving)
         return 3 * moves + 4 * rotations + 3 * scales + len(self.shapes)
 
     def track(self, row: int) -> PropertyTrack | None:
-        """Return what moves a shape; None where nothing does."""
+        """Return the track of a shape's weight; None if not animated."""
         channel = self.fbx_rig.shapes[row][0]
         take = self.take
         return None if take is None else take.tracks.get((channel.id, PERCENT))
@@ -96,7 +96,7 @@ class FbxSampler:
         return np.asarray(track.at(base, ticks)[:, 0] / full)
 
     def _rest(self, ticks: IntArray) -> list[FloatArray]:
-        """Return the values of what does not move, of each channel."""
+        """Return the static values of each channel."""
         fbx_rig, count = self.fbx_rig, len(self.fbx_rig.rig.joints)
         state = NodeTransforms(self.scene, self.take, ticks)
         moved, turned = np.zeros((count, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
@@ -140,7 +140,7 @@ class FbxSampler:
 def frames_of(
     scene: FbxScene, take: AnimTake | None, fps: Fraction | None, width: int
 ) -> FbxFrames:
-    """Return the frames of a take: its span, or that of its keys where it has none.
+    """Return the frame range of a take: its span, else that of its keys.
 
     Args:
         scene: The file.
@@ -179,7 +179,7 @@ def frames_of(
 def between_notices(
     scene: FbxScene, fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames
 ) -> list[Fault]:
-    """Say how far joints are off between samples, where keys are not on frames."""
+    """Return a notice of joint errors where keys are between frames."""
     take = moving.take
     keys = np.zeros(0, np.int64) if take is None else take.key_times()
     if take is None or not len(keys):
@@ -218,7 +218,7 @@ def _is_off(ticks: int, rate: Fraction) -> bool:
 
 
 def take_stream(fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames) -> TakeStream:
-    """Return a take on its rig, drawn block by block."""
+    """Return a take as a stream, sampled block by block."""
 
     def curve(codes: FloatArray) -> Motion:
         return moving.at(frames.ticks(codes))
@@ -250,7 +250,7 @@ def _blocks(moving: FbxSampler, frames: FbxFrames) -> Iterator[Motion]:
 
 
 def moves(fbx_rig: FbxRig, take: AnimTake, scene: FbxScene) -> bool:
-    """Return whether a take has something of a rig."""
+    """Return whether a take animates the rig."""
     ids = {scene.models[row.model].object.id for row in fbx_rig.rows}
     ids |= {channel.id for channel, _ in fbx_rig.shapes}
     return any(of in ids for of, _ in take.tracks)

@@ -1,4 +1,4 @@
-"""An FBX in memory: nodes, meshes and takes, and which nodes are skinned."""
+"""An FBX in memory: nodes, meshes, takes and skins."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_NAMED = 6
 
 @dataclass(slots=True, eq=False)
 class FbxScene:
-    """A file.
+    """The contents of a file.
 
     Attributes:
         file: Its objects.
@@ -52,19 +52,19 @@ class FbxScene:
     default_scene: int = -1
 
     def bind_worlds(self) -> list[FloatArray]:
-        """Return where the mesh of each skin was when bound, axes as the rig's."""
+        """Return each skin's mesh transform at bind time, in rig axes."""
         axes = np.eye(4)
         axes[:3, :3] = self.settings.basis
         return [axes @ one for one in self.bind]
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """Path of the file."""
         return self.file.path
 
 
 def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
-    """Return an FBX, every number of what moves checked.
+    """Open an FBX; every number that affects motion is checked.
 
     up: which axis of the file points up; None is what it says.
 
@@ -102,7 +102,7 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
 def _skins(
     meshes: dict[int, FbxGeometry], index: dict[Id, int]
 ) -> tuple[list[SkinEntry], list[FloatArray]]:
-    """Return the skins, the node of the mesh last of their joints where it counts."""
+    """Return the skins; a mesh's node is the last joint where it counts."""
     skins, bind = [], []
     for node, mesh in meshes.items():
         if not mesh.clusters:
@@ -160,7 +160,7 @@ _LEFT_OUT = {
 
 
 def _left_out(file: FbxFile) -> tuple[str, ...]:
-    """Return what a file holds that no rig and no take has a place for."""
+    """Return labels of contents that neither rigs nor takes can hold."""
     kinds = ("Material", "Texture", "Video")
     labels = {
         _LEFT_OUT[key]: None
@@ -172,7 +172,7 @@ def _left_out(file: FbxFile) -> tuple[str, ...]:
 
 
 def _note_drivers(file: FbxFile) -> None:
-    """Name what drives the pose and is not evaluated."""
+    """Add a note about constraints and drivers, which are not evaluated."""
     drivers = file.of_kind("Constraint")
     if drivers:
         names = listed([repr(one.name) for one in drivers], MAX_NAMED)

@@ -1,4 +1,4 @@
-"""Axes, unit and frame rate of an FBX."""
+"""FBX global settings: axes, unit and frame rate."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ CUSTOM = 14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FbxSettings:
-    """What lengths, axes and times of a file are.
+    """Length unit, axes and time mode of a file.
 
     Attributes:
         meters: Of its unit [m].
@@ -57,7 +57,7 @@ class FbxSettings:
 
 
 def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
-    """Return the settings of a file.
+    """Return the global settings of a file.
 
     up: which axis of the file points up; None is what it says.
 
@@ -75,7 +75,7 @@ def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
 
 
 def _axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
-    """Return the up axis, and what turns the file to it.
+    """Return the up axis, and the rotation from file axes to it.
 
     Files with Y or Z up stay as they are where they face the usual way; others are
     turned to Y up, facing Z.
@@ -114,7 +114,7 @@ def _rate(file: FbxFile) -> Fraction:
 
 
 def _old_rate(file: FbxFile) -> Fraction:
-    """Return the rate as files before 7000 state it besides."""
+    """Return the rate stated by files before 7000."""
     element: Element | None = file.root
     for name in ("Version5", "Settings", "FrameRate"):
         element = None if element is None else element.find(name)

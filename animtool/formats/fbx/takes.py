@@ -1,4 +1,4 @@
-"""The takes of an FBX: animation stacks, or the takes of files before 7000."""
+"""FBX takes: animation stacks, or takes of files before 7000."""
 
 from __future__ import annotations
 
@@ -81,13 +81,13 @@ class AnimTake:
         ]
 
     def key_times(self) -> IntArray:
-        """Return the times of all keys, each once [ticks]."""
+        """Return all distinct key times [ticks]."""
         distinct = {curve.times.tobytes(): curve.times for curve in self.curves()}
         return np.unique(np.concatenate([np.zeros(0, np.int64), *distinct.values()]))
 
 
 def read_takes(file: FbxFile) -> list[AnimTake]:
-    """Return the takes of a file, in its order.
+    """Return the takes of a file, in file order.
 
     Raises:
         FormatError: A curve is broken (FBX005, FBX006), or a layer has a mode that is
@@ -100,7 +100,7 @@ def read_takes(file: FbxFile) -> list[AnimTake]:
 
 
 def default_take(file: FbxFile, takes: list[AnimTake]) -> int:
-    """Return which take is read if none is named; -1 where there is none."""
+    """Return the index of the default take; -1 if there are no takes."""
     name = ""
     for documents in file.root.all("Documents"):
         for document in documents.all("Document"):
@@ -119,7 +119,7 @@ def default_take(file: FbxFile, takes: list[AnimTake]) -> int:
 
 
 class _Stacks:
-    """Animation stacks and what is connected to them; each curve is read once."""
+    """Animation stacks and their connections; each curve is read once."""
 
     def __init__(self, file: FbxFile) -> None:
         self.file = file
@@ -276,13 +276,13 @@ def _old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
 
 
 def old_shapes(file: FbxFile, model: Object) -> list[Element]:
-    """Return the shapes of a model's mesh, as files before 7000 have them."""
+    """Return the shapes of a model's mesh (before FBX 7000)."""
     holders = [model, *file.sources(model.id, "Geometry", "Mesh")]
     return [shape for one in holders for shape in one.element.all("Shape")]
 
 
 def shape_id(of: Id, name: str) -> Id:
-    """Return what the channel of a shape of a model is known by in such files."""
+    """Return the id of a shape channel in files before 7000."""
     return f"Shape::{of}::{name}"
 
 

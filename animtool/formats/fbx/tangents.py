@@ -1,4 +1,4 @@
-"""Slopes of cubic keys that a tool states as a rule: automatic tangents, and TCB.
+"""Slopes of automatic and TCB tangents.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimCurveDef` (tangent modes);
 Kochanek and Bartels, *Interpolating splines with local tension, continuity, and bias
@@ -28,7 +28,7 @@ def key_slopes(
     stated: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the slopes out of each key and into the next ``(K,)`` [1/s].
+    """Return slopes leaving and entering keys ``(K,)`` [1/s].
 
     Args:
         seconds: Times of the keys, ascending ``(K,)``.
@@ -57,7 +57,7 @@ def key_slopes(
 
 
 def _chords(seconds: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the slope from each key to the next; 0 between keys of one time."""
+    """Return chord slopes between keys; 0 between keys of equal time."""
     steps = np.diff(seconds)
     return np.asarray(np.diff(values) / np.where(steps > 0, steps, np.inf))
 
@@ -70,7 +70,7 @@ def _put_auto(
     chords: FloatArray,
     slopes: tuple[BoolArray, FloatArray, FloatArray],
 ) -> None:
-    """Put in the slopes of automatic keys.
+    """Set the slopes of automatic keys.
 
     What the file states of such a key is its bias towards a neighbour, not a slope.
     """
@@ -113,7 +113,7 @@ def _inner_slopes(
     chords: FloatArray,
     bias: FloatArray,
 ) -> FloatArray:
-    """Return the slopes of automatic keys between two others."""
+    """Return slopes of automatic keys that have both neighbours."""
     key_flags, low, high = flags[k], chords[k - 1], chords[k]
     before, after = seconds[k] - seconds[k - 1], seconds[k + 1] - seconds[k]
     span = np.where(before + after > 0, before + after, np.inf)
@@ -145,7 +145,7 @@ def _put_tcb(
     stated: FloatArray,
     slopes: tuple[BoolArray, FloatArray, FloatArray],
 ) -> None:
-    """Put in the slopes of keys by tension, continuity and bias."""
+    """Set the slopes of keys from tension, continuity and bias."""
     tcb, into, right = slopes
     tension, continuity, bias = stated[tcb].T
     low = np.concatenate([[0.0], chords])[tcb]

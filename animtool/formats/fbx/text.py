@@ -1,4 +1,4 @@
-"""FBX as text: names with a colon, values with commas, elements in braces."""
+"""Text FBX parser: ``Name: values { children }``."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _COMMENT = re.compile(rb"\A\s*;\s*FBX\s+(\d)\.(\d)\.(\d)")
 
 
 def looks_like_text(content: bytes) -> bool:
-    """Return whether a file begins as an FBX of text does."""
+    """Return whether bytes begin like a text FBX."""
     head = content[:4096]
     return bool(_COMMENT.match(head)) or b"FBXHeaderExtension" in head
 
 
 def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
-    """Return the version and the root of an FBX of text.
+    """Return the version and root element of a text FBX.
 
     Raises:
         FormatError: It does not parse (FBX001), with the line.
@@ -51,7 +51,7 @@ def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
 
 
 class _Parser:
-    """Elements of a text, in one pass."""
+    """One-pass parser of elements."""
 
     def __init__(self, content: bytes, notes: FileNotices) -> None:
         self.content, self.notes = content, notes
@@ -137,7 +137,7 @@ class _Parser:
         self.stack[-1].children.append(self.current)
 
     def _numbers(self, element: Element, text: bytes, at: int) -> None:
-        """Add numbers with commas between them; the long lists as one array."""
+        """Parse comma-separated numbers; long lists become one array."""
         parts = [part.strip() for part in text.split(b",")]
         try:
             if max(map(len, parts)) <= MAX_DIGITS:
@@ -159,7 +159,7 @@ def _add_numbers(element: Element, text: bytes, parts: list[bytes]) -> None:
 
 
 def _long(root: Element) -> list[Element]:
-    """Return the elements that hold numbers in several pieces."""
+    """Return elements whose numbers come in several pieces."""
     elements, stack = [], [root]
     while stack:
         one = stack.pop()
@@ -170,7 +170,7 @@ def _long(root: Element) -> list[Element]:
 
 
 def _join(element: Element) -> None:
-    """Make one array of numbers alone, and single values of mixed ones."""
+    """Join pieces to one array; mixed values stay single."""
     values = element.values
     numeric = (np.ndarray, int, float)
     if all(isinstance(value, numeric) for value in values):

@@ -1,4 +1,4 @@
-"""Buffers, views and accessors: numbers out of bytes, every length checked first."""
+"""glTF buffers, views and accessors; every length is checked before reading."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ AnyArray = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class BufferView:
-    """A bufferView: a part of a buffer."""
+    """A bufferView: a byte range of a buffer."""
 
     item: JsonItem
     buffer: int
@@ -60,7 +60,7 @@ class BufferView:
 
 @dataclass(frozen=True, slots=True)
 class Sparse:
-    """Elements of an accessor that have values of their own."""
+    """Elements of an accessor that are stored apart from its view."""
 
     count: int
     index_view: int
@@ -72,7 +72,7 @@ class Sparse:
 
 @dataclass(frozen=True, slots=True)
 class Accessor:
-    """How numbers lie in a view."""
+    """Type, count and position of numbers in a view."""
 
     item: JsonItem
     component: int
@@ -85,7 +85,7 @@ class Accessor:
 
     @property
     def width(self) -> int:
-        """Numbers of an element."""
+        """Count of numbers per element."""
         return WIDTHS[self.kind]
 
     @property
@@ -94,13 +94,13 @@ class Accessor:
         return self.item.pointer
 
     def is_of(self, kind: str, *components: int) -> bool:
-        """Return whether it has a type, and one of some component types."""
+        """Return whether it has a type, and one of several component types."""
         return self.kind == kind and self.component in components
 
 
 @dataclass(slots=True)
 class Accessors:
-    """The accessors of a file; bytes are looked at when numbers are asked for."""
+    """The accessors of a file; bytes are read on demand."""
 
     container: Container
     folder: Path
@@ -129,17 +129,17 @@ class Accessors:
             self.entries.append(None if i in self.skipped else self._accessor(item))
 
     def get(self, index: int) -> Accessor:
-        """Return an accessor, which is one that is read."""
+        """Return an accessor that is in use."""
         accessor = self.entries[index]
         assert accessor is not None
         return accessor
 
     def declares(self, name: str) -> bool:
-        """Return whether the file says that it uses an extension."""
+        """Return whether the file lists an extension as used."""
         return name in self.container.root.values.get("extensionsUsed", ())
 
     def has_data(self, index: int) -> bool:
-        """Return whether bytes stand for an accessor, all or some of its elements.
+        """Return whether an accessor has bytes, for all or some elements.
 
         None do for one without a bufferView, nor for one of a buffer that an extension
         or another program fills.
@@ -154,7 +154,7 @@ class Accessors:
         )
 
     def numbers(self, index: int, *, finite: bool = True) -> AnyArray:
-        """Return the numbers of an accessor ``(count, width)`` as the file has them.
+        """Return an accessor's numbers ``(count, width)`` in the stored type.
 
         They may share its memory, and are not to be written to.
 
@@ -173,7 +173,7 @@ class Accessors:
         return values
 
     def floats(self, index: int) -> npt.NDArray[np.float64]:
-        """Return the numbers of an accessor, integers normalised where it says so."""
+        """Return an accessor's numbers as floats, normalised if it says so."""
         accessor = self.get(index)
         values = self.numbers(index).astype(np.float64)
         if accessor.normalized and accessor.component != FLOAT:
@@ -241,7 +241,7 @@ class Accessors:
         return view
 
     def bytes_of(self, index: int) -> memoryview:
-        """Return the bytes of a buffer, which is opened the first time."""
+        """Return the bytes of a buffer, opened on first use."""
         if index not in self._bytes:
             self._bytes[index] = self._opened(index)
         return self._bytes[index]
@@ -277,7 +277,7 @@ class Accessors:
             self.notes.fail("GLT007", buffer.at("uri"), str(error.faults[0].message))
 
     def _resolved(self, uri: str, buffer: JsonItem) -> Path:
-        """Return the file that a URI means, which is in the folder of the glTF."""
+        """Return the path of a URI, inside the folder of the glTF."""
         where = buffer.at("uri")
         try:
             parts = urlsplit(uri)
@@ -301,7 +301,7 @@ class Accessors:
         return path
 
     def _check_buffer(self, index: int, buffer: JsonItem) -> None:
-        """Check what can be seen without opening a file."""
+        """Check a buffer without opening its file."""
         length = buffer.size("byteLength", least=1)
         uri = buffer.text("uri")
         binary = self.container.binary
@@ -391,7 +391,7 @@ class Accessors:
             self.notes.warn("GLT105", where, message)
 
     def _check_inside(self, accessor: Accessor) -> None:
-        """Refuse an accessor that reads beyond its view."""
+        """Raise for an accessor that exceeds its view."""
         kind = COMPONENTS[accessor.component]
         if accessor.view >= 0 and (view := self.views[accessor.view]) is not None:
             # Columns of a matrix of small numbers begin on multiples of 4 bytes.
@@ -455,7 +455,7 @@ class Accessors:
 
 
 def _check_bounds_form(accessor: Accessor) -> None:
-    """Say where min and max are no lists of as many numbers as elements have."""
+    """Warn about min and max that are not lists of the element's width."""
     item = accessor.item
     for key in ("min", "max"):
         if key not in item.values:
@@ -484,7 +484,7 @@ def _strided(
     step: int,
     kind: np.dtype[Any],
 ) -> AnyArray:
-    """Return elements ``(count, width)`` that are so many bytes apart."""
+    """Return elements ``(count, width)`` at a stride in bytes."""
     size = width * kind.itemsize
     if step == size:
         flat = np.frombuffer(content, kind, count * width, start)
@@ -494,7 +494,7 @@ def _strided(
 
 
 def check_finite(values: AnyArray, accessor: Accessor) -> None:
-    """Refuse numbers that are none."""
+    """Raise for numbers that are not finite."""
     flat = values.reshape(-1)
     with np.errstate(over="ignore", invalid="ignore"):
         # A sum of squares that is finite has no part that is not.
@@ -507,7 +507,7 @@ def check_finite(values: AnyArray, accessor: Accessor) -> None:
 
 
 def decode_data(uri: str, item: JsonItem) -> bytes:
-    """Return the bytes of a data URI, whatever media type it says."""
+    """Return the bytes of a data URI of any media type."""
     head, comma, text = uri.partition(",")
     where = item.at("uri")
     if not comma or not _DATA.fullmatch(head):

@@ -1,4 +1,4 @@
-"""Animations of a glTF: samplers, what they move, and their values at any time."""
+"""glTF animations: samplers, targets, and interpolation."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SMALL = (I8, U8, I16, U16)
 
 
 class TargetPath(StrEnum):
-    """What of a node a channel moves."""
+    """Which property of a node a channel animates."""
 
     TRANSLATION = "translation"
     ROTATION = "rotation"
@@ -45,7 +45,7 @@ class TargetPath(StrEnum):
 
 
 class KeyInterpolation(StrEnum):
-    """How the values between keys are found."""
+    """Interpolation between keys."""
 
     LINEAR = "LINEAR"
     STEP = "STEP"
@@ -87,7 +87,7 @@ class GltfTrack:
     outs: FloatArray | None = None
 
     def at(self, times: FloatArray) -> FloatArray:
-        """Return the values at times ``(F, W)``, held outside of the keys.
+        """Return values at times ``(F, W)``, constant outside the keys.
 
         Rotations are unit quaternions.
         """
@@ -100,14 +100,14 @@ class GltfTrack:
         return self.between(low, times)
 
     def between(self, low: IntArray, times: FloatArray) -> FloatArray:
-        """Return the values at times in segments from a key ``low`` to the next."""
+        """Return values at times in segments from a key ``low`` to the next."""
         return between([self], low, times)[:, 0]
 
 
 def between(
     tracks: Sequence[GltfTrack], low: IntArray, times: FloatArray
 ) -> FloatArray:
-    """Return values ``(F, N, W)`` of N tracks at times in segments of their keys.
+    """Return values ``(F, N, W)`` of N tracks within segments of their keys.
 
     tracks: of one path, with the same key times and interpolation.
     low: the key before each time.
@@ -138,7 +138,7 @@ def _hermite(
     fraction: FloatArray,
     length: FloatArray,
 ) -> FloatArray:
-    """Return values of cubic segments, whose slopes are for a second."""
+    """Return values of cubic segments with slopes per second."""
     t = fraction
     t2, t3 = t * t, t * t * t
     return np.asarray(
@@ -150,7 +150,7 @@ def _hermite(
 
 
 def _unit(values: FloatArray, path: TargetPath) -> FloatArray:
-    """Return rotations at unit length; other values as they are."""
+    """Return rotations normalised; other values unchanged."""
     rows = np.asarray(values, np.float64)
     if path is not TargetPath.ROTATION:
         return rows
@@ -164,7 +164,7 @@ def _unit(values: FloatArray, path: TargetPath) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Animation:
-    """A clip."""
+    """An animation: the tracks of a clip."""
 
     name: str | None
     tracks: tuple[GltfTrack, ...]
@@ -173,7 +173,7 @@ class Animation:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Times of the first and the last key [s]; 0 without keys."""
+        """Times of first and last key [s]; 0 without keys."""
         if not self.tracks:
             return 0.0, 0.0
         first = min(float(track.times[0]) for track in self.tracks)
@@ -181,7 +181,7 @@ class Animation:
 
 
 class _Samplers:
-    """The samplers of an animation: keys, each read once."""
+    """Samplers of an animation; each input is read once."""
 
     def __init__(self, item: JsonItem, accessors: Accessors) -> None:
         self.items = item.children("samplers")
@@ -201,7 +201,7 @@ class _Samplers:
         return ends[0], ends[1]
 
     def interpolation(self, index: int) -> KeyInterpolation:
-        """Return how a sampler goes from key to key."""
+        """Return the interpolation of a sampler."""
         item = self.items[index]
         word = item.text("interpolation") or "LINEAR"
         try:
@@ -210,7 +210,7 @@ class _Samplers:
             item.fail("interpolation", f"unknown interpolation {excerpt(word)}")
 
     def times(self, index: int) -> FloatArray:
-        """Return the times of a sampler's keys, finite."""
+        """Return the key times of a sampler, checked to be finite."""
         item, accessor = self.items[index], self.ends[index][0]
         entry = self.accessors.entries[accessor]
         if entry is None or not entry.is_of("SCALAR", FLOAT):
@@ -230,7 +230,7 @@ def read_animations(
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
 ) -> tuple[Animation, ...]:
-    """Return the animations, their keys checked."""
+    """Return the animations of a file, with checked keys."""
     return tuple(
         _animation(item, accessors, nodes, meshes)
         for item in root.children("animations")
@@ -293,7 +293,7 @@ def _target(
     meshes: Sequence[MeshEntry],
     left_out: dict[str, None],
 ) -> _Target | None:
-    """Return what a channel moves; None of what is left out."""
+    """Return the target of a channel; None if it is not read."""
     target = channel.required("target")
     path = target.text("path")
     if path is None:
@@ -346,7 +346,7 @@ def _pointed(
     meshes: Sequence[MeshEntry],
     left_out: dict[str, None],
 ) -> _Target | None:
-    """Return what a channel of `KHR_animation_pointer` moves."""
+    """Return the target of a `KHR_animation_pointer` channel."""
     extension = target.extension(POINTER)
     text = None if extension is None else extension.text("pointer")
     if text is None:
@@ -385,7 +385,7 @@ def _track(
     index: int,
     cache: dict[int, tuple[FloatArray, bool]],
 ) -> GltfTrack:
-    """Return the keys of a channel, checked and put right.
+    """Return the keys of a channel, checked and repaired.
 
     cache: times by accessor, and whether they ascend.
     """
@@ -468,7 +468,7 @@ def _values(channel: JsonItem, target: _Target, samplers: _Samplers, index: int)
 def _sorted(
     times: FloatArray, table: Any, item: JsonItem, *, has_times: bool
 ) -> tuple[FloatArray, Any]:
-    """Return keys in the order of time; of equal ones the first.
+    """Return keys sorted by time; of equal times the first.
 
     has_times: whether the file holds the times, which are all 0 else.
     """
@@ -492,7 +492,7 @@ def _sorted(
 
 
 def _check_unit(keys: Any, channel: JsonItem, samplers: _Samplers, index: int) -> None:
-    """Say where keys are no unit quaternions; refuse those without a length."""
+    """Warn about quaternions off unit length; raise for zero length."""
     accessor = samplers.ends[index][1]
     entry = samplers.accessors.get(accessor)
     tolerance = COARSE_UNIT.get(entry.component, UNIT)

@@ -1,4 +1,4 @@
-"""How meshes of a file are bound: one bind pose of the joints for all of its skins.
+"""One bind pose of the joints that fits all skins of a file.
 
 A file has an inverse bind matrix for each joint of each skin; a rig has one bind pose,
 and for each mesh a transform of its points. With ``B`` the matrix that a joint of a
@@ -33,7 +33,7 @@ BIND = 3e-7
 
 
 class Binder:
-    """Collects the bind transforms of joints as skins need them."""
+    """Collects joint bind transforms from skins."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class Binder:
         scales: FloatArray,
         worlds: Sequence[FloatArray] = (),
     ) -> None:
-        """Take a rig without meshes; what the rest is of `GltfRig`.
+        """Take a rig without meshes, and the other fields of `GltfRig`.
 
         worlds: of each skin, where its mesh was when it was bound ``(4, 4)``.
         """
@@ -57,7 +57,7 @@ class Binder:
         self._skins: dict[int, tuple[FloatArray, list[int]]] = {}
 
     def skin(self, index: int) -> tuple[FloatArray, list[int]]:
-        """Return the transform of the points of a skin, and joints for its own."""
+        """Return the point transform of a skin, and joint indices for its joints."""
         if index not in self._skins:
             skin = self.file.skins[index]
             nodes = np.array(skin.joints)
@@ -70,7 +70,7 @@ class Binder:
         return self._skins[index]
 
     def node(self, node: int) -> tuple[FloatArray, int]:
-        """Return the transform of the points of a mesh that a node carries."""
+        """Return the point transform of a mesh attached to a node."""
         folded = np.eye(4)
         folded[:3] *= self.folded[node]
         geometry, joints = self._bound(folded[None], [int(self.joints[node])], "")
@@ -83,7 +83,7 @@ class Binder:
         where: str,
         start: FloatArray | None = None,
     ) -> tuple[FloatArray, list[int]]:
-        """Return ``geom_bind`` of a skin, and its joints with binds that agree."""
+        """Return ``geom_bind`` of a skin, and joints whose binds agree."""
         sizes = np.abs(matrices[:, :3, :3]).max(axis=(1, 2), initial=1e-300)
         flat = np.abs(np.linalg.det(matrices[:, :3, :3] / sizes[:, None, None])) < 1e-12
         if flat.any():
@@ -105,7 +105,7 @@ class Binder:
         binds = geometry @ back
         shared = [k for k, joint in enumerate(joints) if joint in self._bind]
         if shared:
-            # Brought where the skin before it has the first joint that both have.
+            # Aligned with the previous skin at the first joint that both have.
             first = shared[0]
             step = self._bind[joints[first]] @ np.linalg.inv(binds[first])
             geometry, binds = step @ geometry, step @ binds
@@ -121,7 +121,7 @@ class Binder:
         return geometry, bound
 
     def _geometry(self, back: FloatArray) -> FloatArray:
-        """Return what makes the bind transforms of a skin rigid, if one thing does."""
+        """Return the transform that makes a skin's binds rigid, if one does."""
         linear = back[:, :3, :3]
         squares = linear @ linear.swapaxes(1, 2)
         size = float(np.abs(squares).max())
@@ -134,17 +134,17 @@ class Binder:
         return geometry
 
     def nodes(self, nodes: IntArray) -> IntArray:
-        """Return the node of each joint, -1 of those that only carry meshes."""
+        """Return the node of each joint, -1 for helper joints that carry meshes."""
         return np.concatenate([nodes, np.full(len(self._helpers), -1, np.int64)])
 
     def names(self) -> list[str]:
-        """Return the names of the joints, those that only carry meshes last."""
+        """Return joint names, helper joints last."""
         names = self._rig.names
         carriers = [f"{names[carrier]}_bind" for carrier, _ in self._helpers]
         return distinct([*names, *carriers])
 
     def rig(self, meshes: tuple[Mesh, ...], shapes: tuple[Shape, ...]) -> Rig:
-        """Return the rig with its bind pose, meshes and shapes."""
+        """Return the rig with bind pose, meshes and shapes."""
         rig, names = self._rig, self.names()
         joints = list(rig.joints)
         for name, (carrier, _) in zip(names[len(joints) :], self._helpers, strict=True):
@@ -159,7 +159,7 @@ class Binder:
 
 
 def _poses(rig: Rig, known: dict[int, FloatArray]) -> dict[str, Pose]:
-    """Return the bind poses that are not those of rest, of world transforms."""
+    """Return bind poses that differ from rest, from world transforms."""
     if not known:
         return {}
     count, parents = len(rig.joints), rig.parents

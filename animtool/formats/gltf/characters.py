@@ -1,4 +1,4 @@
-"""Which nodes of a file are a character: of a file with several, each skeleton."""
+"""Characters of a file: each skeleton, where a file has several."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ MAX_NAMED = 8
 
 
 class NodeTree(Protocol):
-    """A file of nodes and skins."""
+    """A file with nodes and skins."""
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """Path of the file."""
 
     @property
     def nodes(self) -> tuple[Node, ...]:
-        """In the order of the file."""
+        """Nodes in file order."""
 
     @property
     def skins(self) -> tuple[SkinEntry, ...]:
-        """Likewise."""
+        """Skins in file order."""
 
     @property
     def scenes(self) -> list[list[int]]:
@@ -38,19 +38,19 @@ class NodeTree(Protocol):
 
     @property
     def default_scene(self) -> int:
-        """The one that is shown; -1 where there is none."""
+        """Index of the default scene; -1 if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
 class CharacterNodes:
-    """A skeleton, or whatever else moves, of a file."""
+    """The nodes of a skeleton, or of everything else that moves."""
 
     path: str  # such as ``/hero``; ``/`` is the whole file
     nodes: tuple[int, ...]  # all below its roots, parents first
 
 
 def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
-    """Return the characters of a file: the whole of it, unless several are skinned.
+    """Return the characters of a file: one for the file, or one per skeleton.
 
     Trees of nodes belong together where a skin names joints of one for a mesh of
     another.
@@ -92,7 +92,7 @@ def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
 
 
 def _paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
-    """Return distinct paths of characters, after the roots of their joints."""
+    """Return distinct paths of characters, from the names of their root joints."""
     from animtool.core.similar import distinct
 
     names = []
@@ -111,7 +111,7 @@ def chosen(
     unknown: str = "GLT014",
     several: str = "GLT109",
 ) -> tuple[CharacterNodes, list[Fault]]:
-    """Return the character to read, and a note of the others.
+    """Return the character to read, and a note about the others.
 
     Args:
         file: The file.

@@ -1,4 +1,4 @@
-"""Keys of clips as glTF has them, and keys of glTF as a clip."""
+"""Keys of clips converted to glTF samplers, and the reverse."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _ADDED = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keys:
-    """Keys of a property, as a sampler has them."""
+    """Keys of a property as a sampler stores them."""
 
     times: FloatArray  # ``(K,)`` [s]
     values: FloatArray  # ``(K, W)``
@@ -45,7 +45,7 @@ class Keys:
     outs: FloatArray | None = None  # slopes out of them
 
     def rows(self, *, scalars: bool = False) -> FloatArray:
-        """Return the numbers as an accessor has them, for weights a scalar each."""
+        """Return accessor rows; weights are one scalar per row."""
         values = self.values
         if self.ins is not None and self.outs is not None:
             values = np.stack([self.ins, self.values, self.outs], axis=1)
@@ -57,7 +57,7 @@ class Keys:
 def keys_of_clip(
     clip: Clip, take: Take, start: Fraction
 ) -> dict[tuple[int, str], Keys]:
-    """Return the keys of a clip that glTF can hold, by joint or shape, and path.
+    """Return clip keys that glTF can store, by row and path.
 
     Args:
         clip: Its channels.
@@ -95,7 +95,7 @@ _NATIVE = {
 
 
 def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Keys]:
-    """Return the keys of a glTF that was read, as it has them.
+    """Return the unchanged keys of a glTF source.
 
     Rotations have unit length, but for those of cubic splines, which would be others.
 
@@ -126,7 +126,7 @@ def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Ke
 
 
 def _gltf_keys(channel: ClipChannel, clip: Clip, start: Fraction) -> Keys | None:
-    """Return the keys of a channel; None where glTF has no such curve."""
+    """Return the keys of a channel; None if glTF has no such curve."""
     holds = {Extrapolation.HOLD}
     if {channel.pre, channel.post} - holds or channel.euler or not len(channel.times):
         return None
@@ -145,7 +145,7 @@ def _gltf_keys(channel: ClipChannel, clip: Clip, start: Fraction) -> Keys | None
 
 
 def _cubic(channel: ClipChannel, seconds: FloatArray) -> Keys | None:
-    """Return Bézier keys whose handles are at thirds as cubic splines."""
+    """Return Bézier keys with handles at thirds as cubic splines."""
     lengths = np.diff(channel.times)
     outs, ins = channel.outs[:-1], channel.ins[1:]
     free = all(

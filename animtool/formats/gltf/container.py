@@ -1,4 +1,4 @@
-"""The JSON and the binary chunk of a .gltf or .glb file."""
+"""JSON and binary chunk of a .gltf or .glb file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_JSON_BYTES = 200_000_000
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What a file holds: its JSON, and the chunk that buffer 0 of a GLB is."""
+    """The JSON of a file, and the binary chunk of a GLB."""
 
     root: JsonItem
     binary: memoryview | None  # None of a .gltf, and of a GLB without it
@@ -32,7 +32,7 @@ class Container:
 
 
 def read_container(path: Path, notes: FileNotices) -> Container:
-    """Return what a file holds; its first bytes say which of the two it is.
+    """Read a .gltf or .glb; the first bytes tell which it is.
 
     Raises:
         FormatError: It cannot be read (IO001), is no JSON (GLT001), or its chunks are
@@ -60,7 +60,7 @@ def _fail(notes: FileNotices, where: int, message: str) -> NoReturn:
 
 
 def _check_header(content: memoryview, notes: FileNotices) -> int:
-    """Return the length that the header of a GLB states, which the file has."""
+    """Return the length in the header of a GLB, checked against the file."""
     if len(content) < HEADER:
         message = f"the file has {len(content)} bytes; a GLB has at least 12"
         _fail(notes, len(content), message)
@@ -85,7 +85,7 @@ def _check_header(content: memoryview, notes: FileNotices) -> int:
 def _chunks(
     content: memoryview, notes: FileNotices
 ) -> tuple[memoryview, memoryview | None]:
-    """Return the JSON chunk and the binary chunk of a GLB."""
+    """Return JSON and binary chunk of a GLB."""
     length = _check_header(content, notes)
     chunks: dict[int, memoryview] = {}
     at = HEADER
@@ -115,7 +115,7 @@ def _chunks(
 
 
 def _parsed(text: bytes, notes: FileNotices) -> JsonItem:
-    """Return the JSON, which must be an object."""
+    """Return the parsed JSON, which must be an object."""
     if len(text) > MAX_JSON_BYTES:
         notes.fail(
             "GLT013",

@@ -1,4 +1,4 @@
-"""A glTF in memory: everything that moves, checked."""
+"""A glTF in memory: nodes, meshes, skins and animations, checked."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _NOT_READ = ("materials", "textures", "images", "samplers", "cameras")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gltf:
-    """A file.
+    """The contents of a file.
 
     Attributes:
         path: The file.
@@ -90,7 +90,7 @@ class Gltf:
 
 
 def open_gltf(path: Path | str) -> Gltf:
-    """Return a .gltf or .glb file, every number of what moves checked.
+    """Open a .gltf or .glb; every number that affects motion is checked.
 
     Raises:
         FormatError: It cannot be read safely, or has two meanings (GLT001 to GLT013),
@@ -155,7 +155,7 @@ def _check_asset(root: JsonItem, notes: FileNotices) -> None:
 
 
 def _check_extensions(container: Container, notes: FileNotices, path: Path) -> None:
-    """Refuse a required extension that matters to motion and is not read."""
+    """Raise for required extensions that affect motion and are not read."""
     root = container.root
     used = root.list_of("extensionsUsed")
     for key, names in (
@@ -187,7 +187,7 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
 
 
 def _check_lists(root: JsonItem, used: list[Any], notes: FileNotices) -> None:
-    """Say where the lists of extensions do not go together."""
+    """Warn about contradicting lists of extensions."""
     required = root.list_of("extensionsRequired")
     for i, name in enumerate(used):
         where = f"{root.at('extensionsUsed')}/{i}"
@@ -203,7 +203,7 @@ def _check_lists(root: JsonItem, used: list[Any], notes: FileNotices) -> None:
 
 
 def _left_out(container: Container) -> tuple[str, ...]:
-    """Return what a file has that is not read: parts, and extensions that matter."""
+    """Return labels of contents and extensions that are not read."""
     root = container.root
     labels = [key for key in _NOT_READ if root.values.get(key)]
     names = _extensions(root) if container.extended else {}
@@ -218,7 +218,7 @@ def _left_out(container: Container) -> tuple[str, ...]:
 
 
 def _extensions(root: JsonItem) -> dict[str, str]:
-    """Return the extensions that objects of a file have, and where each is first."""
+    """Return used extensions, each with the pointer to its first use."""
     pointers: dict[str, str] = {}
     stack: list[tuple[Any, str]] = [(root.values, "")]
     while stack:
@@ -250,7 +250,7 @@ def _check_weights(
 
 
 def _check_skins(gltf: Gltf) -> None:
-    """Check what skins and meshes say of each other."""
+    """Check that skins and meshes fit each other."""
     done: set[tuple[int, int]] = set()
     for node in gltf.nodes:
         if node.mesh < 0 or (node.mesh, node.skin) in done:
@@ -274,7 +274,7 @@ def _check_skins(gltf: Gltf) -> None:
 
 
 def _check_scenes(gltf: Gltf, tree: list[int]) -> None:
-    """Say where a scene shows a skinned mesh without its joints.
+    """Warn about scenes with a skinned mesh but without its joints.
 
     tree: the root of each node.
     """
@@ -289,7 +289,7 @@ def _check_scenes(gltf: Gltf, tree: list[int]) -> None:
 
 
 def _require(accessors: Accessors, primitive: Primitive) -> None:
-    """Read what a mesh that is used is made of; it must be there."""
+    """Read the accessors of a mesh in use; raise if data is missing."""
     parts = [primitive.position, primitive.indices, *primitive.joints]
     parts += [*primitive.weights, *(target.position for target in primitive.targets)]
     for index in parts:
@@ -304,5 +304,5 @@ def _is_above(gltf: Gltf, upper: int, lower: int) -> bool:
 
 
 def left_out_text(gltf: Gltf) -> str:
-    """Return what the file has that is not read, in words; empty for nothing."""
+    """Return contents that are not read as text; empty for nothing."""
     return listed(gltf.left_out)

@@ -1,4 +1,4 @@
-"""Values of a glTF's JSON, each with its JSON pointer for messages."""
+"""Typed access to a glTF's JSON, with JSON pointers for messages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LARGEST = 3.4028234663852886e38
 
 
 def escaped(key: str) -> str:
-    """Return a key as a JSON pointer has it.
+    """Return a key escaped for a JSON pointer.
 
     >>> escaped("a/b~c")
     'a~1b~0c'
@@ -24,20 +24,20 @@ def escaped(key: str) -> str:
 
 
 def by_animtool(item: JsonItem) -> dict[str, Any]:
-    """Return what animtool wrote beside an object; empty for nothing."""
+    """Return animtool's entry in an object's extras; empty if none."""
     extras = item.values.get("extras")
     entry = extras.get("animtool") if isinstance(extras, dict) else None
     return entry if isinstance(entry, dict) else {}
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a JSON value is a number; true and false are none."""
+    """Return whether a JSON value is a number; booleans are not."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True, slots=True)
 class JsonItem:
-    """An object of the JSON, and where it is."""
+    """An object of the JSON with its pointer."""
 
     values: dict[str, Any]
     pointer: str  # empty of the file as a whole
@@ -48,16 +48,16 @@ class JsonItem:
         return f"{self.pointer}/{escaped(key)}"
 
     def fail(self, key: str, message: str, code: str = "GLT005") -> NoReturn:
-        """Refuse a property."""
+        """Raise a `FormatError` about a property."""
         self.notes.fail(code, self.at(key), message)
 
     def missing(self, key: str) -> NoReturn:
-        """Refuse the object, which lacks a property."""
+        """Raise a `FormatError` about a missing property."""
         message = f"the required property {key!r} is missing"
         self.notes.fail("GLT005", self.pointer or "/", message)
 
     def number(self, key: str) -> int | None:
-        """Return an integer; 1.0 is one. None where it is missing."""
+        """Return an integer, also if written 1.0; None if missing."""
         if key not in self.values:
             return None
         value = self.values[key]
@@ -66,7 +66,7 @@ class JsonItem:
         return self.fail(key, f"{key} must be an integer, not {excerpt(repr(value))}")
 
     def size(self, key: str, default: int | None = None, least: int = 0) -> int:
-        """Return a count, an offset or a length, not below the least."""
+        """Return a count, offset or length, checked against a minimum."""
         value = self.number(key)
         if value is None:
             if default is None:
@@ -77,7 +77,7 @@ class JsonItem:
         return value
 
     def index(self, key: str, count: int, what: str) -> int:
-        """Return an index of a list of the file; -1 where it is missing."""
+        """Return an index into a list of the file; -1 if missing."""
         value = self.number(key)
         if value is None:
             return -1
@@ -85,7 +85,7 @@ class JsonItem:
         return value
 
     def check_index(self, key: str, value: int, count: int, what: str) -> None:
-        """Refuse an index to nothing."""
+        """Raise for an index out of range."""
         if not 0 <= value < count:
             there = f"0 to {count - 1}" if count else "none"
             self.fail(
@@ -93,7 +93,7 @@ class JsonItem:
             )
 
     def indices(self, key: str, count: int, what: str) -> list[int]:
-        """Return a list of indices; empty where it is missing."""
+        """Return a list of indices; empty if missing."""
         entries = self.list_of(key)
         for i, value in enumerate(entries):
             is_integer = (
@@ -109,7 +109,7 @@ class JsonItem:
         return [int(value) for value in entries]
 
     def floats(self, key: str, size: int | None) -> list[float] | None:
-        """Return a list of numbers of a size; None where it is missing."""
+        """Return a list of numbers of a length; None if missing."""
         if key not in self.values:
             return None
         entries = self.list_of(key)
@@ -124,7 +124,7 @@ class JsonItem:
         return [float(value) for value in entries]
 
     def text(self, key: str) -> str | None:
-        """Return a text; None where it is missing."""
+        """Return a string; None if missing."""
         value = self.values.get(key)
         if value is None and key == "name" and key in self.values:
             self.notes.warn("GLT106", self.at(key), "a name of null is ignored")
@@ -133,14 +133,14 @@ class JsonItem:
         return value
 
     def flag(self, key: str) -> bool:
-        """Return a truth value; false where it is missing."""
+        """Return a boolean; False if missing."""
         value = self.values.get(key, False)
         if not isinstance(value, bool):
             self.fail(key, f"{key} must be true or false, not {excerpt(repr(value))}")
         return value
 
     def list_of(self, key: str) -> list[Any]:
-        """Return a list; empty where it is missing. An empty one is warned about."""
+        """Return a list; empty if missing. Warn about an empty one."""
         if key not in self.values:
             return []
         value = self.values[key]
@@ -151,7 +151,7 @@ class JsonItem:
         return value
 
     def child(self, key: str) -> JsonItem | None:
-        """Return an object below; None where it is missing."""
+        """Return a child object; None if missing."""
         if key not in self.values:
             return None
         value = self.values[key]
@@ -160,11 +160,11 @@ class JsonItem:
         return JsonItem(value, self.at(key), self.notes)
 
     def required(self, key: str) -> JsonItem:
-        """Return an object below, which must be there."""
+        """Return a child object; raise if missing."""
         return self.child(key) or self.missing(key)
 
     def children(self, key: str) -> list[JsonItem]:
-        """Return a list of objects; empty where it is missing."""
+        """Return a list of objects; empty if missing."""
         return list(self._children(key))
 
     def _children(self, key: str) -> Iterator[JsonItem]:
@@ -176,7 +176,7 @@ class JsonItem:
             yield JsonItem(value, f"{pointer}/{i}", self.notes)
 
     def extension(self, name: str) -> JsonItem | None:
-        """Return an extension of the object; None where it has none of that name."""
+        """Return an extension of the object; None if it has none of the name."""
         extensions = self.values.get("extensions")
         extension = extensions.get(name) if isinstance(extensions, dict) else None
         if not isinstance(extension, dict):

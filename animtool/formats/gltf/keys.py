@@ -1,4 +1,4 @@
-"""A clip of a glTF as a clip of animtool, with the keys of the file."""
+"""A glTF animation as a clip, with the file's keys."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MAX_HALVINGS = 10
 def clip_of_gltf(
     name: str, gltf_rig: GltfRig, moving: GltfSampler, frames: GltfFrames
 ) -> tuple[Clip, list[Fault]]:
-    """Return a clip with the keys of a glTF's, and what of it is not so.
+    """Return a clip with a glTF animation's keys, and notices.
 
     Args:
         name: What the clip is called.
@@ -68,7 +68,7 @@ def clip_of_gltf(
 
 
 def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
-    """Return what a rig without keys has."""
+    """Return the values of a rig's channels without keys."""
     rig = gltf_rig.rig
     if path is TargetPath.TRANSLATION:
         return rig.rest_translations
@@ -124,7 +124,7 @@ def _static_channel(
 def _channel(
     target: str, one: MovingRow, path: TargetPath, frames: GltfFrames
 ) -> tuple[ClipChannel, int]:
-    """Return the keys of a track, and how many are none of the file."""
+    """Return the keys of a track, and the count of keys not in the file."""
     track = one.track
     times = key_frames(track.times, frames)
     values = track.values.astype(np.float64) * one.factor
@@ -145,7 +145,7 @@ def _channel(
 
 
 def key_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
-    """Return key times [frames]; those that float32 cannot tell from a frame are it."""
+    """Return key times [frames], snapped to a frame within float32 rounding."""
     exact = seconds * float(frames.fps)
     rounded = np.round(exact)
     near = np.abs(rounded - exact) <= NEAR * np.abs(exact)
@@ -153,7 +153,7 @@ def key_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
 
 
 def _arcs(target: str, track: GltfTrack, frames: GltfFrames) -> tuple[ClipChannel, int]:
-    """Return arcs that follow a cubic rotation, the keys of the file among theirs."""
+    """Return slerp keys that approximate a cubic rotation, file keys included."""
     times = [track.times]
     a, b = track.times[:-1], track.times[1:]
     for _ in range(MAX_HALVINGS):

@@ -1,4 +1,4 @@
-"""Meshes, morph targets and skins of a glTF, checked."""
+"""glTF meshes, morph targets and skins, checked."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BOUNDS = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class MorphTarget:
-    """A morph target: accessors of what it adds; -1 for nothing."""
+    """A morph target: accessor indices of its offsets; -1 for none."""
 
     position: int
     normal: int
@@ -34,7 +34,7 @@ class MorphTarget:
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """A part of a mesh: accessors of its vertices."""
+    """A part of a mesh: accessor indices of its vertices."""
 
     position: int  # -1: it has no points
     normal: int
@@ -47,7 +47,7 @@ class Primitive:
 
     @property
     def vertices(self) -> tuple[Any, ...]:
-        """What the vertices are made of: primitives that share it share them."""
+        """Accessors that identify the vertices; equal for sharing primitives."""
         return self.position, self.normal, self.joints, self.weights, self.targets
 
 
@@ -64,7 +64,7 @@ class MeshEntry:
 
     @property
     def targets(self) -> int:
-        """Number of morph targets."""
+        """Count of morph targets."""
         return max((len(part.targets) for part in self.primitives), default=0)
 
 
@@ -80,7 +80,7 @@ class SkinEntry:
 
 
 def read_meshes(root: JsonItem, accessors: Accessors) -> tuple[MeshEntry, ...]:
-    """Return the meshes, their numbers checked."""
+    """Return the meshes of a file, with checked numbers."""
     return tuple(_mesh(item, accessors) for item in root.children("meshes"))
 
 
@@ -183,7 +183,7 @@ def _primitive(item: JsonItem, accessors: Accessors) -> Primitive:
 
 
 def _check_target(target: JsonItem) -> None:
-    """Say what of a morph target is not read."""
+    """Warn about attributes of a morph target that are not read."""
     if not target.values:
         message = "a morph target without attributes moves nothing"
         target.notes.warn("GLT106", target.pointer, message)
@@ -201,7 +201,7 @@ def _typed(
     kind: str,
     components: tuple[int, ...],
 ) -> Accessor:
-    """Return an accessor of a type that an attribute takes, its numbers read."""
+    """Return an accessor of a type allowed for an attribute."""
     accessor = accessors.entries[index]
     if accessor is None or not accessor.is_of(kind, *components):
         text = "of an unknown type"
@@ -220,7 +220,7 @@ def _typed(
 def _check_vertices(
     attributes: JsonItem, indices: dict[str, int], accessors: Accessors
 ) -> int:
-    """Check types and counts of what vertices have; return how many there are."""
+    """Check types and counts of vertex attributes; return the vertex count."""
     many = -1
     for name, index in indices.items():
         kind = "VEC4"
@@ -248,7 +248,7 @@ def _check_vertices(
 
 
 def _check_packing(attributes: JsonItem, name: str, accessor: Accessor) -> None:
-    """Say where weights are integers that are not said to be fractions."""
+    """Warn about integer weights that are not normalised."""
     if not name.startswith("WEIGHTS_") or accessor.component == FLOAT:
         return
     if not accessor.normalized:
@@ -268,7 +268,7 @@ def _check_indices(item: JsonItem, index: int, many: int, accessors: Accessors) 
 
 
 def check_bounds(item: JsonItem, values: Any, *, missing: str = "") -> None:
-    """Say where min and max are not those of the data, which count.
+    """Warn about min and max that differ from the data.
 
     missing: what needs them, where something does.
     """
@@ -297,7 +297,7 @@ def check_bounds(item: JsonItem, values: Any, *, missing: str = "") -> None:
 def read_skins(
     root: JsonItem, accessors: Accessors, nodes: int
 ) -> tuple[SkinEntry, ...]:
-    """Return the skins, their matrices checked."""
+    """Return the skins of a file, with checked matrices."""
     return tuple(_skin(item, accessors, nodes) for item in root.children("skins"))
 
 
@@ -347,7 +347,7 @@ def _skin(item: JsonItem, accessors: Accessors, nodes: int) -> SkinEntry:
 def skin_weights(
     primitive: Primitive, joints: int, accessors: Accessors, notes: FileNotices
 ) -> tuple[IntArray, FloatArray]:
-    """Return joints and weights of the vertices ``(V, I)``, the weights of sum 1.
+    """Return joints and weights of vertices ``(V, I)``; weights sum to 1.
 
     joints: number of joints of the skin.
     """
@@ -388,7 +388,7 @@ def skin_weights(
 def _check_distinct(
     primitive: Primitive, indices: IntArray, weights: FloatArray, notes: FileNotices
 ) -> None:
-    """Say where a joint has two weights of one vertex, which are added."""
+    """Warn about joints with two weights on a vertex, which are added."""
     # Those of no weight are told apart by numbers that no joint has.
     idle = -1 - np.arange(indices.shape[1])
     order = np.sort(np.where(weights > 0, indices, idle), axis=1)
@@ -400,7 +400,7 @@ def _check_distinct(
 
 
 def triangles(primitive: Primitive, many: int, accessors: Accessors) -> IntArray:
-    """Return the faces of a primitive ``(N, 3)``; none of points and lines."""
+    """Return a primitive's faces ``(N, 3)``; no faces for points and lines."""
     if primitive.mode not in {TRIANGLES, STRIP, FAN}:
         return np.zeros((0, 3), np.int64)
     run = np.arange(many)

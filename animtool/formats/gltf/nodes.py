@@ -1,4 +1,4 @@
-"""The nodes of a glTF: their tree, and their transforms without animation."""
+"""glTF nodes: the tree and rest transforms."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Node:
 def read_nodes(
     root: JsonItem, notes: FileNotices, meshes: int, skins: int
 ) -> tuple[Node, ...]:
-    """Return the nodes, in the order of the file.
+    """Return the nodes in file order.
 
     Raises:
         FormatError: There is a loop, or a node with two parents (GLT009).
@@ -182,7 +182,7 @@ def _split(
     tuple[float, float, float, float],
     tuple[float, float, float],
 ]:
-    """Return translation, rotation and scale of a matrix, shear left out."""
+    """Return translation, rotation and scale of a matrix; shear is dropped."""
     matrix = columns.reshape(4, 4).T
     where = item.at("matrix")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR:
@@ -207,7 +207,7 @@ def _split(
 def read_scenes(
     root: JsonItem, notes: FileNotices, nodes: tuple[Node, ...]
 ) -> tuple[list[list[int]], int]:
-    """Return the root nodes of each scene, and the scene that is shown; -1 for none."""
+    """Return the root nodes of each scene, and the default scene or -1."""
     scenes = []
     for item in root.children("scenes"):
         listed = item.indices("nodes", len(nodes), "node")
@@ -224,7 +224,7 @@ def read_scenes(
 
 
 def roots(nodes: tuple[Node, ...]) -> list[int]:
-    """Return the root above each node; that of a root is itself."""
+    """Return the root node above each node; a root maps to itself."""
     tree = list(range(len(nodes)))
     for node in parents_first(nodes):
         parent = nodes[node].parent
@@ -233,7 +233,7 @@ def roots(nodes: tuple[Node, ...]) -> list[int]:
 
 
 def parents_first(nodes: tuple[Node, ...]) -> list[int]:
-    """Return the indices of all nodes, each after its parent, in outline order."""
+    """Return all node indices depth-first, parents before children."""
     order: list[int] = []
     stack = [i for i in range(len(nodes) - 1, -1, -1) if nodes[i].parent < 0]
     while stack:

@@ -1,4 +1,4 @@
-"""A .gltf, .glb or .vrm file as a rig, and its clips as streams of motion."""
+"""glTF reader: rigs, and animations as streams of motion."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def read_gltf(
     prim_path: str | None = None,
     take: str | None = None,
 ) -> TakeStream:
-    """Open a clip of a glTF on the character that it moves, meshes included.
+    """Open an animation of a glTF on the character it moves, meshes included.
 
     Time 0 is frame 0. Outside of its keys a track holds its first or last value.
 
@@ -88,7 +88,7 @@ def read_gltf(
 
 
 def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
-    """Return the rig of a glTF with its meshes and shapes.
+    """Return the rig of a glTF with meshes and shapes.
 
     Its notices say what a rig has no place for.
 
@@ -108,7 +108,7 @@ def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
 
 
 def take_names(path: Path) -> list[str]:
-    """Return the names of the clips of a glTF, in its order.
+    """Return the names of a glTF's animations, in file order.
 
     Raises:
         FormatError: As `read_gltf` does.
@@ -124,7 +124,7 @@ def _keyed(
     frames: GltfFrames,
     last: float,
 ) -> MotionCurve:
-    """Return the motion of a stream at any time, with the keys that it is of.
+    """Attach the clip with the file's keys to a stream.
 
     last: when the last of them is [s].
     """
@@ -139,7 +139,7 @@ def _keyed(
 
 
 def _clip(gltf: Gltf, gltf_rig: GltfRig, take: str | None) -> tuple[int, list[Fault]]:
-    """Return which clip is read, -1 for none, and a note of the others."""
+    """Return the index of the animation to read, -1 for none, and a note."""
     path, names = str(gltf.path), distinct_clip_names(gltf.animations)
     if take is not None:
         if take in names:
@@ -160,7 +160,7 @@ def _clip(gltf: Gltf, gltf_rig: GltfRig, take: str | None) -> tuple[int, list[Fa
 
 
 def _left_out(gltf: Gltf, animation: Animation | None) -> list[Fault]:
-    """Say once what of the file no take holds."""
+    """Return one notice about file contents that takes cannot hold."""
     names = [left_out_text(gltf)] if gltf.left_out else []
     tracks = () if animation is None else animation.tracks
     if any(track.path is TargetPath.VISIBLE for track in tracks):

@@ -1,4 +1,4 @@
-"""A character of a glTF as a rig: joints, bind pose, meshes and shapes."""
+"""A glTF character as a rig: joints, bind pose, meshes and shapes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _CONTROL = re.compile(f"[{CONTROL}]")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfRig:
-    """A rig, and what of the file its joints and shapes are.
+    """A rig with the nodes its joints and shapes come from.
 
     Attributes:
         rig: J joints.
@@ -133,7 +133,7 @@ def shape_keys(
 
 
 def _only_a_skin(gltf: Gltf, node: int) -> bool:
-    """Return whether a node is that of a skinned mesh, and nothing else."""
+    """Return whether a node only carries a skinned mesh."""
     entry = gltf.nodes[node]
     if entry.skin < 0 or entry.children or entry.mesh < 0:
         return False
@@ -143,7 +143,7 @@ def _only_a_skin(gltf: Gltf, node: int) -> bool:
 
 
 def _only_above(gltf: Gltf, node: int) -> bool:
-    """Return whether animtool put a node above the roots of a rig, and it stays so."""
+    """Return whether a node is animtool's identity node above several roots."""
     entry = gltf.nodes[node]
     if not entry.above or entry.parent >= 0:
         return False
@@ -156,7 +156,7 @@ def _only_above(gltf: Gltf, node: int) -> bool:
 
 
 def folded_nodes(gltf: Gltf) -> BoolArray:
-    """Return which nodes have an even scale that never moves ``(N,)``."""
+    """Return which nodes have a uniform static scale ``(N,)``."""
     scales = np.array([node.scale for node in gltf.nodes]).reshape(-1, 3)
     low, high = scales.min(axis=1), scales.max(axis=1)
     even = (low > 0) & (high - low <= SAME_SCALE * np.abs(high))
@@ -172,7 +172,7 @@ def folded_nodes(gltf: Gltf) -> BoolArray:
 
 
 def _folded(gltf: Gltf, character: CharacterNodes) -> FloatArray:
-    """Return the product of even scales from the root to each node ``(N,)``."""
+    """Return the product of uniform scales from the root to each node ``(N,)``."""
     even = folded_nodes(gltf)
     folded = np.ones(len(gltf.nodes))
     for node in character.nodes:
@@ -185,7 +185,7 @@ def _folded(gltf: Gltf, character: CharacterNodes) -> FloatArray:
 def joint_names(
     nodes: list[Node], numbers: list[int]
 ) -> tuple[list[str], list[tuple[str, str]]]:
-    """Return distinct names, and those that are not as in the file, with what is.
+    """Return distinct joint names, and those that differ from the file's.
 
     Characters that no file of text holds are replaced.
     """
@@ -211,7 +211,7 @@ def _name_notice(renamed: list[tuple[str, str]], gltf: Gltf) -> list[Fault]:
 
 
 def scale_notice(of_gltf: GltfRig, where: str) -> list[Fault]:
-    """Name the joints whose scale at rest a rig does not hold."""
+    """Return a notice of joint scales that a rig cannot hold."""
     rig = of_gltf.rig
     scaled = np.abs(of_gltf.scales - 1.0).max(axis=1) > 1e-4
     names = [rig.names[j] for j in np.flatnonzero(scaled).tolist()]

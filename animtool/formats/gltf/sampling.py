@@ -1,4 +1,4 @@
-"""A clip of a glTF as motion of a rig, at any times."""
+"""glTF animations sampled as rig motion at any times."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BLOCK, PIECE = 16384, 512
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingRow:
-    """A track, and the row of a channel that it moves."""
+    """A track and the channel row that it animates."""
 
     row: int
     track: GltfTrack
@@ -38,7 +38,7 @@ class MovingRow:
 
 @dataclass(slots=True, eq=False)
 class GltfSampler:
-    """The motion of a rig by one clip, at any times."""
+    """Sampler of an animation's rig motion at any times."""
 
     rest: dict[TargetPath, FloatArray]  # of each channel ``(rows, width)``
     moving: dict[TargetPath, list[MovingRow]]
@@ -47,7 +47,7 @@ class GltfSampler:
 
     @property
     def numbers(self) -> int:
-        """Numbers of a frame that change."""
+        """Count of animated numbers per frame."""
         counts = {TargetPath.ROTATION: 4, TargetPath.WEIGHTS: 1}
         return sum(
             counts.get(path, 3) * len(tracks) for path, tracks in self.moving.items()
@@ -77,7 +77,7 @@ class GltfSampler:
         groups = _groups(moving)
         factors = np.array([one.factor for one in moving])[:, None]
         scaled = bool((factors != 1.0).any())
-        # A piece stays in the cache of the processor.
+        # A piece stays in the processor's cache.
         for at in range(0, len(times) if moving else 0, PIECE):
             part = slice(at, min(at + PIECE, len(times)))
             for columns in groups:
@@ -93,7 +93,7 @@ class GltfSampler:
     def _grid(
         self, keys: FloatArray, times: FloatArray
     ) -> tuple[IntArray | slice, FloatArray]:
-        """Return `segments`; tracks with the same keys look once."""
+        """Return `segments`, cached for tracks with the same keys."""
         if id(keys) not in self._grids:
             self._grids[id(keys)] = segments(keys, times)
         return self._grids[id(keys)]
@@ -101,7 +101,7 @@ class GltfSampler:
     def _keys(
         self, track: GltfTrack, times: FloatArray
     ) -> npt.NDArray[np.float32] | None:
-        """Return the keys that a track has at times that are successive keys.
+        """Return a track's keys if the times are successive keys of it.
 
         None where the times are others, or the file does not have floats.
         """
@@ -115,7 +115,7 @@ class GltfSampler:
     def _values(
         self, tracks: list[GltfTrack], times: FloatArray, part: slice
     ) -> FloatArray:
-        """Return the values ``(F, N, W)`` of tracks of a group at a part of the times.
+        """Return values ``(F, N, W)`` of a group of tracks at some times.
 
         Rotations may have any length.
         """
@@ -132,7 +132,7 @@ class GltfSampler:
 
 
 def _groups(moving: list[MovingRow]) -> list[list[int]]:
-    """Return the columns of tracks that share key times and interpolation."""
+    """Group columns of tracks with common key times and interpolation."""
     groups: dict[tuple[int, str], list[int]] = {}
     for k, one in enumerate(moving):
         key = id(one.track.times), str(one.track.interpolation)
@@ -142,7 +142,7 @@ def _groups(moving: list[MovingRow]) -> list[list[int]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NativeKeys:
-    """The tracks of a clip, when its frames are, and its last key [s]."""
+    """Tracks of an animation, its start frame, and its last key [s]."""
 
     sampler: GltfSampler
     frames: GltfFrames
@@ -155,7 +155,7 @@ _ON_KEYS = np.zeros(0)
 def segments(
     keys: FloatArray, times: FloatArray
 ) -> tuple[IntArray | slice, FloatArray]:
-    """Return the key before each time, and the times, those near a key as the key.
+    """Return the key before each time; times near a key are set to the key.
 
     Where all of them are keys, or outside of these, the times are `_ON_KEYS` and the
     indices those of the keys.
@@ -178,13 +178,13 @@ def segments(
 
 
 def _unit(rotations: FloatArray) -> None:
-    """Bring rotations ``(F, J, 4)`` to unit length, in place."""
+    """Normalise rotations ``(F, J, 4)`` in place."""
     squares = np.einsum("fjc,fjc->fj", rotations, rotations)
     np.divide(rotations, np.sqrt(squares)[:, :, None], out=rotations)
 
 
 def _continue(rotations: FloatArray, before: FloatArray | None) -> None:
-    """Make signs continuous along time, in place.
+    """Make quaternion signs continuous over time, in place.
 
     before: the rotations before the first ``(J, 4)``; None begins with w above 0.
     """
@@ -196,7 +196,7 @@ def _continue(rotations: FloatArray, before: FloatArray | None) -> None:
 
 
 def sampler(gltf: Gltf, gltf_rig: GltfRig, animation: Animation | None) -> GltfSampler:
-    """Return the motion of a rig by a clip; by None it is at rest."""
+    """Return the sampler of a rig's animation; None is at rest."""
     rig = gltf_rig.rig
     rest = {
         TargetPath.TRANSLATION: rig.rest_translations.copy(),
@@ -221,7 +221,7 @@ def sampler(gltf: Gltf, gltf_rig: GltfRig, animation: Animation | None) -> GltfS
 
 
 def _is_static(track: GltfTrack) -> bool:
-    """Return whether a track has one value for all times."""
+    """Return whether a track's value never changes."""
     slopes = [part for part in (track.ins, track.outs) if part is not None]
     if len(track.times) == 1:
         return True
@@ -232,7 +232,7 @@ def _is_static(track: GltfTrack) -> bool:
 
 
 def rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
-    """Return the weights of the shapes without a clip ``(S, 1)``."""
+    """Return the shape weights without an animation ``(S, 1)``."""
     weights = np.zeros((len(gltf_rig.shapes), 1))
     for row, (node, target) in enumerate(gltf_rig.shapes):
         node_weights = gltf.nodes[node].weights
@@ -246,7 +246,7 @@ def rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
 def _rows(
     gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack], even: BoolArray
 ) -> list[tuple[TargetPath, MovingRow]]:
-    """Return the rows of channels that tracks move."""
+    """Return the channel rows that tracks animate."""
     rows: list[tuple[TargetPath, MovingRow]] = []
     of_meshes: list[GltfTrack] = []
     for track in tracks:
@@ -271,7 +271,7 @@ def _rows(
 def _weight_rows(
     gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack]
 ) -> list[tuple[TargetPath, MovingRow]]:
-    """Return the shapes that tracks of weights move, those of nodes before meshes."""
+    """Return animated shapes; tracks of nodes come before those of meshes."""
     by_row: dict[int, GltfTrack] = {}
     for track in sorted(tracks, key=lambda one: (one.node < 0, one.part < 0)):
         for row, (node, target) in enumerate(gltf_rig.shapes):
@@ -287,7 +287,7 @@ def _weight_rows(
 
 
 def _one_weight(track: GltfTrack, target: int) -> GltfTrack:
-    """Return the keys of one weight."""
+    """Return the keys of one weight of a track."""
     if track.part >= 0 or track.values.shape[1] == 1:
         return track
     one = slice(target, target + 1)
@@ -307,7 +307,7 @@ def _one_weight(track: GltfTrack, target: int) -> GltfTrack:
 def clip_stream(
     gltf_rig: GltfRig, moving: GltfSampler, frames: GltfFrames
 ) -> TakeStream:
-    """Return a clip on its rig, drawn block by block."""
+    """Return an animation as a stream, sampled block by block."""
 
     def curve(codes: FloatArray) -> Motion:
         return moving.at(frames.seconds(codes))
@@ -340,7 +340,7 @@ def _blocks(moving: GltfSampler, frames: GltfFrames) -> Iterator[Motion]:
 
 
 def moves(gltf_rig: GltfRig, animation: Animation) -> bool:
-    """Return whether a clip moves something of a rig."""
+    """Return whether an animation moves the rig."""
     shapes = {node for node, _ in gltf_rig.shapes}
     return any(
         track.mesh >= 0 or gltf_rig.joints[track.node] >= 0 or track.node in shapes

@@ -1,4 +1,4 @@
-"""Meshes and morph targets of a glTF as those of a rig."""
+"""glTF meshes and morph targets as rig meshes and shapes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ShapeKey = tuple[int, int]  # node and morph target
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SharedVertices:
-    """Vertices that primitives of a mesh share, and where they begin in the whole."""
+    """Vertices common to several primitives, with their offset in the mesh."""
 
     primitive: Primitive
     first: int
@@ -31,7 +31,7 @@ class _SharedVertices:
 def mesh_parts(
     gltf: Gltf, character: CharacterNodes, binder: Binder
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], tuple[ShapeKey, ...], list[Fault]]:
-    """Return meshes and shapes of a character, what shapes are of, and notices."""
+    """Return a character's meshes and shapes, the shapes' keys, and notices."""
     nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
     names = mesh_names(gltf, nodes)
     meshes: list[Mesh] = []
@@ -69,7 +69,7 @@ def mesh_parts(
 
 
 def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
-    """Return distinct names of the meshes that nodes have, after the nodes."""
+    """Return distinct mesh names, from the nodes that carry them."""
     named = []
     for node in nodes:
         entry = gltf.nodes[node]
@@ -83,7 +83,7 @@ def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
 def shape_names(
     gltf: Gltf, keys: Sequence[ShapeKey], meshes: dict[int, str]
 ) -> list[str]:
-    """Return distinct names of shapes; one that two meshes have gets its mesh's."""
+    """Return distinct shape names, prefixed with the mesh if ambiguous."""
     taken: dict[str, None] = {}
     for node, target in keys:
         names = gltf.meshes[gltf.nodes[node].mesh].target_names
@@ -100,7 +100,7 @@ def shape_names(
 
 
 def _shared(gltf: Gltf, node: int) -> list[_SharedVertices]:
-    """Return the vertices of a mesh, those that primitives share once."""
+    """Return a mesh's vertices, each shared set once."""
     parts: dict[object, _SharedVertices] = {}
     first = 0
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
@@ -112,7 +112,7 @@ def _shared(gltf: Gltf, node: int) -> list[_SharedVertices]:
 
 
 def vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
-    """Return where the vertices of a primitive begin in the mesh of a node."""
+    """Return the offset of a primitive's vertices in a node's mesh."""
     searched = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive]
     parts = _shared(gltf, node)
     return next(
@@ -121,7 +121,7 @@ def vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
 
 
 def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
-    """Return the mesh of a node; None where it has no faces."""
+    """Return the mesh of a node; None without faces."""
     parts = _shared(gltf, node)
     starts = {part.primitive.vertices: part.first for part in parts}
     faces = []
@@ -157,7 +157,7 @@ def _normals(gltf: Gltf, parts: list[_SharedVertices]) -> HeldArray | None:
 def _skin(
     gltf: Gltf, node: int, parts: list[_SharedVertices], binder: Binder
 ) -> tuple[Skin, FloatArray]:
-    """Return what a mesh follows: joints of its skin, or the node that has it."""
+    """Return the skin of a mesh: its joints, or the node that carries it."""
     index = gltf.nodes[node].skin
     if index >= 0 and all(part.primitive.joints for part in parts):
         geometry, joints = binder.skin(index)
@@ -190,7 +190,7 @@ def _wide(values: FloatArray | IntArray, width: int) -> FloatArray:
 
 
 def _targets(gltf: Gltf, node: int) -> tuple[list[HeldArray], list[HeldArray | None]]:
-    """Return what each morph target adds to the points and normals of a mesh."""
+    """Return point and normal offsets of each morph target."""
     parts = _shared(gltf, node)
     deltas: list[HeldArray] = []
     normals: list[HeldArray | None] = []

@@ -1,4 +1,4 @@
-"""The frames of a glTF's clip: its keys are in seconds, and it states no rate."""
+"""Frame rate and range of a glTF animation, whose keys are in seconds."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MAX_VALUES = 60_000_000
 
 @dataclass(frozen=True, slots=True)
 class GltfFrames:
-    """When the frames of a clip are."""
+    """Frame range and rate of an animation."""
 
     fps: Fraction
     start: Fraction  # time code of time 0
@@ -41,14 +41,14 @@ class GltfFrames:
     notices: tuple[Fault, ...] = ()
 
     def seconds(self, codes: FloatArray) -> FloatArray:
-        """Return times of time codes [s]."""
+        """Return times of frame numbers [s]."""
         return np.asarray((codes - float(self.start)) / float(self.fps))
 
 
 def frames_of(
     animation: Animation | None, fps: Fraction | None, path: str, width: int
 ) -> GltfFrames:
-    """Return the frames of a clip.
+    """Return the frame range and rate of an animation.
 
     Time 0 is frame 0, unless animtool wrote the file, which then says.
 
@@ -81,7 +81,7 @@ def frames_of(
 
 
 def key_times(animation: Animation) -> FloatArray:
-    """Return the times of all keys, each once [s]."""
+    """Return all distinct key times [s]."""
     distinct: dict[int, FloatArray] = {id(t.times): t.times for t in animation.tracks}
     return np.unique(np.concatenate(list(distinct.values())))
 
@@ -91,7 +91,7 @@ def _room(time: float, rate: Fraction) -> float:
 
 
 def _off(times: FloatArray, rate: Fraction) -> FloatArray:
-    """Return how far keys are off frames, less what their digits leave open [frame]."""
+    """Return the distance of keys from frames beyond float rounding [frame]."""
     frames = times * float(rate)
     return np.asarray(np.abs(frames - np.round(frames)) - DIGITS * np.abs(frames))
 
@@ -113,7 +113,7 @@ def _between(
 
 
 def _stated(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]:
-    """Return rate and time code of time 0 that animtool wrote of a clip."""
+    """Return rate and start frame that animtool wrote to the animation."""
     entry = extras.get("animtool")
     if not isinstance(entry, dict):
         return None, Fraction(0)
@@ -126,7 +126,7 @@ def _stated(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]:
 
 
 def distinct_clip_names(animations: Iterable[Animation]) -> list[str]:
-    """Return a name for every clip; those without one are numbered."""
+    """Return a distinct name for every animation; unnamed ones are numbered."""
     from animtool.core.similar import distinct
 
     plain = [

@@ -1,4 +1,4 @@
-"""Which nodes of a VRM are the bones of a person."""
+"""Humanoid bones of a VRM."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from animtool.formats.gltf.json_items import is_number
 
 
 def humanoid_bones(gltf: Gltf) -> list[tuple[str, int]]:
-    """Return the humanoid bones that a VRM 1.0 or 0.x names, with their nodes."""
+    """Return the humanoid bones of a VRM 1.0 or 0.x with their nodes."""
     extensions = gltf.root.values.get("extensions")
     if not isinstance(extensions, dict):
         return []

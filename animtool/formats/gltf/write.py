@@ -1,4 +1,4 @@
-"""A rig and its takes as one .glb file."""
+"""glTF writer: a rig and its takes as one .glb or .gltf file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from animtool.motion.take_files import TakeFiles, WriteOptions
 
 
 def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
-    """Return a rig and its takes as a GLB: skin, shapes, and every clip by its name.
+    """Return a rig and its takes as glTF: skin, shapes, named animations.
 
     Args:
         take: The first take; its rig has the meshes.
@@ -57,14 +57,14 @@ def _contents(builder: GlbBuilder, path: Path) -> Any:
 
 
 def _upright(take: Take) -> Take:
-    """Return a take with Y up, as glTF has it."""
+    """Return a take rotated to Y up."""
     if take.rig.up is UpAxis.Y:
         return take
     return reorient(TakeStream.of(take), UpAxis.Y).collect()
 
 
 def _rest_scales(take: Take) -> FloatArray:
-    """Return the scales of the joints while they do not move ``(J, 3)``."""
+    """Return static joint scales ``(J, 3)``."""
     scales = take.motion.scales
     if scales is None:
         return np.ones((len(take.rig.joints), 3))

@@ -1,4 +1,4 @@
-"""A rig as nodes, skins and meshes of a glTF."""
+"""A rig as glTF nodes, skins and meshes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SMALLEST_WEIGHT = 1e-7
 
 @dataclass(slots=True)
 class WrittenRig:
-    """Where the parts of a rig are in the file."""
+    """Indices of a rig's parts in the file."""
 
     joints: list[int]  # node of each joint
     # Of each shape: its mesh's node, and which target it is; none without a mesh.
@@ -39,7 +39,7 @@ def write_rig(
     scales: FloatArray,
     weights: dict[str, float],
 ) -> WrittenRig:
-    """Write a rig, Y up and in metres.
+    """Write a rig with Y up, in metres.
 
     Args:
         builder: What it is added to.
@@ -74,7 +74,7 @@ def write_rig(
 
 
 def _under_one(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list[int]:
-    """Return the roots of the scene; joints of a skin must have one above them.
+    """Return the scene's roots; joints of a skin need a common root.
 
     Where they have several, a node that is none of the rig is put above those.
     """
@@ -94,7 +94,7 @@ def _under_one(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list[int]:
 def _placed(
     move: FloatArray, rotation: FloatArray, scale: FloatArray
 ) -> dict[str, Any]:
-    """Return the properties of a transform that are not the usual ones."""
+    """Return the transform properties that differ from the identity."""
     parts: dict[str, Any] = {}
     if np.abs(move).max() > 0:
         parts["translation"] = move.tolist()
@@ -114,7 +114,7 @@ def _surface(
     written: WrittenRig,
     left: dict[str, list[str]],
 ) -> int:
-    """Write a mesh; return the node that has it."""
+    """Write a mesh; return its node."""
     carrier, local = _carrier(builder, rig, surface, bind)
     if surface.skin is None or carrier >= 0:
         surface = _in_node(surface, local)
@@ -141,7 +141,7 @@ def _surface(
 
 
 def _in_node(surface: Surface, local: FloatArray) -> Surface:
-    """Return a mesh in the frame of the node that has it."""
+    """Return a mesh in the frame of its node."""
     linear = local[:3, :3]
     normals = surface.normals
     return replace(
@@ -176,7 +176,7 @@ def _node_of(
     bind: FloatArray,
     written: WrittenRig,
 ) -> int:
-    """Give a mesh a node: that of the joint that carries it, or one of its own."""
+    """Attach a mesh to the joint that carries it, or to a new node."""
     if carrier >= 0:
         at = carrier
         builder.json["nodes"][at]["mesh"] = mesh
@@ -196,7 +196,7 @@ def _node_of(
 def _carrier(
     builder: GlbBuilder, rig: Rig, surface: Surface, bind: FloatArray
 ) -> tuple[int, FloatArray]:
-    """Return the one joint that a mesh follows as a whole, -1 for none, and how.
+    """Return the joint that rigidly carries a mesh, -1 for none, and its bind.
 
     That is the transform from the points to the joint; of a mesh that follows none to
     the world. A node has one mesh: a second one is skinned.
@@ -221,7 +221,7 @@ def _skin(
     skin: SurfaceSkin,
     bind: FloatArray,
 ) -> int:
-    """Return the skin of a mesh; meshes that are bound alike share one."""
+    """Return the skin of a mesh; meshes with equal binds share one."""
     joints = [rig.index(name) for name in skin.joints]
     matrices = np.linalg.inv(bind[joints]) @ surface.geom_bind
     matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
@@ -259,7 +259,7 @@ def _targets(
     weights: dict[str, float],
     left: dict[str, list[str]],
 ) -> None:
-    """Write the shapes of a mesh as morph targets."""
+    """Write shapes as morph targets."""
     if not surface.shapes:
         return
     targets = []
@@ -287,7 +287,7 @@ def _targets(
 
 
 def influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
-    """Return joints and weights, largest first, in columns of a multiple of four.
+    """Return joints and weights, largest first, padded to multiples of four.
 
     Each joint occurs once for a vertex, weights have the sum 1, and those of no weight
     are joint 0.
@@ -321,7 +321,7 @@ def influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
 
 
 def _left_out(rig: Rig, left: dict[str, list[str]], written: WrittenRig) -> list[Fault]:
-    """Say once what of a rig glTF has no place for."""
+    """Return one notice about rig contents that glTF cannot hold."""
     combined = [shape.name for shape in rig.shapes if shape.combine]
     if combined:
         left["products of shapes (each gets its own weight)"] += combined

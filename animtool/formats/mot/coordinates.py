@@ -111,7 +111,7 @@ def rig_of_columns(name: str, columns: list[str]) -> Rig:
     It is a pin about Z, or a prismatic joint where the name ends like one of a
     translation: ``pelvis_tx``, ``box_transX``.
 
-    >>> rig = own_rig("run", ["knee", "pelvis_ty"])
+    >>> rig = rig_of_columns("run", ["knee", "pelvis_ty"])
     >>> [(joint.type.value, joint.axis) for joint in rig.joints]
     [('pin', (0.0, 0.0, 1.0)), ('prismatic', (0.0, 1.0, 0.0))]
     """
