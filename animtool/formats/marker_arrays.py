@@ -1,4 +1,4 @@
-"""Marker trajectories in npz files: what others write with numpy, and our own."""
+"""Marker trajectories in .npz files, written by numpy or animtool."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def read_markers(
     fps: FractionLike | None = None,
     subject: str | None = None,
 ) -> Markers:
-    """Return the markers of an npz file.
+    """Return the markers of an .npz file.
 
     It holds the texts ``marker_names``, the number ``fs`` (frames a second), and
     positions ``(F, M, 3)`` in an array whose name ends in its unit: ``_mm``, ``_cm``,
@@ -58,7 +58,7 @@ def read_markers(
     path = Path(text)
     array = array or named or None
     file = MarkerFile(str(path))
-    # What is no file, or may not be read, is said as of every file.
+    # A missing or unreadable file gets the error of every file.
     open_input(path, None).close()
     try:
         with Archives() as archives:
@@ -68,7 +68,7 @@ def read_markers(
 
 
 def _without_name(message: str, path: Path) -> str:
-    """Return the message of an archive, which stands behind its name already."""
+    """Return an archive's message without the leading file name."""
     return message.removeprefix(path.name).lstrip("# ")
 
 
@@ -134,7 +134,7 @@ def _array(
 ) -> str:
     """Return the name of the array of positions."""
     if array is not None:
-        # What there is none of is said by the archive, with those that there are.
+        # The archive reports a missing array and lists those it has.
         archives.header(path, array)
         return array
     candidates = [key for key in known if key.partition("_")[0] == DEFAULT_PREFIX]
@@ -158,7 +158,7 @@ def _start(stated: float | None) -> Fraction:
 def write_marker_arrays(
     markers: Markers, path: Path | str, *, overwrite: bool = False
 ) -> list[Fault]:
-    """Write markers as arrays in an npz file, nothing lost.
+    """Write markers losslessly as arrays in an .npz file.
 
     Args:
         markers: What to write.

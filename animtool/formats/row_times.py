@@ -1,4 +1,4 @@
-"""The rate of rows that stand at times, and the frame of each."""
+"""Frame rate of timed rows, and the frame of each row."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ GAP_STEPS = 1.5
 
 @dataclass(frozen=True, slots=True)
 class TimeSteps:
-    """Times as frames of one length.
+    """Times as frames of constant length.
 
     Attributes:
         step: Length of a frame [s].
@@ -49,12 +49,12 @@ class TimeSteps:
 
 
 def rounding_of(decimals: int) -> float:
-    """Return how far a number printed with some places may be off."""
+    """Return the rounding error of a number with some decimals."""
     return float(0.5 * 10.0**-decimals)
 
 
 def fit_frames(times: FloatArray, frames: IntArray, rounding: float) -> TimeSteps:
-    """Return times ``(R,)`` [s] as the frames that rows are said to have.
+    """Return times ``(R,)`` [s] fitted to stated frame numbers.
 
     >>> fit_frames(np.array([0.0, 0.1, 0.3]), np.array([0, 1, 3]), 0.05).even
     True
@@ -65,13 +65,13 @@ def fit_frames(times: FloatArray, frames: IntArray, rounding: float) -> TimeStep
 
 
 def median_step(times: FloatArray) -> float:
-    """Return the median time between rows [s], the lower one of two."""
+    """Return the lower median of the times between rows [s]."""
     steps = np.sort(np.diff(times))
     return float(steps[(len(steps) - 1) // 2])
 
 
 def fit_gaps(times: FloatArray, step: float, rounding: float) -> TimeSteps | None:
-    """Return times as frames of about a step, of which some have no row.
+    """Return times fitted to frames of about a step, some without a row.
 
     None where two rows are in one frame, or frames are too many to count.
 
@@ -88,14 +88,14 @@ def fit_gaps(times: FloatArray, step: float, rounding: float) -> TimeSteps | Non
 
 
 def rate_of_step(step: float, rounding: float, frames: int) -> Fraction | None:
-    """Return the rate of a step [s] between times that are rounded; None beyond all.
+    """Return the rate of a step [s] within rounding; None if out of range.
 
     frames: How many steps there are between the two times that it was measured by.
     """
     rate = 1.0 / step if step > 0 else np.inf
     if not float(LOWEST_WRITTEN_RATE) <= rate <= float(HIGHEST_WRITTEN_RATE):
         return None
-    # The nearest whole rate that the printed times leave open.
+    # The nearest integer rate within the rounding of the printed times.
     rounded = round(rate)
     if rounded and abs(1.0 / rounded - step) <= 2 * rounding / frames:
         return Fraction(rounded)
@@ -108,7 +108,7 @@ def find_steps(
     stated: float | None,
     rounding: float,
 ) -> TimeSteps:
-    """Return times as frames: given ones, else of a stated rate, else by their step."""
+    """Return times as frames: by counted frames, a stated rate, or their step."""
     row_frames = np.arange(len(times))
     candidates = (
         [row_frames] if counted_frames is None else [counted_frames, row_frames]
@@ -118,7 +118,7 @@ def find_steps(
     rates = [1.0 / stated] if stated is not None and stated > 0 else []
     if stated is not None and rates:
         meant = [steps for steps in fits if is_rate_of(stated, steps, rounding)]
-        # Times of few places may be even at some other rate too.
+        # Times with few decimals may also fit another rate.
         gaps = fit_gaps(times, rates[0], rounding)
         if gaps is not None and gaps.even and _has_few_gaps(gaps.frames):
             meant.append(gaps)
@@ -140,12 +140,12 @@ def find_steps(
 
 
 def _has_few_gaps(frames: IntArray) -> bool:
-    """Return whether most rows are one frame apart."""
+    """Return whether most rows are one frame after the previous row."""
     return int((np.diff(frames) > 1).sum()) <= max(1, len(frames) // MIN_ROWS_A_GAP)
 
 
 def is_rate_of(stated: float, steps: TimeSteps, rounding: float) -> bool:
-    """Return whether a stated rate is that of times, within what they leave open."""
+    """Return whether a stated rate fits times within their rounding."""
     if not stated > 0:
         return False
     count = int(steps.frames[-1]) if steps.even else 1
@@ -157,14 +157,14 @@ def is_rate_of(stated: float, steps: TimeSteps, rounding: float) -> bool:
 
 
 def has_room(at: FloatArray | IntArray, markers: int) -> bool:
-    """Return whether rows at frames ``(R,)`` leave few enough frames without one."""
+    """Return whether rows at frames ``(R,)`` leave few enough frames empty."""
     frames = (float(at[-1]) + 1) * markers
     return frames <= max(MAX_ABSENT, MAX_FRAMES_EACH * len(at) * markers)
 
 
 @dataclass(frozen=True, slots=True)
 class RowFrames:
-    """The frames of rows.
+    """Frame positions of rows.
 
     Attributes:
         rate: Frames a second.
@@ -179,7 +179,7 @@ class RowFrames:
     begin: float | None
 
     def placed(self, positions: FloatArray) -> FloatArray:
-        """Return positions of frames ``(F, M, 3)`` of those of rows ``(R, M, 3)``.
+        """Resample positions ``(R, M, 3)`` at rows to frames ``(F, M, 3)``.
 
         NaN where no row is near; between rows at uneven times, straight lines.
         """

@@ -1,4 +1,4 @@
-"""A take as a file of text: its head, and rows that are made as they are written."""
+"""A take as text: a header, and rows formatted while they are written."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROWS_AT_ONCE = 4096
 
 @dataclass(frozen=True, slots=True)
 class TakeText:
-    """The parts of a file."""
+    """Header and row parts of a file."""
 
     head: Iterable[str]  # lines above the rows
     rows: Iterator[bytes]  # made as they are taken
@@ -26,7 +26,7 @@ class TakeText:
 
     @property
     def parts(self) -> Iterator[bytes]:
-        """Bytes to write one after another; to be asked for once."""
+        """Byte chunks to write in order; can be iterated once."""
         yield "".join(f"{line}\n" for line in self.head).encode()
         yield from self.rows
 
@@ -34,7 +34,7 @@ class TakeText:
 def number_rows(
     values: FloatArray, decimals: Sequence[int], *, tabs: bool = False
 ) -> Iterator[bytes]:
-    """Yield rows of numbers ``(F, C)``, some at once, between blanks or tabs.
+    """Yield formatted rows ``(F, C)`` in chunks, separated by blanks or tabs.
 
     decimals: most digits behind the point of each column.
     """
@@ -52,7 +52,7 @@ def write_text(
     *,
     overwrite: bool,
 ) -> list[Fault]:
-    """Write a take as a file of text; return what the format cannot hold."""
+    """Write a take as a text file; return notices about lost data."""
     from animtool.core.files.output import check_outputs, write_parts
 
     path = Path(path)

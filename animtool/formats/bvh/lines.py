@@ -166,7 +166,7 @@ class RowReader:
                 block = np.clip(rows, -FLOAT32_MAX, FLOAT32_MAX)
             if pending or np.isnan(block).any():
                 pending.append(block)
-                # A gap that is still open at the end waits for what follows it.
+                # A gap that reaches the block's end waits for the next block.
                 if np.isnan(block[-1]).any():
                     continue
                 block = np.concatenate(pending)

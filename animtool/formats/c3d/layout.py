@@ -89,7 +89,7 @@ class LayoutResult:
     """The chosen layout, or why none fits.
 
     Attributes:
-        layout: The combination that is read; None where there is none.
+        layout: The combination that is read; None if none fits.
         short: The one that contradicts least and needs more bytes than there are.
         rivals: Combinations between which nothing decides.
     """

@@ -31,7 +31,7 @@ _SCALARS = {
 _ARRAYS = {"f": "<f4", "d": "<f8", "l": "<i8", "i": "<i4", "b": "u1", "c": "u1"}
 _SAME = {"I": "<i4", "F": "<f4", "D": "<f8", "L": "<i8"}
 # The maximum ratio of deflate compression.
-MOST_INFLATED = 1032
+MAX_INFLATION = 1032
 # Lists of single values as long as this are read at once.
 LONG = 12
 
@@ -165,7 +165,7 @@ class _Records:
         stored = size if how else byte_count
         if stored > end - first:
             _fail(self.notes, at, f"an array of {stored} bytes is cut off")
-        if how and byte_count > size * MOST_INFLATED:
+        if how and byte_count > size * MAX_INFLATION:
             message = f"{size} bytes cannot hold an array of {byte_count} bytes"
             _fail(self.notes, at, message)
         self.array_bytes += byte_count

@@ -19,7 +19,7 @@ MAX_ELEMENTS = 3_000_000
 # What arrays of a file take, inflated [bytes].
 MAX_ARRAY_BYTES = 1_000_000_000
 # float32 as some tools write it; a number beyond is none.
-LARGEST = 3.4028234663852886e38
+FLOAT32_LIMIT = 3.4028234663852886e38
 
 
 @dataclass(slots=True, eq=False)
@@ -50,7 +50,7 @@ def number(element: Element, index: int, notes: FileNotices) -> float:
     value = element.values[index] if index < len(element.values) else None
     if isinstance(value, np.ndarray) and value.size:
         value = value.reshape(-1)[0].item()
-    if not isinstance(value, int | float) or not abs(value) <= LARGEST:
+    if not isinstance(value, int | float) or not abs(value) <= FLOAT32_LIMIT:
         message = f"{element.name} must be a number, not {excerpt(repr(value))}"
         notes.fail("FBX005", element.where, message)
     return float(value)
@@ -64,7 +64,7 @@ def floats(
     if element is None:
         return None
     values = np.asarray(_array(element, notes), np.float64)
-    if not (np.abs(values) <= LARGEST).all():
+    if not (np.abs(values) <= FLOAT32_LIMIT).all():
         notes.fail(
             "FBX005", element.where, f"{name} contains a value that is not finite"
         )

@@ -10,7 +10,7 @@ from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
 from animtool.formats.fbx.binary import MAGIC, read_binary
-from animtool.formats.fbx.elements import LARGEST, Element
+from animtool.formats.fbx.elements import FLOAT32_LIMIT, Element
 from animtool.formats.fbx.legacy import with_objects
 from animtool.formats.fbx.text import looks_like_text, read_text
 from animtool.formats.file_notices import FileNotices
@@ -106,7 +106,7 @@ def vector(
     values = of.values(name)[: len(default)]
     if len(values) < len(default):
         return default
-    if not all(isinstance(v, int | float) and abs(v) <= LARGEST for v in values):
+    if not all(isinstance(v, int | float) and abs(v) <= FLOAT32_LIMIT for v in values):
         message = f"{name} of {of.name!r} must be numbers, not {excerpt(str(values))}"
         notes.fail("FBX005", of.element.where, message)
     return tuple(float(value) for value in values)

@@ -30,7 +30,7 @@ from animtool.formats.gltf.rig import SAME_SCALE
 from animtool.maths import so3
 
 # A scale that is nearer to 0 is taken as this where it is divided by.
-LEAST_SCALE = 1e-9
+MIN_SCALE = 1e-9
 _REST = np.zeros(1, np.int64)
 
 
@@ -126,8 +126,8 @@ def _inverse(scales: FloatArray) -> FloatArray:
 
 
 def _no_zeros(scales: FloatArray) -> FloatArray:
-    least = np.where(scales < 0, -LEAST_SCALE, LEAST_SCALE)
-    return np.asarray(np.where(np.abs(scales) < LEAST_SCALE, least, scales))
+    least = np.where(scales < 0, -MIN_SCALE, MIN_SCALE)
+    return np.asarray(np.where(np.abs(scales) < MIN_SCALE, least, scales))
 
 
 class Changes:

@@ -29,7 +29,7 @@ BLOCK = 1024
 # What a take is held with: numbers that change, of all frames.
 MAX_VALUES = 60_000_000
 # A frame takes time however few of its numbers change.
-LEAST_VALUES = 40
+MIN_VALUES = 40
 MAX_TICKS = 2.0**61
 # A key is on a frame that is nearer than this [frame].
 ON_FRAME = 1e-3
@@ -165,7 +165,7 @@ def frames_of(
     last += _is_off(end, rate) and last * TICKS < end * rate
     last = max(first, last)
     count = last - first + 1
-    if count > MAX_FRAMES or count * max(width, LEAST_VALUES) > MAX_VALUES:
+    if count > MAX_FRAMES or count * max(width, MIN_VALUES) > MAX_VALUES:
         message = f"take {take.name!r}: {(end - begin) / TICKS:.6g} s at "
         message += f"{rate_label(rate)} are {count} frames of {width} numbers, above "
         message += "the limit"

@@ -379,7 +379,7 @@ class Accessors:
         return accessor
 
     def check_packed(self, index: int, where: str) -> None:
-        """Say where a view has a stride that only vertices take; it is read with it."""
+        """Warn about a stride in a view without vertices; it is applied."""
         accessor = self.entries[index]
         if accessor is None or accessor.view < 0:
             return

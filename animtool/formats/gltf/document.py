@@ -69,7 +69,7 @@ class Gltf:
         meshes: Likewise.
         animations: Likewise.
         scenes: Root nodes of each scene.
-        default_scene: The one that is shown; -1 where there is none.
+        default_scene: Index of the default scene; -1 if there is none.
         accessors: The numbers that they refer to.
         root: The JSON.
         notes: What was put right, and where.

@@ -11,7 +11,7 @@ from animtool.core.record import dataclass
 from animtool.formats.file_notices import FileNotices
 
 # glTF stores float32: a number beyond it is none.
-LARGEST = 3.4028234663852886e38
+FLOAT32_LIMIT = 3.4028234663852886e38
 
 
 def escaped(key: str) -> str:
@@ -118,7 +118,7 @@ class JsonItem:
         for i, value in enumerate(entries):
             if not is_number(value):
                 self.fail(key, f"{excerpt(repr(value))} is not a number")
-            if not abs(value) <= LARGEST:
+            if not abs(value) <= FLOAT32_LIMIT:
                 message = f"{value} is outside the range of a float32"
                 self.notes.fail("GLT010", f"{self.at(key)}/{i}", message)
         return [float(value) for value in entries]

@@ -1,4 +1,4 @@
-"""The columns of a Live Link Face recording, and the numbers below them."""
+"""Columns of a Live Link Face recording, and their values."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ _ANGLES = {name.lower(): name for name in ANGLES}
 
 @dataclass(slots=True)
 class Recording:
-    """A recording as its file has it: rows in its order.
+    """The rows of a recording, in file order.
 
     Attributes:
         path: The file.
@@ -74,7 +74,7 @@ class Recording:
         lines: 1-based line of each row ``(R,)``.
         weights: Of the shapes ``(R, S)``; NaN where the file has none.
         rotations: Angles [rad] ``(R, A)``, as ``weights``.
-        notices: What is odd.
+        notices: Warnings about the file.
     """
 
     path: Path
@@ -88,7 +88,7 @@ class Recording:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a recording.
+    """Read the rows of a recording.
 
     Raises:
         FormatError: It cannot be read (IO001), is no recording (LLF001), names a
@@ -119,7 +119,7 @@ def _lines(path: Path) -> list[str]:
 
 
 class _Table:
-    """The columns that a header names."""
+    """The columns named by a header."""
 
     def __init__(self, path: Path, header: str, line: int) -> None:
         self.path, self.line = path, line
@@ -154,13 +154,13 @@ class _Table:
         return line.split(self.delimiter)
 
     def _fault(self, code: str, cell: int, message: str, line: int = 0) -> Fault:
-        """Return a fault of a cell; its column is that of the table, from 1."""
+        """Return a fault of a cell; columns count from 1."""
         return Fault(
             code, message, str(self.path), (line or self.line,), column=cell + 1
         )
 
     def read(self, rows: list[tuple[int, str]]) -> Recording:
-        """Return the rows below the header."""
+        """Parse the rows below the header."""
         width = len(self.names)
         notices: list[Fault] = []
         cells = [(number, self._cells(line)) for number, line in rows]
@@ -211,7 +211,7 @@ class _Table:
         return recording
 
     def _numbers(self, cells: Sequence[tuple[int, list[str]]]) -> FloatArray:
-        """Return all values ``(R, C)``, NaN where there is none."""
+        """Return all values ``(R, C)``; NaN where one is missing."""
         columns = [*self.shapes, *self.angle_columns]
         if self.count is not None:
             columns.append(self.count)
@@ -236,7 +236,7 @@ class _Table:
         return values
 
     def _count_notice(self, values: FloatArray, lines: IntArray) -> list[Fault]:
-        """Return a warning where rows do not have as many values as they say."""
+        """Return a warning about rows whose BlendshapeCount is wrong."""
         if self.count is None:
             return []
         has = {len(self.shapes) + len(self.angle_columns), len(self.shapes)}

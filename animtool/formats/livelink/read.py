@@ -1,4 +1,4 @@
-"""A Live Link Face recording as a take."""
+"""Live Link Face reader: a recording as a take."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Dropped: TypeAlias = Literal["interpolate", "hold", "close"]
 DROPPED: tuple[Dropped, ...] = ("interpolate", "hold", "close")
 MAX_NAMED = 12
 _JOINTS = dict(zip(PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
-# What an own rig calls them, and where they are in metres: of no picture, but apart.
+# Joint names and positions [m] of the default rig; they only need to be distinct.
 _JOINT_NAMES = {HEAD: "head", LEFT_EYE: "eye_l", RIGHT_EYE: "eye_r"}
 _POSITIONS = {HEAD: (0.0, 0.0, 0.0), LEFT_EYE: (0.032, 0.03, 0.08)}
 _POSITIONS[RIGHT_EYE] = (-0.032, 0.03, 0.08)
@@ -52,7 +52,7 @@ def read_livelink(
 
     Args:
         path: The file.
-        rig: The rig that it is for; None is one of its own, with its columns as shapes.
+        rig: The rig to move; None builds one with the columns as shapes.
         fps: Labels a second that its time code counts; None finds it.
         remap: A remap file, for shapes with other names.
         dropped: What becomes of frames without a row: values between those of their
@@ -106,12 +106,12 @@ def read_livelink(
 
 
 def read_livelink_rig(path: Path) -> Rig:
-    """Return a rig with the shapes of a recording, and joints of its head and eyes."""
+    """Return a rig with a recording's shapes, and joints for head and eyes."""
     return face_rig(read_recording(path))
 
 
 def face_rig(recording: Recording) -> Rig:
-    """Return the rig of a recording: its shapes without meshes, a head, and eyes."""
+    """Return the default rig of a recording: shapes without meshes, head, eyes."""
     parts = [
         part for part in PARTS if part == "Head" or part in _turned_parts(recording)
     ]
@@ -125,14 +125,14 @@ def face_rig(recording: Recording) -> Rig:
 
 
 def _turned_parts(recording: Recording) -> list[str]:
-    """Return the parts whose three angles are there."""
+    """Return the parts (head, eyes) that have all three angles."""
     return [
         part for part in PARTS if all(part + axis in recording.angles for axis in AXES)
     ]
 
 
 def _turned(recording: Recording) -> dict[str, FloatArray]:
-    """Return yaw, pitch and roll of head and eyes by part [deg] ``(R, 3)``."""
+    """Return yaw, pitch and roll of head and eyes by joint [deg] ``(R, 3)``."""
     angles_of = {}
     for part in _turned_parts(recording):
         columns = [recording.angles.index(part + axis) for axis in AXES]
@@ -199,7 +199,7 @@ def _slerped(
 def _notices(
     recording: Recording, frames: TimecodeFrames, dropped: Dropped
 ) -> list[Fault]:
-    """Return warnings of what is missing or odd in the numbers."""
+    """Return warnings about missing columns and unusual values."""
     path = str(recording.path)
     notices = []
     gaps = frames.dropped
@@ -228,7 +228,7 @@ def _notices(
             message = f"{names[c]} has no value in {counted(len(lines), 'row')}: {how}"
             fault = Fault("LLF102", message, path, tuple(lines[:MAX_NAMED]))
             notices.append(replace(fault, severity=Severity.WARNING))
-    # Nothing is changed: some rigs go further, and percents show.
+    # Values are kept: some rigs go beyond 1, and percentages are recognised.
     with np.errstate(invalid="ignore"):
         beyond = (recording.weights < -1e-6) | (recording.weights > 1 + 1e-6)
     if beyond.any():
@@ -250,7 +250,7 @@ def _unmatched(
     joints: dict[str, int],
     named: bool,
 ) -> list[Fault]:
-    """Return notices of what only the recording, or only the rig has."""
+    """Return notices of names only in the recording or only in the rig."""
     path = str(recording.path)
     notices = []
     if named and links.lost:

@@ -1,4 +1,4 @@
-"""Which frame each row of a recording is, by its time code."""
+"""Frame numbers of a recording's rows, from their timecodes."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from animtool.core.timecode import day_frames, parse_timecode
 # What clocks of recorders count, and the one that the app starts with.
 CLOCKS = (24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
 DEFAULT_CLOCK = 60
-# Rows come every so many labels where this share of them does.
+# Rows have a constant step if this fraction of them does.
 REGULAR_FRACTION = 0.9
 MAX_STEP = 16
 # Parts of a frame by which rows that follow a clock miss its beat: that of phones is
 # off by 2e-4 a row, while time stamps of a network jitter by a frame.
 STEADY = 0.1
-# Nobody means to invent more than this between two rows [s].
+# Longer gaps between two rows are not filled [s].
 MAX_GAP_SECONDS = 600
 MAX_NAMED = 12
 _LABEL = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
@@ -32,14 +32,14 @@ _LABEL = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
 
 @dataclass(frozen=True, slots=True)
 class TimecodeFrames:
-    """Which frames rows are.
+    """Frame rate, and the frame of each row.
 
     Attributes:
         clock: Labels a second, exact.
         step: Labels from one frame to the next.
         rows: The rows that count, in the order of time ``(N,)``.
         frames: Which frame each of them is, from 0, ascending ``(N,)``.
-        notices: What is odd.
+        notices: Warnings about the timecodes.
     """
 
     clock: Fraction
@@ -50,17 +50,17 @@ class TimecodeFrames:
 
     @property
     def rate(self) -> Fraction:
-        """Frames a second."""
+        """Frames per second."""
         return self.clock / self.step
 
     @property
     def count(self) -> int:
-        """Number of frames, those without a row included."""
+        """Count of frames, including those without a row."""
         return int(self.frames[-1]) + 1
 
     @property
     def dropped(self) -> IntArray:
-        """The frames without a row."""
+        """Frames without a row."""
         missing = np.ones(self.count, np.bool_)
         missing[self.frames] = False
         return np.flatnonzero(missing)
@@ -72,7 +72,7 @@ def row_frames(
     path: str,
     clock: Fraction | None = None,
 ) -> TimecodeFrames:
-    """Return which frames rows with time codes ``HH:MM:SS:FF.mmm`` are.
+    """Return the frames of rows with timecodes ``HH:MM:SS:FF.mmm``.
 
     The clock is the one whose seconds end where those of the labels do. A recorder may
     write a row every second label. Where rows keep the beat of the clock, parts of
@@ -93,7 +93,7 @@ def row_frames(
     rate = clock if clock is not None else _clock(fields, drop, path, notices)
     counts, parts = _counted(labels, rate, lines, path)
     day = day_frames(rate, drop=drop)
-    # Over midnight, and back where rows are out of order, the shorter way.
+    # Steps wrap at midnight; the shorter direction shows rows that are out of order.
     steps = (np.diff(counts) + day // 2) % day - day // 2
     times = np.concatenate([[0], np.cumsum(steps)])
     order = np.argsort(times + parts, kind="stable")
@@ -134,7 +134,7 @@ def _fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray:
 
 
 def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fraction:
-    """Return labels a second: the clock in whose seconds the labels fit best."""
+    """Return the timecode rate [1/s] that fits the labels best."""
     most = int(fields[:, 3].max())
     seconds = fields[:, :3] @ [3600, 60, 1]
     fitting = [n for n in CLOCKS if n > most] or [most + 1]
@@ -155,7 +155,7 @@ def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fra
         return Fraction(fitting[0])
     inside = np.diff(fields[:, 3])[np.diff(seconds) == 0]
     typical = np.median(inside[inside > 0]) if (inside > 0).any() else 1
-    # From the last label of a second to the first of the next as from others.
+    # The step from a second's last label to the next second's first is as others.
     over = fields[seconds_ends + 1, 3] - fields[seconds_ends, 3]
     misses = [np.median(np.abs(over + n - typical)) for n in fitting]
     return Fraction(fitting[int(np.argmin(misses))])
@@ -164,7 +164,7 @@ def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fra
 def _counted(
     labels: Sequence[str], rate: Fraction, lines: IntArray, path: str
 ) -> tuple[IntArray, FloatArray]:
-    """Return the labels from midnight, and the parts of a frame behind them."""
+    """Return labels counted from midnight, and fractions of a frame."""
     counts, parts, faults = [], [], []
     for label, line in zip(labels, lines.tolist(), strict=True):
         text = label if label[1] != ":" else f"0{label}"
@@ -182,7 +182,7 @@ def _counted(
 
 
 def _frames(times: IntArray, parts: FloatArray) -> tuple[int, IntArray]:
-    """Return labels a frame, and the frame of each row, from 0."""
+    """Return labels per frame, and the frame of each row, from 0."""
     steps = np.diff(times)
     moving = steps[steps > 0]
     if not len(moving):
@@ -197,13 +197,13 @@ def _frames(times: IntArray, parts: FloatArray) -> tuple[int, IntArray]:
     if _on_beat(exact, step).mean() >= REGULAR_FRACTION and np.ptp(parts) > 0:
         beats = np.round(exact / step)
     else:
-        # The label says it, whatever part of a frame is behind it.
+        # The label decides, whatever fraction of a frame follows it.
         return step, np.round(times / step).astype(np.int64)
     return step, np.concatenate([[0], np.cumsum(beats)]).astype(np.int64)
 
 
 def _on_beat(exact: FloatArray, step: int) -> BoolArray:
-    """Return which rows are a whole number of steps after the one before."""
+    """Return which rows are an integer number of steps after the previous one."""
     beats = exact / step
     return np.asarray(np.abs(beats - np.round(beats)) * step <= STEADY)
 

@@ -1,4 +1,4 @@
-"""A take as a Live Link Face recording (CSV)."""
+"""Live Link Face writer: a take as a recording (CSV)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def write_livelink(
 
 
 def livelink_text(take: Take) -> TakeText:
-    """Return a take as a recording: ARKit's 52 weights, rotations of head and eyes.
+    """Return a take as CSV: ARKit's 52 weights, head and eye rotations.
 
     The first frame is 00:00:00:00 of a clock of the take's rate, drop-frame at 29.97
     and 59.94. What the rig lacks is 0. Other shapes and joints have no place in the
@@ -106,14 +106,14 @@ def _angles(take: Take) -> FloatArray:
 def _rows(weights: FloatArray, angles: FloatArray, rate: Fraction) -> Iterator[bytes]:
     count = len(APP_SHAPES) + len(ANGLES)
     row = f"%s,{count}," + ",".join([f"%.{DECIMALS}f"] * count) + "\n"
-    # No minus in front of a zero.
+    # Adding 0 removes negative zeros.
     values = np.round(np.concatenate([weights, angles], axis=1), DECIMALS) + 0.0
     for frame, numbers in enumerate(values.tolist()):
         yield (row % (timecode(frame, rate), *numbers)).encode()
 
 
 def timecode(frame: int, rate: Fraction) -> str:
-    """Return the label of a frame counted from midnight, with parts of a frame.
+    """Return the timecode of a frame counted from midnight, with fractions.
 
     >>> timecode(1800, Fraction(30000, 1001)), timecode(61, Fraction(60))
     ('00:01:00;02.000', '00:00:01:01.000')

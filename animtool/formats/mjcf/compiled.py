@@ -1,4 +1,4 @@
-"""A compiled MJCF as a robot: bodies as links, with their joints in order."""
+"""A compiled MJCF as a robot: bodies as links with their joints."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
 from animtool.formats.mjcf.equality import JointEqualities
-from animtool.formats.mjcf.reduced import LEAST_MASS, Reduced, label_of
-from animtool.formats.robots.notes import LARGEST, XmlNotes
+from animtool.formats.mjcf.reduced import MIN_MASS, Reduced, label_of
+from animtool.formats.robots.notes import MAX_VALUE, XmlNotes
 from animtool.formats.robots.parts import (
     UNTURNED,
     Link,
@@ -39,13 +39,13 @@ _TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
 _FREE, _BALL, _SLIDE, _HINGE = range(4)
 # No body weighs more, nor has more inertia [kg], [kg m²].
 HEAVIEST = 1e30
-# Geoms of this group and above, MuJoCo does not show either.
+# MuJoCo hides geoms of this group and above.
 HIDDEN = 3
 _SOLIDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
 
 
 def compiled(reduced: Reduced, notes: XmlNotes) -> Any:
-    """Return MuJoCo's model of a reduced MJCF.
+    """Compile a reduced MJCF with MuJoCo.
 
     Raises:
         OptionError: MuJoCo is not installed (MJC005).
@@ -57,7 +57,7 @@ def compiled(reduced: Reduced, notes: XmlNotes) -> Any:
         message = "MJCF is read by MuJoCo's own parser, which is not installed"
         fault = Fault("MJC005", message, str(notes.path), (), _EXTRA)
         raise OptionError(fault) from error
-    # Its warnings are of simulations; it would print them, and write them to a file.
+    # MuJoCo prints and logs its warnings, which are about simulation.
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:
@@ -71,7 +71,7 @@ def compiled(reduced: Reduced, notes: XmlNotes) -> Any:
 
 
 def _refused(text: str, reduced: Reduced, notes: XmlNotes) -> None:
-    """Note what MuJoCo says, at the line of the file and not of the reduced text."""
+    """Record a MuJoCo error at its line in the source file."""
     match = _LINE.search(text)
     element, body = None, ""
     if match is not None and 0 < int(match[1]) <= len(reduced.elements):
@@ -87,7 +87,7 @@ def _refused(text: str, reduced: Reduced, notes: XmlNotes) -> None:
 
 
 def robot_of(model: Any, reduced: Reduced, notes: XmlNotes) -> Robot:
-    """Return the robot of a compiled model; what a rig holds otherwise is noted."""
+    """Return the robot of a compiled model; record what a rig cannot hold."""
     _check_sizes(model, notes)
     ties = JointEqualities.of(model, notes)
     notes.check()
@@ -102,25 +102,29 @@ def robot_of(model: Any, reduced: Reduced, notes: XmlNotes) -> Robot:
 
 
 def _check_sizes(model: Any, notes: XmlNotes) -> None:
-    """Note numbers of a compiled model that no position may have."""
+    """Record numbers of a compiled model that are out of range."""
     for name in ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "qpos0", "geom_size",
                  "geom_pos", "site_pos"):  # fmt: skip
         values = np.asarray(getattr(model, name), np.float64)
-        if not (np.isfinite(values).all() and np.abs(values).max(initial=0) <= LARGEST):
-            message = f"the compiled model has {name} beyond {LARGEST:g}, or not finite"
+        if not (
+            np.isfinite(values).all() and np.abs(values).max(initial=0) <= MAX_VALUE
+        ):
+            message = (
+                f"the compiled model has {name} beyond {MAX_VALUE:g}, or not finite"
+            )
             hint = "lengths are in metres: look at positions, sizes and scales"
             notes.add("MJC007", None, message, hint)
             return
 
 
 def rotation_of(wxyz: FloatArray) -> Quaternion:
-    """Return a rotation (x, y, z, w) of MuJoCo's (w, x, y, z)."""
+    """Return a quaternion (x, y, z, w) from MuJoCo's (w, x, y, z)."""
     w, x, y, z = np.asarray(wxyz, np.float64)
     return quaternion(np.array([x, y, z, w]))
 
 
 def _link(model: Any, body: int, ties: JointEqualities, reduced: Reduced) -> Link:
-    """Return a body: each joint turns about its own place in the body's frame."""
+    """Return the link of a body; joints pivot at positions in the body frame."""
     position = np.array(model.body_pos[body])
     rotation = np.array(rotation_of(model.body_quat[body]))
     name = model.body(body).name
@@ -142,7 +146,7 @@ def _link(model: Any, body: int, ties: JointEqualities, reduced: Reduced) -> Lin
     link.solids, link.shown = _solids(model, body)
     mass = float(model.body_mass[body])
     heavy = [mass, *model.body_inertia[body], *model.body_ipos[body]]
-    stated = mass > 2 * LEAST_MASS and name not in reduced.unweighed
+    stated = mass > 2 * MIN_MASS and name not in reduced.unweighed
     if stated and np.isfinite(heavy).all() and np.abs(heavy).max() < HEAVIEST:
         link.weight = _weight(model, body, mass)
     return link
@@ -155,7 +159,7 @@ def _move(
     rotation: FloatArray,
     ties: JointEqualities,
 ) -> Move:
-    """Return a joint, whose coordinate is MuJoCo's qpos, but for that of a free one.
+    """Return a joint whose coordinate is MuJoCo's qpos (except free joints).
 
     A hinge or slide is at 0 where qpos is 0, and so not at ``ref``, where the file has
     it. A free joint is at rest where the file has it.
@@ -189,7 +193,7 @@ def _move(
 
 
 def _solids(model: Any, body: int) -> tuple[list[SimpleShape], list[Triangles]]:
-    """Return the simple geoms of a body that collide, and those that are shown."""
+    """Return a body's simple geoms: colliding ones, and visible ones."""
     colliding, shown = [], []
     first = int(model.body_geomadr[body])
     for geom in range(first, first + int(model.body_geomnum[body])):
@@ -223,7 +227,7 @@ def _weight(model: Any, body: int, mass: float) -> Weight:
 
 
 def _note(model: Any, reduced: Reduced, ties: JointEqualities, notes: XmlNotes) -> None:
-    """Note what a rig holds otherwise, and joints that nothing drives."""
+    """Record what a rig holds differently, and joints without actuators."""
     names = [model.joint(joint).name for joint in range(model.njnt)]
 
     def add(code: str, joints: list[int], message: str, hint: str) -> None:

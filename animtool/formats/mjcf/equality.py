@@ -1,4 +1,4 @@
-"""Equality of joints: one is a polynomial of another, a mimic where that is linear."""
+"""Joint equality constraints: linear ones are mimics, others drivers."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _SLIDE = 2
 
 @dataclass(slots=True, eq=False)
 class JointEqualities:
-    """What joints are tied to, by index of the joint."""
+    """Leader joint and polynomial of each constrained joint, by joint index."""
 
     mimics: dict[int, Mimic] = field(default_factory=dict)
     drivers: dict[int, Driver] = field(default_factory=dict)
 
     @staticmethod
     def of(model: Any, notes: XmlNotes) -> JointEqualities:
-        """Return the active ties of a model; those that no rig holds are noted."""
+        """Return the active equalities of a model; record unsupported ones."""
         rows: dict[int, tuple[int, list[float]]] = {}
         for tie in range(model.neq):
             if model.eq_type[tie] != _EQ_JOINT:
@@ -52,7 +52,7 @@ class JointEqualities:
     def _add(
         self, model: Any, one: int, rows: dict[int, tuple[int, list[float]]]
     ) -> None:
-        """Add what moves a joint: by a linear tie, whatever moves that one in turn."""
+        """Add a follower; a linear leader is replaced by its own leader."""
         other, polynomial = rows[one]
         offset, gain = _linear(model, one, other, polynomial)
         curved = other >= 0 and any(polynomial[2:])
@@ -68,7 +68,7 @@ class JointEqualities:
         elif curved:
             self.drivers[one] = _driver(model, one, other, polynomial)
         elif other in rows:
-            # Linear of what is not: a driver of a driver.
+            # Linear in a joint that has a driver: a driver of a driver.
             polynomial = [polynomial[0], polynomial[1], 0.0, 0.0, 0.0]
             self.drivers[one] = _driver(model, one, rows[one][0], polynomial)
         else:
@@ -90,7 +90,7 @@ def _linear(
 
 
 def _driver(model: Any, one: int, other: int, polynomial: list[float]) -> Driver:
-    """Return a tie as a driver, by Horner's scheme."""
+    """Return a polynomial as a driver, by Horner's scheme."""
     part = SLIDE if model.jnt_type[other] == _SLIDE else ANGLE
     read = repr(f"{model.joint(other).name}.{part}")
     x = f"({read} - {_ref(model, other)!r})"
@@ -107,7 +107,7 @@ def _driver(model: Any, one: int, other: int, polynomial: list[float]) -> Driver
 def _rings(
     model: Any, rows: dict[int, tuple[int, list[float]]], notes: XmlNotes
 ) -> bool:
-    """Note joints that are tied in a ring, and return whether there are any."""
+    """Record cycles of constrained joints; return whether there are any."""
     done: set[int] = set()
     has_rings = False
     for start in rows:

@@ -1,4 +1,4 @@
-"""An MJCF and the files that it includes, as one tree: read here, and not by MuJoCo."""
+"""MJCF includes, resolved to one tree without MuJoCo opening files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAX_INCLUDES = 1000
 
 
 def read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders]:
-    """Return the root of a model, with what it includes in place of each include.
+    """Return the root of a model with all includes replaced by their content.
 
     Raises:
         FormatError: A file is no MJCF in XML, or an include leads out of the project,
@@ -40,7 +40,7 @@ def read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders]
 
 
 class _Including:
-    """Puts the content of files in the place of elements that include them."""
+    """Replaces include elements with the content of their files."""
 
     def __init__(self, path: Path, folders: PackageFolders, notes: XmlNotes) -> None:
         self._folders, self._notes = folders, notes
@@ -48,7 +48,7 @@ class _Including:
         self._count = 0
 
     def run(self, root: XmlElement) -> None:
-        """Include all that is included below an element."""
+        """Resolve all includes below an element."""
         waiting = [root]
         while waiting and not self._notes.faults:
             element = waiting.pop()
@@ -69,7 +69,7 @@ class _Including:
             waiting += reversed(children)
 
     def _included(self, element: XmlElement) -> list[XmlElement]:
-        """Return what an include stands for."""
+        """Return the elements that replace an include."""
         name = element.attributes.get("file", "")
         path = self._path_of(element, name)
         if path is None:
@@ -89,7 +89,7 @@ class _Including:
         return read_xml(path, CODES).children
 
     def _path_of(self, element: XmlElement, name: str) -> Path | None:
-        """Return the file of an include, seen from the model, else from its file."""
+        """Return the path of an include, relative to the model, else to its file."""
         if not name:
             message = "an include without file"
             self._notes.add("MJC006", element, message, 'write file="parts/legs.xml"')

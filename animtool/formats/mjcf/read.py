@@ -1,4 +1,4 @@
-"""An MJCF as a rig, and as a take of one frame."""
+"""MJCF reader: a rig, and a take of one frame."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def read_mjcf_rig(path: Path | str) -> Rig:
 
 
 def read_mjcf(path: Path | str) -> TakeStream:
-    """Open an MJCF as a take of one frame: its joints at 0, or their nearest limit.
+    """Open an MJCF as a take of one frame, joints at 0 or the nearest limit.
 
     Args:
         path: A .xml or .mjcf file.

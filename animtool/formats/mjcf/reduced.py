@@ -1,4 +1,4 @@
-"""What of an MJCF moves, as a text that MuJoCo compiles without opening a file."""
+"""An MJCF reduced to moving parts, which MuJoCo compiles without other files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.formats.robots.notes import XmlNotes, to_number
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.xml import XmlElement
 
-# Sections that a rig has no place for, and what they are called.
+# Sections that a rig cannot hold, and their labels.
 _SECTIONS = {
     "actuator": "actuators",
     "asset": "assets",
@@ -30,7 +30,7 @@ _SECTIONS = {
 }
 _IN_BODIES = {"camera": "cameras", "light": "lights", "plugin": "plugins"}
 _IN_DEFAULTS = frozenset({"default", "joint", "geom", "site"})
-# Parts that MuJoCo makes from others, with files of their own or by plug-ins.
+# Parts that MuJoCo generates from other files or by plug-ins.
 _GENERATED = frozenset({"attach", "composite", "flexcomp"})
 # Attributes that name what is left out, or change which bodies there are.
 _DROPPED = {
@@ -51,13 +51,13 @@ _TEXTS = frozenset(
         *("angle", "eulerseq", "model", "prefix"),
     }
 )
-# A body of less mass has none of its own [kg], [kg m²].
-LEAST_MASS, LEAST_INERTIA = 1e-9, 1e-13
+# Lower masses and inertias count as zero [kg], [kg m²].
+MIN_MASS, MIN_INERTIA = 1e-9, 1e-13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """A model of bodies, joints and simple shapes alone.
+    """A model of only bodies, joints and simple shapes.
 
     Attributes:
         text: The XML.
@@ -79,7 +79,7 @@ class Reduced:
 def reduced_model(
     root: XmlElement, packages: PackageFolders, notes: XmlNotes
 ) -> Reduced:
-    """Return what of a model moves; what is left out and what is wrong is noted."""
+    """Return a model's moving parts; record omissions and faults."""
     _check_files(root, packages, notes)
     _name_bodies(root)
     meshes = _MeshClasses(root)
@@ -117,8 +117,8 @@ def reduced_model(
     bound = XmlElement("compiler", {}, root.path, root.line, root.column)
     model = root.attributes.get("model")
     put(root, "<mujoco>" if model is None else f"<mujoco model={quoteattr(model)}>")
-    # Before the file's own, which may say more.
-    put(bound, f'<compiler boundmass="{LEAST_MASS}" boundinertia="{LEAST_INERTIA}"/>')
+    # Before the file's defaults, which may override these.
+    put(bound, f'<compiler boundmass="{MIN_MASS}" boundinertia="{MIN_INERTIA}"/>')
     for section in root.children:
         if section.tag in _SECTIONS:
             notes.leave_out(filter(None, [_SECTIONS[section.tag]]))
@@ -150,7 +150,7 @@ def reduced_model(
 def _is_kept(
     parent: XmlElement, child: XmlElement, section: str, notes: XmlNotes
 ) -> bool:
-    """Return whether a part of a section moves; what does not is noted."""
+    """Return whether a part of a section is kept; record it if not."""
     tag = child.tag
     match section:
         case "worldbody":
@@ -165,7 +165,7 @@ def _is_kept(
 
 
 def _is_of_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
-    """Return whether a part of a body moves; what does not is noted."""
+    """Return whether a part of a body is kept; record it if not."""
     tag, left_out = child.tag, _IN_BODIES.get(child.tag)
     if tag in _GENERATED:
         message = f"<{tag}> makes bodies from other parts, which is not read"
@@ -181,7 +181,7 @@ def _is_of_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
 
 
 def _attributes(element: XmlElement, section: str, notes: XmlNotes) -> str:
-    """Return the attributes of an element that are kept, as XML."""
+    """Return the kept attributes of an element as XML."""
     dropped: tuple[str, ...] = _DROPPED.get(element.tag, ())
     if section == "default" and element.attributes.get("type") in _MESHES:
         dropped = (*dropped, "type")
@@ -198,7 +198,7 @@ def _attributes(element: XmlElement, section: str, notes: XmlNotes) -> str:
 
 
 def _check_numbers(element: XmlElement, name: str, value: str, notes: XmlNotes) -> None:
-    """Note a number that is not finite: MuJoCo would take it."""
+    """Record numbers that are not finite, which MuJoCo would accept."""
     for word in value.split():
         number = to_number(word)
         if number is not None and not math.isfinite(number):
@@ -209,7 +209,7 @@ def _check_numbers(element: XmlElement, name: str, value: str, notes: XmlNotes) 
 
 
 def _check_range(element: XmlElement, value: str, notes: XmlNotes) -> None:
-    """Note a range that is reversed: without ``limited`` MuJoCo would drop it."""
+    """Record reversed ranges, which MuJoCo would drop without ``limited``."""
     ends = [to_number(word) for word in value.split()]
     low, high = (*ends, None, None)[:2]
     if low is None or high is None or not low > high:
@@ -221,13 +221,13 @@ def _check_range(element: XmlElement, value: str, notes: XmlNotes) -> None:
 
 
 def label_of(element: XmlElement) -> str | None:
-    """Return what a fault calls an element; None where it has no name."""
+    """Return an element's label for messages; None without a name."""
     name = element.attributes.get("name")
     return None if name is None else f"{element.tag} {excerpt(name)}"
 
 
 def _name_bodies(root: XmlElement) -> None:
-    """Give bodies without a name one that no other has."""
+    """Give unnamed bodies unique names."""
     bodies = [
         element
         for section in root.all("worldbody")
@@ -245,7 +245,7 @@ def _name_bodies(root: XmlElement) -> None:
 
 
 class _MeshClasses:
-    """Which geoms are of meshes, by themselves or by their default class."""
+    """Which geoms are meshes, directly or by their default class."""
 
     def __init__(self, root: XmlElement) -> None:
         self._classes: dict[str, bool] = {}
@@ -267,20 +267,20 @@ class _MeshClasses:
             ]
 
     def is_mesh(self, geom: XmlElement, childclass: str) -> bool:
-        """Return whether a geom of a body is of a mesh."""
+        """Return whether a body's geom is a mesh."""
         name = geom.attributes.get("class", childclass)
         return _mesh_or(geom, self._classes.get(name, self._main))
 
 
 def _mesh_or(geom: XmlElement, inherited: bool) -> bool:
-    """Return whether a geom is of a mesh; what it inherits where it does not say."""
+    """Return whether a geom is a mesh; unstated, the inherited value."""
     if geom.attributes.get("type") in _MESHES or "mesh" in geom.attributes:
         return True
     return inherited and "type" not in geom.attributes
 
 
 def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) -> None:
-    """Note files outside of the project; none of them is opened."""
+    """Record file names outside the project; no file is opened."""
     folders = {
         name: value
         for compiler in root.all("compiler")

@@ -1,4 +1,4 @@
-"""What columns of a motion file are called, and the joint coordinates they are."""
+"""Joint coordinates of a motion file's columns, and column names of a rig."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SLIDE = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """One number of a joint."""
+    """One scalar coordinate of a joint."""
 
     joint: int  # its index
     part: str  # ``angle``, ``slide``, ``rotation`` or ``translation``
@@ -35,7 +35,7 @@ class Coordinate:
 
 
 def coordinates_of(rig: Rig) -> list[Coordinate]:
-    """Return the coordinates of a rig's joints, in the order of its joints."""
+    """Return the coordinates of a rig, in joint order."""
     coordinates = []
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.PIN:
@@ -50,7 +50,7 @@ def coordinates_of(rig: Rig) -> list[Coordinate]:
 
 
 def spellings(rig: Rig) -> dict[str, Coordinate]:
-    """Return every name that a column may have, and the coordinate that it is.
+    """Return all accepted column names with their coordinates.
 
     ``knee.angle`` and ``knee`` of a pin, ``lift.slide`` and ``lift`` of a prismatic
     joint, ``hip.rotation.x`` and ``hip_x`` of a ball or free joint, and
@@ -71,7 +71,7 @@ def spellings(rig: Rig) -> dict[str, Coordinate]:
 
 
 def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
-    """Return names that `spellings` finds coordinates by, short ones where it can."""
+    """Return column names that `spellings` resolves, short ones if unique."""
     known = spellings(rig)
     return [
         short if known[short := _short(rig, one)] == one else _dotted(rig, one)
@@ -93,7 +93,7 @@ def _short(rig: Rig, one: Coordinate) -> str:
 
 
 def plain_name(column: str) -> str | None:
-    """Return the coordinate that a column of states is of; None where it is of none.
+    """Return the coordinate name of a states column; None if it has none.
 
     >>> plain_name("/jointset/knee_r/knee_angle_r/value"), plain_name("knee_angle_r")
     ('knee_angle_r', 'knee_angle_r')

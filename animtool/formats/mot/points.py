@@ -1,4 +1,4 @@
-"""An OpenSim table of vectors (STO, DataType=Vec3) as marker trajectories."""
+"""OpenSim tables of vectors (STO, DataType=Vec3) as marker trajectories."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from animtool.motion.markers import Markers
 
 
 def holds_points(path: Path) -> bool:
-    """Return whether a file is a table of vectors; False where it cannot be read."""
+    """Return whether a file is a table of vectors; False if it is unreadable."""
     try:
         return read_header(path, read_lines(path)).has_points
     except AnimtoolError:
@@ -50,7 +50,7 @@ def read_points(
     fps: FractionLike | None = None,
     subject: str | None = None,
 ) -> Markers:
-    """Return the vectors of a table as markers; one with a NaN was not seen.
+    """Return a table's vectors as markers; NaN means not visible.
 
     Time 0 is frame 1. Frames without a row have no position; rows at uneven times
     become even by straight lines between them.
@@ -104,7 +104,7 @@ def _frames(
     rounding: float,
     fps: FractionLike | None,
 ) -> RowFrames:
-    """Return the frames of rows; what is odd about their times is a warning."""
+    """Return the frames of rows; record warnings about their times."""
     stated, count = header.counts.get("rate"), len(times)
     if fps is not None or count == 1:
         rate, at = file.rate(stated, fps), np.arange(count, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""An OpenSim motion file as a take."""
+"""OpenSim motion reader: a take of joint coordinates."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def read_mot(
 
     Args:
         path: The file.
-        rig: The rig that it is for; None is one of its own, a joint for each column.
+        rig: The rig to move; None builds one with a joint for each column.
         fps: Rows a second, where the times are wrong; None is what the times say.
 
     Raises:
@@ -133,7 +133,7 @@ def _default_rig(table: MotionTable) -> Rig:
 def _matched(
     table: MotionTable, rig: Rig
 ) -> tuple[list[int], list[Coordinate], list[str]]:
-    """Return the columns that the rig has, what they are, and the names of others."""
+    """Return columns known to the rig, their coordinates, and unknown names."""
     known = spellings(rig)
     at, columns, lost = [], [], []
     for c, name in enumerate(table.names):
@@ -155,7 +155,7 @@ def _matched(
 def _even(
     table: MotionTable, values: FloatArray, option: Fraction | None
 ) -> tuple[Fraction, FloatArray, list[Fault]]:
-    """Return the rate, and values at even times."""
+    """Return the rate, and values resampled to constant steps."""
     times, path = table.times, str(table.path)
     if option is not None:
         return option, values, []

@@ -1,4 +1,4 @@
-"""A take as an OpenSim motion file (MOT, STO)."""
+"""OpenSim motion writer: a take as MOT or STO."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _lost(
     local: LocalTransforms,
     scales: FloatArray | None,
 ) -> list[Fault]:
-    """Return warnings of what the file has no place for."""
+    """Return warnings about motion that coordinates cannot hold."""
     rig, warning = take.rig, Severity.WARNING
     again = local_from_coordinates(rig, rows_to_coordinates(rig, columns, values))
     shift = np.abs(again.translations - local.translations).max(axis=(0, 2), initial=0)

@@ -1,4 +1,4 @@
-"""The rig of a robot: every link and every joint that moves is a joint of its name.
+"""Rig of a robot: a joint for every link and every moving joint.
 
 A joint that moves a link of the same name, in the same frame, is one with it; otherwise
 the link is a fixed joint below. What hangs from the link hangs from the joint that
@@ -34,7 +34,7 @@ _CONTROL = re.compile(f"[{CONTROL}]")
 
 @dataclass(frozen=True, slots=True)
 class RobotCodes:
-    """The codes of what a rig holds otherwise than the file."""
+    """Codes of notices about what a rig holds differently."""
 
     renamed: str
     approximate: str  # colliders
@@ -42,7 +42,7 @@ class RobotCodes:
 
 
 def legal_name(name: str) -> str:
-    r"""Return a name without what no text of a file may hold.
+    r"""Return a name without characters that text files cannot hold.
 
     >>> legal_name("a\x1bb"), legal_name("elbow flex")
     ('a_b', 'elbow flex')
@@ -51,7 +51,7 @@ def legal_name(name: str) -> str:
 
 
 def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
-    """Return the rig of a robot in metres and radians, Z up, at rest at its zeros.
+    """Return a robot's rig: metres, radians, Z up, at rest at zero coordinates.
 
     Notices of ``notes`` are the rig's, and what is not read is added to them.
     """
@@ -106,7 +106,7 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
 
 
 def _meshes(robot: Robot, names: _Names, joints: list[Joint]) -> tuple[Mesh, ...]:
-    """Return a mesh for each link that looks like something, stiff on its joint."""
+    """Return one rigid mesh per visible link."""
     if not any(link.shown for link in robot.links):
         return ()
     rest = Rig("", tuple(joints))
@@ -157,7 +157,7 @@ def _joint(move: Move, name: str, parent: int, known: Mapping[str, str]) -> Join
 
 @dataclass(frozen=True, slots=True)
 class _Names:
-    """What joints of the rig are called."""
+    """Joint names of the rig."""
 
     links: list[str]  # by link
     moves: list[list[str]]  # by link, of its moves
@@ -218,7 +218,7 @@ def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _Names:
 
 
 def _is_link(link: Link, last: Move) -> bool:
-    """Return whether a link's last joint has its name and its frame."""
+    """Return whether a link's last joint has its name and frame."""
     return last.name in {"", link.name} and not np.any(link.after)
 
 

@@ -1,4 +1,4 @@
-"""Meshes of robots: OBJ and STL as triangles."""
+"""Robot meshes: OBJ and STL as triangles."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("more", "<
 
 
 def read_mesh(path: Path) -> Triangles:
-    """Return the triangles of an OBJ or STL, in its own unit.
+    """Return the triangles of an OBJ or STL, in file units.
 
     Raises:
         ValueError: It is neither, is broken, or is larger than is read.
@@ -62,7 +62,7 @@ def _stl(content: bytes) -> Triangles:
 
 
 def _welded(points: FloatArray) -> Triangles:
-    """Return triangles of three points each as such: sides stay flat."""
+    """Return triangles from separate corners; flat sides stay flat."""
     return Triangles(points, np.arange(len(points), dtype=np.int64).reshape(-1, 3))
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with a robot file and what is odd, gathered with lines and names."""
+"""Faults and notices of a robot file, collected with lines and names."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.formats.robots.xml import XmlElement
 # More are of one cause.
 MAX_FAULTS = 50
 # No robot is larger [m], and no angle or weight says more.
-LARGEST = 1e9
+MAX_VALUE = 1e9
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -48,7 +48,7 @@ class XmlNotes:
         joint: str | None = None,
         severity: Severity = Severity.ERROR,
     ) -> None:
-        """Note what is wrong at an element; None is the whole file."""
+        """Record a fault at an element; None is the file."""
         path = self.path if element is None else element.path
         lines = () if element is None else (element.line,)
         column = None if element is None else element.column
@@ -58,7 +58,7 @@ class XmlNotes:
         (self.faults if severity is Severity.ERROR else self.notices).append(fault)
 
     def check(self) -> None:
-        """Raise `FormatError` with every fault, where there are any."""
+        """Raise `FormatError` with all faults, if any."""
         if not self.faults:
             return
         shown = self.faults[:MAX_FAULTS]
@@ -76,9 +76,9 @@ class XmlNotes:
         count: int,
         default: tuple[float, ...],
         where: str,
-        most: float = LARGEST,
+        most: float = MAX_VALUE,
     ) -> tuple[float, ...]:
-        """Return the numbers of an attribute; its default where it is left out.
+        """Return the numbers of an attribute, or its default.
 
         Those beyond ``most`` are noted, and all that are not finite.
         """
@@ -117,12 +117,12 @@ class XmlNotes:
         return self.numbers(element, name, 1, (default,), where)[0]
 
     def leave_out(self, names: Iterable[str]) -> None:
-        """Note what is not read."""
+        """Record parts that are not read."""
         self.left_out.update(dict.fromkeys(names))
 
 
 def to_number(text: str) -> float | None:
-    """Return a decimal number, infinite or not a number too; None for other text.
+    """Parse a decimal number, including inf and nan; None for other text.
 
     >>> to_number("1e-3"), to_number("1_0"), to_number("0x1p3")
     (0.001, None, None)
@@ -135,7 +135,7 @@ def to_number(text: str) -> float | None:
 
 
 def named(kind: str, name: str) -> str:
-    """Return what a fault calls a joint or link.
+    """Return a joint's or link's label for messages.
 
     >>> named("joint", "elbow flex")
     "joint 'elbow flex'"

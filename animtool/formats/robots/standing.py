@@ -1,4 +1,4 @@
-"""A robot that stands: a take of one frame, for files that hold no motion."""
+"""Robot at its zero pose: a take of one frame for files without motion."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
-# Any: a frame alone has none.
+# Arbitrary: one frame has no rate.
 RATE = Fraction(24)
 
 
 def zero_coordinates(rig: Rig) -> FloatArray:
-    """Return coordinates ``(1, Q)`` at 0, or at the limit nearest to it.
+    """Return coordinates ``(1, Q)`` at 0, or at the nearest limit.
 
     Joints that follow others are where those put them.
     """
@@ -34,7 +34,7 @@ def zero_coordinates(rig: Rig) -> FloatArray:
 
 
 def standing(rig: Rig, format_name: str) -> TakeStream:
-    """Return a take of one frame of a robot at its zeros."""
+    """Return a one-frame take of a robot at zero coordinates."""
     local = local_from_coordinates(rig, zero_coordinates(rig))
     motion = Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)

@@ -1,4 +1,4 @@
-"""Simple shapes as triangles, each side with points of its own."""
+"""Primitive shapes as triangles with flat sides."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def joined(parts: list[Triangles]) -> Triangles:
 
 
 def triangles_of(solid: SimpleShape) -> Triangles:
-    """Return the surface of a shape where it is on its link.
+    """Return the surface of a shape, placed on its link.
 
-    >>> box = triangles_of(Solid("box", (1.0, 2.0, 3.0)))
+    >>> box = triangles_of(SimpleShape("box", (1.0, 2.0, 3.0)))
     >>> len(box.points), len(box.faces), box.points.max(axis=0).tolist()
     (24, 12, [0.5, 1.0, 1.5])
     """
@@ -67,7 +67,7 @@ def _cylinder(radius: float, length: float) -> Triangles:
 
 
 def _band(below: int, above: int) -> IntArray:
-    """Return the faces between two rings, counterclockwise from outside."""
+    """Return faces between two rings, counterclockwise from outside."""
     k = np.arange(AROUND)
     after = (k + 1) % AROUND
     first = np.stack([below + k, below + after, above + after], axis=1)
@@ -76,7 +76,7 @@ def _band(below: int, above: int) -> IntArray:
 
 
 def _round(radius: float, length: float) -> Triangles:
-    """Return a ball, or a capsule along z."""
+    """Return a sphere, or a capsule along z."""
     heights = np.linspace(-math.pi / 2, math.pi / 2, ALONG + 1)
     rows = [(h, -0.5 if h <= 0 else 0.5) for h in heights]
     if length:

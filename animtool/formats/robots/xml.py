@@ -1,4 +1,4 @@
-"""XML as a tree of elements with their lines: no entities, nothing from outside."""
+"""XML as a tree of elements with line numbers; no entities, no external files."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ class XmlElement:
     text: str = ""
 
     def all(self, tag: str) -> list[XmlElement]:
-        """Return the children of a name."""
+        """Return the children with a tag."""
         return [child for child in self.children if child.tag == tag]
 
     def walk(self) -> Iterator[XmlElement]:
-        """Yield it and all below it, in the order of the file."""
+        """Yield the element and all descendants in file order."""
         waiting = [self]
         while waiting:
             element = waiting.pop()
@@ -58,7 +58,7 @@ class XmlElement:
 
 @dataclass(frozen=True, slots=True)
 class XmlCodes:
-    """The codes of what is wrong with a file as XML."""
+    """Codes of XML faults."""
 
     malformed: str
     entities: str  # of a DTD, and so of entities
@@ -66,7 +66,7 @@ class XmlCodes:
 
 
 class _Refused(Exception):  # noqa: N818  # control flow inside this module
-    """What a handler refuses: a code, a message and a hint."""
+    """Raised by handlers: a code, a message and a hint."""
 
     def __init__(self, code: str, message: str, hint: str) -> None:
         self.code, self.message, self.hint = code, message, hint
@@ -84,12 +84,12 @@ def read_xml(path: Path, codes: XmlCodes) -> XmlElement:
 
 
 def parse_xml(content: bytes, path: Path, codes: XmlCodes) -> XmlElement:
-    """Return the root element of the content of a file; see `read_xml`."""
+    """Return the root element of a file's content; see `read_xml`."""
     return _Parsing(path, codes).root_of(content)
 
 
 class _Parsing:
-    """Handlers of expat, which build the tree."""
+    """Expat handlers that build the tree."""
 
     def __init__(self, path: Path, codes: XmlCodes) -> None:
         self._path, self._codes = path, codes
@@ -109,7 +109,7 @@ class _Parsing:
         self._parser = parser
 
     def root_of(self, content: bytes) -> XmlElement:
-        # A declaration behind blank lines is no XML, and many tools write it.
+        # A declaration after blank lines is invalid XML, but many tools write it.
         declared = content.lstrip(b" \t\r\n")
         if declared.startswith(b"<?xml"):
             self._before = content[: len(content) - len(declared)].count(b"\n")
@@ -121,14 +121,14 @@ class _Parsing:
         except expat.ExpatError as error:
             self._malformed(error)
         except (LookupError, ValueError, UnicodeError) as error:
-            # Of an encoding that Python does not know, or that is no encoding of text.
+            # An encoding that is unknown, or not a text encoding.
             message = f"cannot be decoded: {error}"
             self._fail(self._codes.malformed, message, "save it as UTF-8")
         assert self._root is not None
         return self._root
 
     def _malformed(self, error: expat.ExpatError) -> NoReturn:
-        """Raise what expat says, in words that name the element."""
+        """Raise expat's error with the element it is in."""
         reason = expat.ErrorString(error.code) or "malformed"
         hint = "export or copy the file again"
         errors = expat.errors

@@ -1,4 +1,4 @@
-"""Marker trajectories as a TRC file."""
+"""TRC writer: marker trajectories to a file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROWS_AT_ONCE = 4096
 def write_trc(
     markers: Markers, path: Path | str, *, overwrite: bool = False
 ) -> list[Fault]:
-    """Write markers as a TRC file in millimetres; what was not seen is an empty cell.
+    """Write markers as TRC in millimetres; empty cells are not visible.
 
     Args:
         markers: What to write.
@@ -88,7 +88,7 @@ def _parts(markers: Markers, name: str) -> Iterator[bytes]:
 
 
 def _emptied(text: bytes, missing: BoolArray) -> bytes:
-    """Return rows with tabs between cells, those that are missing empty.
+    """Return tab-separated rows, missing cells empty.
 
     A tab closes the last cell where it is empty: OpenSim reads none without.
     """

@@ -1,4 +1,4 @@
-"""What a URDF says of links and joints, as records, and how its parts are read."""
+"""Records of URDF links and joints, and readers of common elements."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CODES = XmlCodes("URD001", "URD002", "URD003")
 
 
 class UrdfJointKind(StrEnum):
-    """What a joint of a URDF does."""
+    """The type of a joint."""
 
     REVOLUTE = "revolute"
     CONTINUOUS = "continuous"
@@ -28,7 +28,7 @@ class UrdfJointKind(StrEnum):
     PLANAR = "planar"
 
 
-# Kinds with one coordinate.
+# Joint types with one coordinate.
 SCALAR = frozenset(
     {UrdfJointKind.REVOLUTE, UrdfJointKind.CONTINUOUS, UrdfJointKind.PRISMATIC}
 )
@@ -36,7 +36,7 @@ SCALAR = frozenset(
 
 @dataclass(slots=True, eq=False)
 class UrdfJoint:
-    """A joint as it is written."""
+    """A joint as stated in the file."""
 
     element: XmlElement
     name: str
@@ -51,13 +51,13 @@ class UrdfJoint:
 
     @property
     def where(self) -> str:
-        """What faults call it."""
+        """Label in messages."""
         return named("joint", self.name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visual:
-    """A mesh that a link looks like, or a simple shape."""
+    """A visual of a link: a mesh or a primitive shape."""
 
     mesh: XmlElement | None
     solid: SimpleShape  # of a mesh, where it is
@@ -66,7 +66,7 @@ class Visual:
 
 @dataclass(slots=True, eq=False)
 class UrdfLink:
-    """A link as it is written."""
+    """A link as stated in the file."""
 
     element: XmlElement
     name: str
@@ -78,7 +78,7 @@ class UrdfLink:
 
 @dataclass(slots=True, eq=False)
 class UrdfFile:
-    """A URDF: what it says, before its tree is looked at."""
+    """The links and joints of a URDF before its tree is checked."""
 
     name: str
     links: dict[str, UrdfLink]
@@ -90,7 +90,7 @@ class UrdfFile:
 def one_of(
     element: XmlElement, tag: str, where: str, notes: XmlNotes, *, needed: bool = False
 ) -> XmlElement | None:
-    """Return the child of a name; none where it is missing, the first of several."""
+    """Return the child with a tag; the first of several, None if missing."""
     elements = element.all(tag)
     if any(one.attributes != elements[0].attributes for one in elements):
         message = f"<{tag}> is given {len(elements)} times, not alike"
@@ -103,7 +103,7 @@ def one_of(
 def text_of(
     element: XmlElement, name: str, where: str | None, notes: XmlNotes, hint: str = ""
 ) -> str:
-    """Return an attribute that must be there; empty where it is not."""
+    """Return a required attribute; empty if missing, with a fault."""
     text = element.attributes.get(name, "")
     if not text.strip():
         what = "is empty" if name in element.attributes else "is missing"

@@ -1,4 +1,4 @@
-"""A URDF as it is written: its links and joints, and what is not read of it."""
+"""URDF parsing: links and joints, and notices about other contents."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EXPAND = "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package of R
 
 
 def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
-    """Return a file's links and joints; faults are noted.
+    """Return a file's links and joints; record faults.
 
     Raises:
         FormatError: It is no URDF in XML (URD001 to URD005).
@@ -42,7 +42,7 @@ def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
 
 
 def _check_root(root: XmlElement, notes: XmlNotes) -> None:
-    """Note what is no URDF, and a xacro file, which makes one."""
+    """Record roots other than <robot>, and xacro files."""
     for element in root.walk():
         texts = element.attributes.values()
         macro = element.tag.startswith("xacro:")
@@ -65,7 +65,7 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
     notes.add("URD004", root, f"no URDF: its root element is <{root.tag[:60]}>", hint)
 
 
-# Elements that a robot may have, and what they are called where they are not read.
+# Elements that are not read, and their labels.
 _KNOWN = {"link", "joint", "material"}
 _OF_JOINTS = {
     "dynamics": "damping and friction of joints",
@@ -75,7 +75,7 @@ _OF_JOINTS = {
 
 
 def _not_read(root: XmlElement) -> Iterator[str]:
-    """Yield what of a robot no rig holds, in words."""
+    """Yield labels of contents that a rig cannot hold."""
     for element in root.children:
         if element.tag == "material":
             yield "materials"
@@ -90,7 +90,7 @@ def _not_read(root: XmlElement) -> Iterator[str]:
 
 
 def _driven(root: XmlElement) -> tuple[frozenset[str], bool]:
-    """Return the joints that transmissions or controllers name, and if any exists."""
+    """Return joints named by transmissions or controllers, and if any exist."""
     drives = [*root.all("transmission"), *root.all("ros2_control")]
     names = {
         joint.attributes.get("name", "")

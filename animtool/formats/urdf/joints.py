@@ -1,4 +1,4 @@
-"""The joints of a URDF: kind, links, origin, axis, limits and mimic."""
+"""URDF joints: type, links, origin, axis, limits and mimic."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Severity, excerpt
 from animtool.core.names import nearest
-from animtool.formats.robots.notes import LARGEST, XmlNotes, named
+from animtool.formats.robots.notes import MAX_VALUE, XmlNotes, named
 from animtool.formats.robots.parts import vector
 from animtool.formats.robots.xml import XmlElement
 from animtool.formats.urdf.elements import (
@@ -32,7 +32,7 @@ _LIMITED = frozenset({UrdfJointKind.REVOLUTE, UrdfJointKind.PRISMATIC})
 def add_joint(
     element: XmlElement, joints: dict[str, UrdfJoint], notes: XmlNotes
 ) -> None:
-    """Add a joint to those of a file; faults are noted."""
+    """Add a joint to those of a file; record faults."""
     name = text_of(element, "name", None, notes)
     if not name:
         return
@@ -82,7 +82,7 @@ def _axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
 
 
 def unit(values: FloatArray) -> Vector:
-    """Return a direction at unit length, to the last digit."""
+    """Return a direction normalised to the last digit."""
     direction = values / np.abs(values).max()
     return vector(direction / math.sqrt(float(direction @ direction)))
 
@@ -114,9 +114,9 @@ def _limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
             "URD104", element, message, where=where, joint=name,
             severity=Severity.WARNING,
         )  # fmt: skip
-    if low <= -LARGEST and high >= LARGEST:
+    if low <= -MAX_VALUE and high >= MAX_VALUE:
         return None
-    return RangeLimit(max(low, -LARGEST), min(high, LARGEST))
+    return RangeLimit(max(low, -MAX_VALUE), min(high, MAX_VALUE))
 
 
 def _mimic(joint: UrdfJoint, notes: XmlNotes) -> Mimic | None:

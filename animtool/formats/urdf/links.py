@@ -1,4 +1,4 @@
-"""The links of a URDF: what they weigh, collide as, and look like."""
+"""URDF links: masses, collision shapes and visuals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.maths import so3
 
 
 def add_link(element: XmlElement, links: dict[str, UrdfLink], notes: XmlNotes) -> None:
-    """Add a link to those of a file; faults are noted."""
+    """Add a link to those of a file; record faults."""
     name = text_of(element, "name", None, notes)
     if not name:
         return
@@ -46,7 +46,7 @@ def add_link(element: XmlElement, links: dict[str, UrdfLink], notes: XmlNotes) -
 
 
 def _visual(part: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
-    """Yield what a visual shows; what is wrong with it is left out with a note."""
+    """Yield a link's visual; skip an invalid one with a notice."""
     visual_notes = XmlNotes(notes.path, notes.number_code)
     meshes = [mesh for one in part.all("geometry") for mesh in one.all("mesh")]
     shown: Visual | None = None
@@ -68,7 +68,7 @@ def _visual(part: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
 
 
 def _weight(inertial: XmlElement, where: str, notes: XmlNotes) -> Weight | None:
-    """Return the mass of a link; None where no body has it, with a warning."""
+    """Return a link's mass; warn and return None if impossible."""
     position, rotation = pose_of(inertial, where, notes)
     before = len(notes.faults)
     mass_element = one_of(inertial, "mass", where, notes)
@@ -99,7 +99,7 @@ def _weight(inertial: XmlElement, where: str, notes: XmlNotes) -> Weight | None:
 
 
 def _solid(part: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | None:
-    """Return the shape of a collision; None of what no collider can be, and listed."""
+    """Return a collision shape; None, with a notice, for meshes."""
     geometry = one_of(part, "geometry", where, notes)
     shape = next(iter(geometry.children), None) if geometry is not None else None
     if shape is None or shape.tag not in _SHAPES:
@@ -122,7 +122,7 @@ def _solid(part: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | None:
     return SimpleShape(shape.tag, tuple(size), position, rotation)
 
 
-# Shapes, and which numbers each has.
+# Shapes with their attributes.
 _SHAPES: dict[str, tuple[tuple[str, int], ...]] = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),

@@ -1,4 +1,4 @@
-"""The meshes that a URDF names: inside the project, read where they are OBJ or STL."""
+"""URDF meshes: OBJ and STL files inside the project."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_TRIANGLES = 1_000_000
 
 
 def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
-    """Return the files of meshes by name; those outside of the project are refused.
+    """Return mesh paths by name; raise for files outside the project.
 
     Missing ones are noted: motion needs none.
     """
@@ -61,7 +61,7 @@ def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
 def looks_of(
     file: UrdfFile, files: dict[str, Path], notes: XmlNotes
 ) -> dict[str, list[Triangles]]:
-    """Return what links look like, by name; what is not shown is noted."""
+    """Return visible surfaces by link name; record what is not shown."""
     read: dict[Path, Triangles | None] = {}
     wrong: dict[str, None] = {}
     looks: dict[str, list[Triangles]] = {}
@@ -91,7 +91,7 @@ def _shown(
     wrong: dict[str, None],
     notes: XmlNotes,
 ) -> Triangles | None:
-    """Return a visual in the frame of its link; None where it is not shown."""
+    """Return a visual's surface in its link frame; None if not shown."""
     if visual.mesh is None:
         return triangles_of(visual.solid)
     name = visual.mesh.attributes["filename"]
@@ -116,6 +116,6 @@ def _shown(
     )
     scale = np.array(visual.scale)
     points = so3.rotate(rotation, mesh.points * scale) + position
-    # A mirror turns the sides of faces inside out.
+    # Mirroring reverses the orientation of faces.
     faces = mesh.faces[:, ::-1] if np.prod(scale) < 0 else mesh.faces
     return Triangles(points, faces)

@@ -1,4 +1,4 @@
-"""A URDF as a robot: links in order, joints as what a rig has in their place."""
+"""A URDF as a robot: ordered links, and joints as rig joints."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _TYPES = {
     UrdfJointKind.FLOATING: JointType.FREE,
     UrdfJointKind.FIXED: JointType.FIXED,
 }
-# Limits of a mimic that are exceeded by less are rounding [rad], [m].
+# A mimic beyond its limits by less is rounding [rad], [m].
 ROUNDING = 1e-9
 
 
@@ -57,7 +57,7 @@ def rig_of_urdf(path: Path) -> Rig:
 def _links(
     file: UrdfFile, mimics: dict[str, Mimic], looks: dict[str, list[Triangles]]
 ) -> list[Link]:
-    """Return the links, parents before children, each branch down to its end."""
+    """Return links depth-first, parents before children."""
     below: dict[str, list[UrdfJoint]] = {name: [] for name in file.links}
     children = set()
     for one in file.joints.values():
@@ -83,7 +83,7 @@ def _links(
 
 
 def _moves(joint: UrdfJoint, mimic: Mimic | None) -> list[Move]:
-    """Return what of a rig a joint is."""
+    """Return the rig joints that represent a joint."""
     if joint.kind is UrdfJointKind.PLANAR:
         return _planar(joint)
     fixed = joint.kind is UrdfJointKind.FIXED
@@ -101,7 +101,7 @@ def _moves(joint: UrdfJoint, mimic: Mimic | None) -> list[Move]:
 
 
 def _planar(joint: UrdfJoint) -> list[Move]:
-    """Return two slides and a pin: x and y are turned as the axis is from z."""
+    """Return two slides and a pin; x and y are rotated as the axis from z."""
     rotation = so3.between(np.array([0.0, 0.0, 1.0]), np.array(joint.axis))
     x, y = (vector(so3.rotate(rotation, np.eye(3)[k])) for k in (0, 1))
     slide = JointType.PRISMATIC
@@ -111,7 +111,7 @@ def _planar(joint: UrdfJoint) -> list[Move]:
 
 
 def _note_idle(file: UrdfFile, notes: XmlNotes) -> None:
-    """Note joints that nothing drives, where transmissions drive others."""
+    """Record joints without transmissions where others have them."""
     if not file.has_drives:
         return
     idle = [
@@ -129,7 +129,7 @@ def _note_idle(file: UrdfFile, notes: XmlNotes) -> None:
 
 
 def _note_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) -> None:
-    """Note zeros that limits exclude, and mimics that go beyond their limits."""
+    """Record limits that exclude 0, and mimics beyond their limits."""
     off = [
         joint.name
         for joint in file.joints.values()

@@ -1,4 +1,4 @@
-"""The tree of a URDF: one root, a joint above each other link, mimics without loops."""
+"""URDF tree checks: one root, one parent joint per link, acyclic mimics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.rig.skeleton import Mimic
 
 
 def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
-    """Note links that are missing, have two parents or none, and rings of joints."""
+    """Record missing links, links with two parents or none, and cycles."""
     above: dict[str, UrdfJoint] = {}
     missing = False
     for joint in file.joints.values():
@@ -40,7 +40,7 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
 
 
 def _ring(joint: UrdfJoint, above: dict[str, UrdfJoint]) -> list[str]:
-    """Return the joints that lead from a joint's child back to it; empty for none."""
+    """Return the cycle of joints through a joint's child; empty if none."""
     names, link = [joint.name], joint.parent
     visited: set[str] = set()
     while link in above and link not in visited:
@@ -91,7 +91,7 @@ def _quoted(names: Iterable[str]) -> list[str]:
 
 
 def resolved_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
-    """Return of each joint that mimics another which one moves it in the end.
+    """Return each mimic joint with its final leader.
 
     A mimic of a mimic is one of the first, by both multipliers and offsets.
     """
