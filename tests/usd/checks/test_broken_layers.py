@@ -148,3 +148,17 @@ def test_all_layers_and_variants_are_searched_for_numbers(tmp_path: Path) -> Non
     many = [where for where in said if str(where).startswith("/Many")]
     assert len(many) == 5
     assert said[many[-1]].endswith("so are 4 more values of this prim")
+
+
+def test_a_text_file_of_ours_is_named(tmp_path: Path) -> None:
+    """Its first key says what it is, whatever the suffix."""
+    for name, hint in (
+        ("a.usda", "rename it to a.rig.yaml, and write it as USD first: "),
+        ("a.usd", "rename it to a.rig.yaml, and write it as USD first: "),
+    ):
+        path = tmp_path / name
+        path.write_text("# ours\nrig: animtool/1\nname: a\n", "utf-8")
+        (fault,) = check_layer(path)
+        assert fault.code == "USD001"
+        assert fault.message == "is a rig file, not USD"
+        assert fault.hint == hint + "animtool convert a.rig.yaml a.usdc"
