@@ -62,7 +62,7 @@ class Interval:
     def solved(
         self, starts: FloatArray, frames: IntArray, steps: int = DESCENT
     ) -> tuple[FloatArray, FloatArray]:
-        """Return solved poses ``(B, C)`` from starts at frames of the clip, and costs."""
+        """Return poses ``(B, C)`` solved from starts at frames of a clip, and costs."""
         rows = self.problem.chain.into_rig(starts, self._empty_rows(len(starts)))
         chosen = replace(self.options, warm=False, restarts=0, iterations=steps)
         result = self._solve(rows, frames, chosen)
@@ -143,7 +143,7 @@ def missed_by(costs: FloatArray) -> FloatArray:
 def branches(
     interval: Interval, count: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return candidate paths through an interval ``(K, L, C)`` and miss costs ``(K, L)``.
+    """Return candidate paths through an interval ``(K, L, C)``, and costs ``(K, L)``.
 
     They are the current path; other solutions of the broken frame, tracked forward and
     backward in time; and blends from the current path to each of these, projected onto
@@ -172,8 +172,8 @@ def branch_tracks(
 ) -> tuple[FloatArray, FloatArray]:
     """Return candidate paths from solutions at some rows ``(K, L, C)``; see `branches`.
 
-    They are the current path and, for each of the rows, its pose, that of the row before
-    and the nearest other solutions, each tracked to both ends of the interval.
+    They are the current path and, for each of the rows, its pose, that of the row
+    before and the nearest other solutions, each tracked to both ends of the interval.
     """
     paths, prices = [interval.poses[None]], [interval.costs[None]]
     for row in rows.tolist():

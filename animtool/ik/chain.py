@@ -90,10 +90,10 @@ def _conjugated(q: FloatArray, frame: FloatArray) -> FloatArray:
 
 
 def difference(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the step from one pose to another ``(..., D)``, of coordinates ``(..., C)``.
+    """Return steps between poses ``(..., D)``, from coordinates ``(..., C)``.
 
-    Pins in radians, slides in fractions of the chain's length, balls as rotation vectors
-    [rad] in their rest frame. Pins without limits take the short direction.
+    Pins in radians, slides in fractions of the chain's length, balls as rotation
+    vectors [rad] in their rest frame. Pins without limits take the short direction.
     """
     start, end = np.broadcast_arrays(start, end)
     out = np.zeros((*start.shape[:-1], chain.degrees))

@@ -47,7 +47,7 @@ class FrameSpan:
     carrier_rotations: FloatArray  # and rotations ``(N, E, 4)``
 
     def to_chain_frame(self, targets: Targets) -> Targets:
-        """Return targets of the span's frames in the carrier frame of its first pose."""
+        """Return the span's targets in the carrier frame of its first pose."""
         rotation = so3.multiply(
             self.carrier_rotations[:1], so3.conjugate(self.carrier_rotations)
         )

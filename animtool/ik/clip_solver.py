@@ -48,13 +48,13 @@ def follow(
 ) -> IkResult:
     """Return the poses of F consecutive frames, without avoidable jumps.
 
-    Each frame starts from the previous solution. Where that pose cannot reach the goals,
-    the solution jumps to another branch. Then other paths are searched over ever longer
-    intervals before the jump, until one avoids it: solutions from seeded starts, tracked
-    forward and backward in time, and blends to these that stay on the goals. The path
-    with the least sum of squared steps is taken and its speed evened out. Reaching goals
-    takes precedence over avoiding jumps. No path is searched where no other solution of
-    the frame jumps less.
+    Each frame starts from the previous solution. Where that pose cannot reach the
+    goals, the solution jumps to another branch. Then other paths are searched over ever
+    longer intervals before the jump, until one avoids it: solutions from seeded starts,
+    tracked forward and backward in time, and blends to these that stay on the goals.
+    The path with the least sum of squared steps is taken and its speed evened out.
+    Reaching goals takes precedence over avoiding jumps. No path is searched where no
+    other solution of the frame jumps less.
 
     Args:
         problem: E goals over a rig of Q coordinates.

@@ -79,10 +79,10 @@ def fit(
     """Return poses of F frames that fit targets which no pose reaches exactly.
 
     Minimises the sum over the frames of ``r² / (1 + r² / robust²)`` of each goal's
-    weighted miss r, plus squared joint accelerations over the typical one, by reweighted
-    Gauss-Newton over all frames together, within the limits. First each frame is solved
-    from the extrapolated previous ones, and from ``starts`` where most goals do not fit.
-    Goals with swapped targets exchange them.
+    weighted miss r, plus squared joint accelerations over the typical one, by
+    reweighted Gauss-Newton over all frames together, within the limits. First each
+    frame is solved from the extrapolated previous ones, and from ``starts`` where most
+    goals do not fit. Goals with swapped targets exchange them.
 
     Args:
         problem: E goals over a rig of Q coordinates.

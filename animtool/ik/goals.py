@@ -148,8 +148,8 @@ class Goal:
         soft: Fraction of the limb's reach, from its root to the point, over which its
             extension eases out, so that it does not snap straight; from 0 to less
             than 1.
-        stretch: Fraction of their length by which the limb's bones may grow, all equally,
-            to reach a target that is too far.
+        stretch: Fraction of their length by which the limb's bones may grow, all
+            equally, to reach a target that is too far.
     """
 
     joint: str

@@ -187,13 +187,14 @@ def extend(limbs: Sequence[GoalLimb], targets: FloatArray) -> Extension:
     The bones grow by the distance that the eased extension lacks, at most by their
     stretch; the target is then moved to within the extension.
 
-    Up to ``(1 - soft) reach`` a limb extends as far as its target; beyond, it approaches
-    its full reach with continuous speed, so that it never snaps straight.
+    Up to ``(1 - soft) reach`` a limb extends as far as its target; beyond, it
+    approaches its full reach with continuous speed, so that it never snaps straight.
 
     References:
         A. Nicholas, Soft IK, 2009 (the exponential ease).
 
-    Limits of the method: the reach is that of the straight limb, or for two bones with a
+    Limits of the method: the reach is that of the straight limb, or for two bones with
+        a
     pin within the pin's limits; other limits are ignored.
 
     ``targets`` ``(B, E, W)``: packed, in fractions of the problem's length.

@@ -23,8 +23,8 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import JointType, Rig
 
-# A middle joint nearer to its limb's line than this fraction of the limb's length has no
-# side: a wrong side is off by less than a hundred-thousandth of that length.
+# A middle joint nearer to its limb's line than this fraction of the limb's length has
+# no side: a wrong side is off by less than a hundred-thousandth of that length.
 SIDE = 5e-6
 
 
@@ -47,18 +47,21 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
 
     The pole is half the limb's length off the line from root to tip, next to the middle
     joint and in the plane of the three. Where the limb is straight, the side of the
-    previous bent frame is used, carried by the root joint; before that, of the next bent
-    frame; without any, the chain's ``pole_dir``, for a hinge perpendicular to its axis.
+    previous bent frame is used, carried by the root joint; before that, of the next
+    bent frame; without any, the chain's ``pole_dir``, for a hinge perpendicular to its
+    axis.
 
     With the same parents of the chains, the targets reproduce the positions of tips and
-    middle joints, and all rotations of bent limbs with seven degrees of freedom: a ball,
+    middle joints, and all rotations of bent limbs with seven degrees of freedom: a
+        ball,
     a hinge, and a tip with three, one of which may be a twist of the forearm.
 
     Limits of the method: targets do not capture the twist of a straight limb about its
-    line; twist that two joints share, such as a wrist and a forearm; the twist of a ball
-    at the middle; which of two solutions three wrist hinges take; the bend of joints
-    other than the root and the middle; and the tip's rotation for a chain without an
-    orientation goal. A limb that bends through straight takes its pole with it.
+    line; twist that two joints share, such as a wrist and a forearm; the twist of a
+    ball at the middle; which of two solutions three wrist hinges take; the bend of
+    joints other than the root and the middle; and the tip's rotation for a chain
+    without an orientation goal. A limb that bends through straight takes its pole with
+    it.
 
     Args:
         rig: J joints.

@@ -109,9 +109,9 @@ def solve_take(
 ) -> TakeIk:
     """Return a take solved for targets.
 
-    Each frame starts at its source pose. Joints that move no goal keep it, and so do all
-    joints in frames without active goals, except that joints that move a goal are brought
-    inside their limits.
+    Each frame starts at its source pose. Joints that move no goal keep it, and so do
+    all joints in frames without active goals, except that joints that move a goal are
+    brought inside their limits.
 
     Args:
         take: F frames.

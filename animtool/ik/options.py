@@ -9,8 +9,8 @@ from animtool.core.options import described, option
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 
-# Default solve tolerances of takes, and the miss above which a goal is reported; smaller
-# misses are invisible. Angles in degrees.
+# Default solve tolerances of takes, and the miss above which a goal is reported;
+# smaller misses are invisible. Angles in degrees.
 LENGTH_TOLERANCE, ANGLE_TOLERANCE = "0.001mm", 1e-4
 MISSED, MISSED_DEGREES = "0.1mm", 0.1
 
@@ -23,8 +23,8 @@ class IkMethod(StrEnum):
             last three meet or whose middle ones are parallel; else DAMPED.
         DAMPED: Damped least squares with restarts: for every problem, and the only one
             that supports priorities.
-        TWO_BONE: The closed form of a limb of two bones; DAMPED where the elbow's limits
-            prevent it.
+        TWO_BONE: The closed form of a limb of two bones; DAMPED where the elbow's
+            limits prevent it.
         GRADIENT: Steepest descent with backtracking.
         NEWTON: Newton's method, with second derivatives of positions and orientations,
             in a region of trust.
@@ -56,10 +56,10 @@ class IkOptions:
         iterations: Most iterations of one problem, restarts included.
         restarts: Most restarts where damped steps end short of the goals.
         seed: Seed of the restarts; the same seed gives the same poses.
-        seconds: Time limit of one problem [s]; 0 is none. With a limit, results depend on
-            the machine.
-        ordered: The problems are consecutive frames. One that ends as far from its goals
-            as the previous is not restarted.
+        seconds: Time limit of one problem [s]; 0 is none. With a limit, results depend
+            on the machine.
+        ordered: The problems are consecutive frames. One that ends as far from its
+            goals as the previous is not restarted.
         warm: Warm-start each problem from the previous solution.
         near: Pull poses found by restarts towards the preferred pose while goals stay
             reached; this takes longer than finding them.
@@ -84,8 +84,8 @@ class TakeOptions:
 
     Attributes:
         seconds: Time limit of one frame [s]; 0 is none.
-        smooth: Time over which motion that the goals leave free is smoothed [s]; 0 disables
-            it.
+        smooth: Time over which motion that the goals leave free is smoothed [s]; 0
+            disables it.
     """
 
     method: IkMethod = option(

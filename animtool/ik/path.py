@@ -149,7 +149,7 @@ def goal_moves(problem: Problem, targets: FloatArray) -> FloatArray:
 
 
 def _moves(value: TargetValue, targets: FloatArray) -> FloatArray:
-    """Return the motion of targets ``(F, E, W)`` as lengths or angles ``(F - 1, E)``."""
+    """Return the steps of targets ``(F, E, W)``, lengths or angles ``(F - 1, E)``."""
     if value is TargetValue.ROTATION:
         return so3.angle_between(targets[1:], targets[:-1])
     return np.asarray(np.linalg.norm(np.diff(targets, axis=0), axis=2))
@@ -202,7 +202,7 @@ def _jumps(
     moves: FloatArray,
     fps: float,
 ) -> tuple[Jump, ...]:
-    """Return the jumps of coordinates ``(F, Q)``, with stretched translations if any."""
+    """Return the jumps of coordinates ``(F, Q)``, with stretched bones if any."""
     local = local_from_coordinates(problem.rig, rows)
     if translations is not None:
         local = replace(local, translations=translations)
@@ -246,11 +246,12 @@ def smooth(
 ) -> IkResult:
     """Return the poses of a clip with smoothed joint motion.
 
-    Over all frames together, the sum of ``|q - q0|^2 + seconds^4 |q''|^2`` is minimised,
-    where q0 are the given poses: motion that the goals leave free and that is faster
-    than ``seconds`` is removed, slower motion is kept (E. Whittaker, On a new method of
-    graduation, 1923, with second derivatives). Reached goals stay within the tolerance;
-    in frames that miss one, all goals keep their current points. Limits are kept.
+    Over all frames together, the sum of ``|q - q0|^2 + seconds^4 |q''|^2`` is
+    minimised, where q0 are the given poses: motion that the goals leave free and that
+    is faster than ``seconds`` is removed, slower motion is kept (E. Whittaker, On a new
+    method of graduation, 1923, with second derivatives). Reached goals stay within the
+    tolerance; in frames that miss one, all goals keep their current points. Limits are
+    kept.
 
     Args:
         result: F frames of one problem, in the order of time.

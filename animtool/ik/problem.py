@@ -90,8 +90,8 @@ def build(
         goals: At least one goal.
         joints: Names of those that may move; None is every one that moves a goal.
         pose: Coordinates ``(Q,)`` of the joints that do not move; None is rest.
-        rest_weight: Weight of the pose passed to `solve` as ``prefer``: of squared angles
-            and relative lengths from it. Goals are then missed by about as much.
+        rest_weight: Weight of the pose passed to `solve` as ``prefer``: of squared
+            angles and relative lengths from it. Goals are then missed by about as much.
 
     Raises:
         OptionError: With every fault: a joint that the rig lacks (TGT001), a goal that

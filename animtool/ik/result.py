@@ -24,8 +24,8 @@ from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
 
-# A coordinate this near to its limit is on it [rad] or [m]; must exceed the tolerance of
-# limits.
+# A coordinate this near to its limit is on it [rad] or [m]; must exceed the tolerance
+# of limits.
 ON_LIMIT = 1e-8
 
 
@@ -37,11 +37,12 @@ class IkStatus(StrEnum):
         NEAREST: A missed goal is out of reach by itself too, and no other start ended
             nearer to it by a millimetre.
         STEADIER: Likewise, but a nearer pose exists on a path that jumps.
-        YIELDED: Goals are missed only for goals of higher priority, the preferred pose or
-            soft extension.
-        CONFLICT: Each goal can be reached, but not all of one priority together: the pose
-            has the least sum of squares.
-        STALLED: A method for comparison stopped making progress; reachability is unknown.
+        YIELDED: Goals are missed only for goals of higher priority, the preferred pose
+            or soft extension.
+        CONFLICT: Each goal can be reached, but not all of one priority together: the
+            pose has the least sum of squares.
+        STALLED: A method for comparison stopped making progress; reachability is
+            unknown.
         BUDGET: Iterations or time ran out.
         NOT_FINITE: A target is so far that its distance overflows.
     """
@@ -66,8 +67,8 @@ class IkResult:
         statuses: ``(B,)``.
         iterations: ``(B,)``.
         descents: Number of starts tried ``(B,)``.
-        seconds: Time of each ``(B,)`` [s], 0 of a closed form; the only field that differs
-            between runs.
+        seconds: Time of each ``(B,)`` [s], 0 of a closed form; the only field that
+            differs between runs.
         misses: Misses of each goal's position [m], orientation, aim and pole [rad]
             ``(B, E, 4)``; 0 for unused parts.
         reached: Mask of the goals within tolerances ``(B, E)``.
@@ -89,7 +90,7 @@ class IkResult:
     _placed: ClassVar[WorldTransforms | None] = None
 
     def world(self) -> WorldTransforms:
-        """Return the world transforms of all joints in the poses, with stretched bones."""
+        """Return the joints' world transforms in the poses, with stretched bones."""
         if self._placed is not None:
             return self._placed
         rig = self.problem.rig

@@ -41,8 +41,8 @@ class _Packed:
 class Session:
     """Goals of a rig that are solved repeatedly, one pose per call.
 
-    The first call with a set of goals builds their problem; later calls only fill in the
-    targets. Poses, statuses and misses equal those of `solve` bit for bit.
+    The first call with a set of goals builds their problem; later calls only fill in
+    the targets. Poses, statuses and misses equal those of `solve` bit for bit.
 
     With joint drivers, or ``near`` in the options, each call is a call of `solve`.
 
@@ -108,8 +108,8 @@ class Session:
             targets: Targets by goal name, for names that are not Python identifiers.
             start: Pose ``(Q,)``; None is the rest pose.
             prefer: Preferred pose ``(Q,)`` of ``rest_weight``; None is the start.
-            named: Targets by keyword. For a joint a world point ``(3,)`` [m], or a pair of
-                that and a quaternion x y z w, either of them None; for a `Goal` the
+            named: Targets by keyword. For a joint a world point ``(3,)`` [m], or a pair
+                of that and a quaternion x y z w, either of them None; for a `Goal` the
                 values of its kinds in their order, or the value if it has one kind.
                 Goals without a target are inactive.
 
@@ -148,8 +148,8 @@ class Session:
     ) -> FloatArray:
         """Return all poses ``(N, Q)`` of an arm that reach a target pose of its end.
 
-        Within the limits, the nearest to ``start`` first; angles that are free, where axes
-        align, are those of the start.
+        Within the limits, the nearest to ``start`` first; angles that are free, where
+        axes align, are those of the start.
 
         Raises:
             OptionError: The arm has no closed form (IK015): six pins in a row, of which

@@ -334,8 +334,8 @@ class TakeSolver:
     ) -> tuple[FloatArray, float]:
         """Return the start of the first frame ``(Q,)``, and the time it took [s].
 
-        If it needs restarts, that is a solution near the source pose; otherwise the clip
-        would keep the random pose of a restart.
+        If it needs restarts, that is a solution near the source pose; otherwise the
+        clip would keep the random pose of a restart.
         """
         first = rows_of(targets, slice(0, 1))
         kept = part.coordinates[0]
@@ -348,9 +348,9 @@ class TakeSolver:
     ) -> tuple[FloatArray, float]:
         """Return a start ``(Q,)`` with bent chains, and the time it took [s].
 
-        They bend towards their poles as far as they can. The goals are solved from there,
-        so that an unreachable pole does not compromise them; each frame starts from the
-        previous one, which keeps the side.
+        They bend towards their poles as far as they can. The goals are solved from
+        there, so that an unreachable pole does not compromise them; each frame starts
+        from the previous one, which keeps the side.
         """
         poles = np.array(targets.poles)[:1]
         weights = np.array(targets.weights)[:1]

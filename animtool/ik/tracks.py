@@ -68,9 +68,9 @@ class FreeEffector:
         """Return targets blended from the effector's free motion to their values.
 
         Points move along lines, rotations along the shortest arc; aim and pole points
-        rotate about the effector or the limb's root. Points at the end of a straight limb
-        rotate about its root too, at the distance of an evenly bending limb: on a line
-        the first degrees of its bend would take no time.
+        rotate about the effector or the limb's root. Points at the end of a straight
+        limb rotate about its root too, at the distance of an evenly bending limb: on a
+        line the first degrees of its bend would take no time.
 
         ``values``: the targets, points ``(F, 3)`` or rotations ``(F, 4)``; ``shares``
         ``(F,)``.
@@ -247,8 +247,8 @@ class TargetTracks:
         """Return the tracks with arrays without a range starting at a clock's start.
 
         Raises:
-            OptionError: The clock has another rate (TGT014), or an array has another number
-                of rows (TGT015).
+            OptionError: The clock has another rate (TGT014), or an array has another
+                number of rows (TGT015).
         """
         faults = []
         if self.fps is not None and self.fps != clock.fps:
@@ -299,10 +299,10 @@ class TargetTracks:
         Args:
             rig: With the joints of the effectors.
             clock: F frames, of the rate of the file.
-            world: World transforms without the goals, at which parts without a value are
-                held.
-            free: By goal, world transforms without that goal: goals with ``during`` spans
-                fade from and to these. None is ``world``.
+            world: World transforms without the goals, at which parts without a value
+                are held.
+            free: By goal, world transforms without that goal: goals with ``during``
+                spans fade from and to these. None is ``world``.
 
         Raises:
             OptionError: A frame has no row in an array (TGT015).

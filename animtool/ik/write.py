@@ -34,7 +34,8 @@ class TargetsText:
 def targets_text(tracks: TargetTracks, units: ClipUnits) -> TargetsText:
     """Return tracks as the text of a targets file, and their arrays.
 
-    Numbers are read back exactly, except that a unit conversion may round the last digit.
+    Numbers are read back exactly, except that a unit conversion may round the last
+    digit.
 
     Args:
         tracks: With constants, keys and arrays, whose names contain their files.

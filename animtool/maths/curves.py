@@ -44,7 +44,8 @@ class Folded:
     """Times folded into the range of the keys, with the remainders."""
 
     times: FloatArray  # within the range ``(F,)``
-    # Time before (negative) or after the range for linear extrapolation; else 0 ``(F,)``.
+    # Time before (negative) or after the range for linear extrapolation; else 0
+    # ``(F,)``.
     beyond: FloatArray
     # Cycles before (negative) or after the range, if each adds the curve's rise; else 0
     # ``(F,)``.
@@ -60,7 +61,8 @@ def fold(
 ) -> Folded:
     """Fold times into the range from ``start`` to ``end``.
 
-    A time at an integer number of cycles belongs to the cycle nearer to the range: after
+    A time at an integer number of cycles belongs to the cycle nearer to the range:
+        after
     it the value is the last key's, before it the first key's. A range without length is
     held.
 
@@ -110,7 +112,8 @@ class Curves:
     first: IntArray  # index of each curve's first key, and K at the end ``(C + 1,)``
     times: FloatArray  # of the keys, strictly ascending within a curve ``(K,)``
     values: FloatArray  # ``(K,)``
-    # `SegmentKind` of the segment after each key ``(K,)``; ignored for a curve's last key.
+    # `SegmentKind` of the segment after each key ``(K,)``; ignored for a curve's last
+    # key.
     kinds: IntArray
     ins: FloatArray  # handle before each key, as offset (dt ≤ 0, dv) ``(K, 2)``
     outs: FloatArray  # handle after each key, as offset (dt ≥ 0, dv) ``(K, 2)``
@@ -123,7 +126,7 @@ class Curves:
         return evaluate(self, times)
 
     def retimed(self, start: float, ratio: float, first: float) -> Curves:
-        """Return the curves with time t mapped to ``first + (t - start) · ratio``, ratio > 0.
+        """Return the curves with time t mapped to ``first + (t - start) · ratio``.
 
         >>> zero = np.zeros((2, 1))
         >>> cubic_curves(np.array([0.0, 2.0]), zero, zero, zero).retimed(
@@ -280,9 +283,9 @@ def evaluate(curves: Curves, times: ArrayLike) -> FloatArray:
 def end_slopes(curves: Curves) -> FloatArray:
     """Return the slopes ``(C, 2)`` at each curve's first and last key.
 
-    LINEAR extrapolation uses them: 0 for a single key and next to a HOLD segment, else the
-    slope of the first or last segment at that key. For a BEZIER handle without length in
-    time, the slope of the line between the two keys is used.
+    LINEAR extrapolation uses them: 0 for a single key and next to a HOLD segment, else
+    the slope of the first or last segment at that key. For a BEZIER handle without
+    length in time, the slope of the line between the two keys is used.
 
     >>> line = Curves(
     ...     first=np.array([0, 2]),

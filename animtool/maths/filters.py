@@ -27,7 +27,8 @@ WORTH = 0.8
 MEDIAN_SQUARE = 0.454936
 # An axis with less than this fraction of the largest noise power has no noise.
 HINGE = 0.05
-# Coefficient of the median of a sum of squared normal numbers [1] (Wilson and Hilferty).
+# Coefficient of the median of a sum of squared normal numbers [1] (Wilson and
+# Hilferty).
 _WILSON = 2 / 9
 
 
@@ -46,7 +47,8 @@ def lowpass(
         cutoff: Frequency at which half of the amplitude is left [Hz].
         rate: Frames a second.
         order: Order of the penalised differences; higher cuts off sharper.
-        known: Mask of valid frames ``(F,)``, at least ``order``; others are interpolated.
+        known: Mask of valid frames ``(F,)``, at least ``order``; others are
+            interpolated.
     """
     from scipy.linalg import solveh_banded
 
@@ -140,8 +142,8 @@ def best_cutoff(
 ) -> float | None:
     """Return the cut-off with the least expected error of a noisy signal [Hz].
 
-    The expected error of a cut-off is the signal it removes plus the noise it keeps (C. L.
-    Mallows, Some comments on Cp, 1973), with the noise of `noise_level`. None if the
+    The expected error of a cut-off is the signal it removes plus the noise it keeps (C.
+    L. Mallows, Some comments on Cp, 1973), with the noise of `noise_level`. None if the
     signal is best left unfiltered.
 
     Args:

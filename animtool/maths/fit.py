@@ -81,8 +81,8 @@ def fit_keys(
         One key where all samples are within the tolerance of the first.
 
     Raises:
-        ValueError: A shape does not fit, a value is not finite, a tolerance or its scale
-            is not above 0, anchors do not ascend, or ``within`` is reversed.
+        ValueError: A shape does not fit, a value is not finite, a tolerance or its
+            scale is not above 0, anchors do not ascend, or ``within`` is reversed.
 
     References:
         C. L. Lawson, Contributions to the theory of linear least maximum
@@ -106,9 +106,9 @@ def fit_keys(
     scales = (
         np.ones(frames)
         if tolerance_scale is None
-        else as_floats(tolerance_scale, (frames,), "share")
+        else as_floats(tolerance_scale, (frames,), "tolerance_scale")
     )
-    for name, array in (("tolerance", limits), ("share", scales)):
+    for name, array in (("tolerance", limits), ("tolerance_scale", scales)):
         if not ((array > 0) & np.isfinite(array)).all():
             raise ValueError(f"{name} must be above 0 and finite")
     if not np.isfinite(samples).all():

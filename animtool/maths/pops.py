@@ -63,8 +63,8 @@ def translation_pops(
 ) -> tuple[BoolArray, FloatArray]:
     """Return a mask of translation pops ``(S, N)``, and the deviations [m].
 
-    As `rotation_pops`, for steps ``(S, N, 3)`` [m] in the parent's frame. ``least`` is the
-    smallest pop and ``noise`` the noise of the motion [m].
+    As `rotation_pops`, for steps ``(S, N, 3)`` [m] in the parent's frame. ``least`` is
+    the smallest pop and ``noise`` the noise of the motion [m].
     """
     if len(shifts) + 1 < MIN_FRAMES or not shifts.shape[1]:
         empty = np.zeros(shifts.shape[:2])
@@ -129,10 +129,10 @@ def _unexplained(
     """Return deviations that smooth fast motion does not explain ``(S, N)``, twice.
 
     Each step is predicted by cubics through four steps around it: the nearest ones, or
-    without the one before or after, which a bad frame also disturbs; and by lines through
-    the two steps before or after, if the nearer one is as fast, as a strike accelerates
-    until it ends. The second array applies the lines to all steps: it is for steps next
-    to a pop, which lines on their far sides do not contain.
+    without the one before or after, which a bad frame also disturbs; and by lines
+    through the two steps before or after, if the nearer one is as fast, as a strike
+    accelerates until it ends. The second array applies the lines to all steps: it is
+    for steps next to a pop, which lines on their far sides do not contain.
     """
     a, b, c, d, e, f = (_shifted(steps, offset) for offset in (-3, -2, -1, 1, 2, 3))
     left = amounts

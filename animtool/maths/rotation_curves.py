@@ -204,8 +204,8 @@ def _cumulate(
 class RotationKind(IntEnum):
     """Interpolation of rotations from a key to the next.
 
-    STEP holds the key, SLERP rotates at constant speed along the shortest arc. SQUAD and
-    SPLINE are C1 at keys shared with each other or a SLERP.
+    STEP holds the key, SLERP rotates at constant speed along the shortest arc. SQUAD
+    and SPLINE are C1 at keys shared with each other or a SLERP.
     """
 
     STEP = 0
@@ -236,20 +236,21 @@ def evaluate_rotations(
 ) -> FloatArray:
     """Return rotations at times, interpolated from rotation keys.
 
-    SQUAD and SPLINE segments have one angular velocity at each key: that of the quadratic
-    through the key and its neighbours, for any spacing of times. Next to a SLERP it is
-    the slerp's; at an end, or next to a STEP, that of the slerp on the other side. It is
-    limited to a full revolution over the longer of the key's segments, which only matters
-    where a short, fast segment joins a long one.
-    A key therefore affects only the two segments before and after it, while a C2
-    interpolant would propagate every change to all segments.
+    SQUAD and SPLINE segments have one angular velocity at each key: that of the
+    quadratic through the key and its neighbours, for any spacing of times. Next to a
+    SLERP it is the slerp's; at an end, or next to a STEP, that of the slerp on the
+    other side. It is limited to a full revolution over the longer of the key's
+    segments, which only matters where a short, fast segment joins a long one. A key
+    therefore affects only the two segments before and after it, while a C2 interpolant
+    would propagate every change to all segments.
 
-    LINEAR extrapolation continues with the curve's velocity at its end, constant in body
-    and world frame; after a STEP it holds.
-    CYCLE_OFFSET multiplies each cycle from the left by the shortest rotation from
-    the first key to the last: q(t + T) = last·first⁻¹·q(t).
+    LINEAR extrapolation continues with the curve's velocity at its end, constant in
+    body and world frame; after a STEP it holds. CYCLE_OFFSET multiplies each cycle from
+    the left by the shortest rotation from the first key to the last: q(t + T) =
+    last·first⁻¹·q(t).
 
-    Limits: between neighbours more than 180 degrees apart the curve takes the short arc;
+    Limits: between neighbours more than 180 degrees apart the curve takes the short
+        arc;
     at exactly 180 degrees, the arc of the given signs. Angular acceleration jumps at
     keys; so does velocity between SLERP segments, at a STEP, and where the limit above
     clips the velocity of a SLERP.

@@ -186,8 +186,8 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
 def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
     """Return the shortest-arc interpolation of unit quaternions at t ``(...)`` [1].
 
-    At rotations 180 degrees apart the arc is not unique; the one through the given signs
-    is taken.
+    At rotations 180 degrees apart the arc is not unique; the one through the given
+    signs is taken.
 
     References:
         K. Shoemake, Animating rotation with quaternion curves, 1985.

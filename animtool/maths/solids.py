@@ -35,7 +35,7 @@ def box(size: float) -> Solid:
 
 
 def turned(profile: FloatArray) -> Solid:
-    """Return the surface of revolution of a profile ``(P, 2)`` (radius, height) about z.
+    """Return the surface of revolution about z of radii and heights ``(P, 2)``.
 
     >>> len(turned(np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0]]))[0])
     72

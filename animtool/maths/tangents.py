@@ -100,8 +100,8 @@ def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
     """Return slopes ``(K, D)`` of a cubic curve that never overshoots.
 
     Between two keys it stays between their values, and it is flat at local extrema.
-    Elsewhere the slope is `nonuniform`'s, limited to three times the smaller secant slope
-    of both sides; the ends take the one-sided parabola, limited likewise.
+    Elsewhere the slope is `nonuniform`'s, limited to three times the smaller secant
+    slope of both sides; the ends take the one-sided parabola, limited likewise.
 
     References:
         F. N. Fritsch and R. E. Carlson, Monotone piecewise cubic interpolation,
@@ -161,8 +161,8 @@ def catmull_rom_controls(
     """Return the Bézier handles before and after each point, each ``(K, D)``.
 
     A segment with these as control offsets equals `catmull_rom_spatial`, uniform in its
-    knots. The path is mirrored at the first and the last point. Coinciding points have no
-    handles between them.
+    knots. The path is mirrored at the first and the last point. Coinciding points have
+    no handles between them.
 
     ``points`` ``(K, D)``.
 

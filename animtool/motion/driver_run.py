@@ -280,7 +280,7 @@ class DriverRun:
     def _replace(
         self, target: str, differences: FloatArray, times: FloatArray, same: float
     ) -> None:
-        """Record the difference between a target's source motion and its driven motion."""
+        """Record the difference of a target's source motion from its driven motion."""
         if self.replaced and differences.max(initial=0.0) > same:
             self._gone.setdefault(target, LargestAmount()).take(differences, times)
 
@@ -365,7 +365,7 @@ def _column(channel: Channel, i: int) -> FloatArray:
 
 
 def _with_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channel:
-    """Return a channel with joints' values replaced: ``(F, K)``, or ``(1, K)`` static."""
+    """Return a channel with joints' values ``(F, K)`` replaced; ``(1, K)``: static."""
     if not rows:
         return channel
     frames = len(channel.values)

@@ -52,7 +52,7 @@ class Channel:
         return values
 
     def gather(self, joints: IntArray) -> FloatArray:
-        """Return the values of some joints, moving or static ``(F, len(joints), K)``."""
+        """Return the values of some joints, moving or not ``(F, len(joints), K)``."""
         values = np.repeat(self.rest[joints][None], len(self.values), axis=0)
         columns = np.full(len(self.rest), -1)
         columns[self.animated] = np.arange(len(self.animated))

@@ -48,7 +48,7 @@ class PassthroughTracks:
             yield replace(block, track_times=None)
 
     def restore(self, stream: TakeStream) -> TakeStream:
-        """Return the result of a pass, with as many frames, with the tracks restored."""
+        """Return the result of a pass, of as many frames, with tracks restored."""
         blocks = self._with(stream.blocks)
         return replace(stream, tracks=self._tracks, blocks=blocks)
 
@@ -182,13 +182,15 @@ class PassContext:
     said: set[str] = field(default_factory=set)
     # Whether time codes of the take are shot frames, which may lie between samples.
     in_shot: bool = False
-    # Receives the fraction done, 0 to 1, of passes with ``tells``; None without progress.
+    # Receives the fraction done, 0 to 1, of passes with ``tells``; None without
+    # progress.
     progress: Callable[[float], None] | None = None
     # Simulates a rope or strands of the scene by name; returns a particle, by name or
     # number, and the one before it at every frame of a take, the latter first
     # ``(F, 2, 3)`` [m]. None without a scene.
     segments: Segments | None = None
-    # Builds the colliders named by options of a pass, see `Around`; None without a scene.
+    # Builds the colliders named by options of a pass, see `Around`; None without a
+    # scene.
     around: Around | None = None
 
     def note_once(self, notices: Iterable[Fault]) -> None:
@@ -220,7 +222,7 @@ def _no_checks(_: object) -> OptionChecks:
 
 @dataclass(frozen=True, slots=True)
 class EvenTime:
-    """A linear time mapping: t of a take is ``first + (t - start) · ratio`` of another."""
+    """Linear map of time: t of a take is ``first + (t - start) · ratio`` of another."""
 
     start: float  # [time code]
     ratio: float  # above 0
@@ -256,8 +258,8 @@ class Pass:
     # number of frames.
     settles: bool = False
     tells: bool = False  # it is slow, and reports its progress to the context
-    # Returns the linear time mapping of the pass, from its options and a take's clock, so
-    # that curves of controls stay curves; None if time changes otherwise.
+    # Returns the linear time mapping of the pass, from its options and a take's clock,
+    # so that curves of controls stay curves; None if time changes otherwise.
     even: Callable[[Any, Clock], EvenTime | None] = _not_even
 
 

@@ -64,7 +64,8 @@ class Transforms:
     matrices: FloatArray | None = None
     # Of each attribute: numbers ``(F, width)``, or indices of its choices ``(F,)``.
     values: tuple[npt.NDArray[Any], ...] = ()
-    # Mask of times outside the file's range, held at the nearest ``(F,)``; None for none.
+    # Mask of times outside the file's range, held at the nearest ``(F,)``; None for
+    # none.
     clamped: BoolArray | None = None
 
     def __len__(self) -> int:
@@ -94,8 +95,8 @@ Sampling: TypeAlias = Callable[[FloatArray], Transforms]
 class Track:
     """A prop or camera: a function of its local time.
 
-    A take stores the local time of each of its frames, so that passes that cut, resample
-    or retime frames apply to the prop too, without loss.
+    A take stores the local time of each of its frames, so that passes that cut,
+    resample or retime frames apply to the prop too, without loss.
     """
 
     path: str  # output path: below the character, or absolute from ``/``
@@ -105,8 +106,8 @@ class Track:
     moves: bool = True  # whether it changes over time
     attributes: tuple[Attribute, ...] = ()  # in order
     reference: PropReference | None = None  # what is to be seen; None is nothing
-    # Whether it follows the placement of the take: it belongs to the take's stage, or is
-    # in the space of the character.
+    # Whether it follows the placement of the take: it belongs to the take's stage, or
+    # is in the space of the character.
     along: bool = False
     # Creates a fault located where the track is named.
     note: Callable[..., Fault] = Fault

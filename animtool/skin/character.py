@@ -22,7 +22,8 @@ class CharacterMesh:
 
     name: str  # as the rig names it
     mesh: DeformedMesh  # what deforms, in [m]
-    # Index of the rig's shape for each of its shapes ``(S,)``; -1 for one that stays off.
+    # Index of the rig's shape for each of its shapes ``(S,)``; -1 for one that stays
+    # off.
     columns: IntArray
 
     def weights(self, of_rig: FloatArray | None) -> FloatArray | None:
@@ -53,8 +54,8 @@ def character_meshes(
         shapes: Names of the weighted shapes.
 
     Raises:
-        FormatError: Every fault: lengths, indices of joints or vertices, values that are
-            not finite, weights (SKIN001 to SKIN006).
+        FormatError: Every fault: lengths, indices of joints or vertices, values that
+            are not finite, weights (SKIN001 to SKIN006).
 
     """
     joint_indices = {name: i for i, name in enumerate(joints)}

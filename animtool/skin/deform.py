@@ -112,8 +112,8 @@ def deform(
 
     Args:
         mesh: V vertices.
-        weights: Shape weights ``(F, S)`` [1], products of combined shapes included; None
-            is all zero.
+        weights: Shape weights ``(F, S)`` [1], products of combined shapes included;
+            None is all zero.
         world: World transforms of the skeleton's joints in F frames; None is the bind
             pose.
         normals: Deform the normals too.
@@ -121,8 +121,8 @@ def deform(
             differences of second order, one-sided at the ends; None for none.
 
     Raises:
-        ValueError: Neither weights nor joints, different numbers of frames, or normals of
-            a mesh without any.
+        ValueError: Neither weights nor joints, different numbers of frames, or normals
+            of a mesh without any.
 
     >>> mesh = DeformedMesh(np.eye(3))
     >>> deform(mesh, np.zeros((2, 0))).extents[1].tolist()

@@ -63,8 +63,8 @@ def read_influences(
 ) -> tuple[Influences, InfluenceReport]:
     """Return the influences of a mesh, and the corrections applied.
 
-    Influences of zero weight are removed, duplicate joints of a vertex are merged, and the
-    weights of each vertex are normalised to the sum 1.
+    Influences of zero weight are removed, duplicate joints of a vertex are merged, and
+    the weights of each vertex are normalised to the sum 1.
 
     Args:
         indices: ``(V, I)`` numbers of joints, or ``(1, I)`` for all vertices.

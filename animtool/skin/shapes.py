@@ -31,10 +31,10 @@ from animtool.skin.skinning import result
 NEAREST_INBETWEEN = 1e-6
 
 # Relative cost of the two products, measured per frame over 10 000 vertices on one
-# thread (tests/bench/deform.py): a column of the dense product 1.75 us for any number of
-# offsets; a full column of the sparse one 4.3 us, in proportion to its offsets; another
-# pass over the points, where both are used, 11.6 us. So sparse is cheaper while fewer
-# than 40 % of the vertices move.
+# thread (tests/bench/deform.py): a column of the dense product 1.75 us for any number
+# of offsets; a full column of the sparse one 4.3 us, in proportion to its offsets;
+# another pass over the points, where both are used, 11.6 us. So sparse is cheaper while
+# fewer than 40 % of the vertices move.
 SPARSE_COST = 2.5
 PASS_COLUMNS = 6.6
 
@@ -58,8 +58,8 @@ class ShapeDeltas:
     """A blend shape as stored in files."""
 
     name: str  # for messages
-    # ``(D, 3)`` added at weight 1, in the space and unit of the points; None for a shape
-    # of normals only.
+    # ``(D, 3)`` added at weight 1, in the space and unit of the points; None for a
+    # shape of normals only.
     offsets: ArrayLike | None
     # ``(D,)`` vertices they are added to; None is every vertex.
     indices: ArrayLike | None = None

@@ -119,7 +119,8 @@ def skin_points(
     blended linearly and move the point first; the rigid parts are blended as dual
     quaternions, signs those nearest to the strongest joint's.
 
-    Limits of the method: linear blend loses volume at bends and collapses at rotations of
+    Limits of the method: linear blend loses volume at bends and collapses at rotations
+        of
     180 degrees. With dual quaternions, as in UsdSkel, a joint whose transform has a
     determinant below 1e-10 is dropped from the blend, so that a point without other
     joints stays at its bind position.
@@ -142,8 +143,8 @@ def skin_normals(
     """Return skinned unit normals ``(F, N, 3)``.
 
     Linear blend sums the inverse transposes of the joints' transforms, as UsdSkel; dual
-    quaternions rotate by the blended rotation, after the inverse stretch. A normal that a
-    joint of zero scale leaves without direction is zero.
+    quaternions rotate by the blended rotation, after the inverse stretch. A normal that
+    a joint of zero scale leaves without direction is zero.
 
     ``normals``: ``(F, N, 3)``, or ``(1, N, 3)`` where they are the same in all frames;
     ``vertices`` ``(N,)``; ``out`` ``(F, N, 3)``.
@@ -233,7 +234,7 @@ def _without_rounding(stretches: FloatArray) -> FloatArray | None:
 
 
 def _inverse_transposes(linear: FloatArray) -> FloatArray:
-    """Return inverse transposes ``(…, 3, 3)``; for singular ones, only the direction."""
+    """Return inverse transposes ``(…, 3, 3)``; the direction of singular ones."""
     a, b, c = np.moveaxis(linear, -2, 0)
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-2)
     determinant = (a * cofactors[..., 0, :]).sum(axis=-1)[..., None, None]

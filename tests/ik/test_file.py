@@ -14,7 +14,7 @@ from support.targets import HEAD, legs, tracks_of, write_targets
 
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, OptionError
-from animtool.ik.file import _Reader, load_targets
+from animtool.ik.file import _TargetsReader, load_targets
 from animtool.ik.values import SampleFrames
 
 FAULTS = {
@@ -284,6 +284,6 @@ def test_units_are_those_of_the_file_or_of_the_rig(
     reader = SimpleNamespace(
         rig=own if has_rig else None, model=SimpleNamespace(units=units)
     )
-    found = _Reader._units(reader)  # type: ignore[arg-type]
+    found = _TargetsReader._units(reader)  # type: ignore[arg-type]
     assert found.length == (length if has_rig or given[0] else 1.0)
     assert found.angle == pytest.approx(angle if has_rig or given[1] else np.pi / 180)

@@ -221,9 +221,9 @@ def test_a_straight_limb_goes_about_its_root_as_it_bends_evenly() -> None:
     # What is out of reach is gone to beyond it.
     found = own.towards(KINDS[0], np.array([[0.0, 3.0, 0]]), np.array([0.5]))
     assert np.linalg.norm(found) == pytest.approx(2.0)
-    assert own._is_whole(0)
-    assert not own._is_whole(1)
-    assert FreeEffector(rig, Goal("tip", root="mid"), own.world)._is_whole(1)
+    assert own._is_complete(0)
+    assert not own._is_complete(1)
+    assert FreeEffector(rig, Goal("tip", root="mid"), own.world)._is_complete(1)
 
 
 def track(**keys: Any) -> GoalTrack:

@@ -103,7 +103,7 @@ def test_tracks_come_back(tmp_path: Path, units: ClipUnits, tolerance: float) ->
     assert (back.fps, back.first, back.last) == (tracks.fps, tracks.first, tracks.last)
     assert len(back.goals) == len(tracks.goals)
     for ours, theirs in zip(back.goals, tracks.goals, strict=True):
-        for name in ("name", "chain", "spans", "ease", "held"):
+        for name in ("name", "chain", "spans", "ease", "hold_parts"):
             assert getattr(ours, name) == getattr(theirs, name)
         plain = replace(ours.goal, offset=theirs.goal.offset)
         assert plain == theirs.goal
