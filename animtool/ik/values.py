@@ -55,7 +55,7 @@ def hold_weights(times: FloatArray, spans: Sequence[Span], ease: float) -> Float
 
     ``times`` [frame] ``(F,)``, ``ease`` [frame].
 
-    >>> hold_shares(np.array([0.0, 2.0, 4.0, 9.0]), [(4.0, 6.0)], 4.0).tolist()
+    >>> hold_weights(np.array([0.0, 2.0, 4.0, 9.0]), [(4.0, 6.0)], 4.0).tolist()
     [[0.0, 0.5, 1.0, 0.103515625]]
     """
     weights = np.zeros((len(spans), len(times)))
