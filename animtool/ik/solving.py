@@ -121,7 +121,7 @@ def chain_targets(problem: Problem, targets: Targets) -> FloatArray:
     """Return targets packed in the chain's units and frames ``(B, E, W)``."""
     packed = pack(targets, problem.goals)
     chain = problem.chain
-    _kernels.place_ik_targets(packed, chain.goal_frames, chain.length)
+    _kernels.to_chain_targets(packed, chain.goal_frames, chain.length)
     return packed
 
 

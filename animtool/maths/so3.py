@@ -164,7 +164,7 @@ def steps(q: FloatArray) -> FloatArray:
     """
     from animtool import _kernels
 
-    return _kernels.turn_steps(np.ascontiguousarray(q))
+    return _kernels.rotation_steps(np.ascontiguousarray(q))
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:

@@ -59,61 +59,61 @@ class Motion {
     ik::product(last, inverse, between);
     ik::logarithm(between, turn);
     for (int i = 0; i < 4; ++i) first_[i] = first[i];
-    turn_ = load(turn);
+    rotation_ = load(turn);
     origin_ = load(start);
     travel_ = load(end) - origin_;
-    turns_ = length(turn_) > 0;
-    ik::to_matrix(first, still_.turn);
-    still_.origin = origin_;
-    moves_ = turns_ || length(travel_) > 0;
+    rotates_ = length(rotation_) > 0;
+    ik::to_matrix(first, unrotated_.turn);
+    unrotated_.origin = origin_;
+    moves_ = rotates_ || length(travel_) > 0;
   }
 
   bool moves() const { return moves_; }
   Vec travel() const { return travel_; }
-  Vec turn() const { return turn_; }
-  double angle() const { return length(turn_); }
+  Vec turn() const { return rotation_; }
+  double angle() const { return length(rotation_); }
 
   // Where it is at a share of the step from 0 to 1.
-  Pose at(double share) const {
-    if (!moves_) return still_;
-    Pose pose = still_;
-    pose.origin = origin_ + travel_ * share;
-    if (turns_) {
-      const double vector[3] = {turn_.x * share, turn_.y * share, turn_.z * share};
-      double step[4], whole[4];
+  Pose at(double fraction) const {
+    if (!moves_) return unrotated_;
+    Pose pose = unrotated_;
+    pose.origin = origin_ + travel_ * fraction;
+    if (rotates_) {
+      const double vector[3] = {rotation_.x * fraction, rotation_.y * fraction, rotation_.z * fraction};
+      double step[4], full[4];
       ik::exponential(vector, step);
-      ik::product(step, first_, whole);
-      ik::normalize(whole);
-      ik::to_matrix(whole, pose.turn);
+      ik::product(step, first_, full);
+      ik::normalize(full);
+      ik::to_matrix(full, pose.turn);
     }
     return pose;
   }
 
   // How a world point that it carries moves in the step at a share of it.
   Vec displacement(Vec point, const Pose& pose) const {
-    return travel_ + cross(turn_, point - pose.origin);
+    return travel_ + cross(rotation_, point - pose.origin);
   }
 
   // The same motion over a part of its step.
   Motion part(double from, double to) const {
     Motion result = *this;
     const Pose pose = at(from);
-    const double vector[3] = {turn_.x * from, turn_.y * from, turn_.z * from};
+    const double vector[3] = {rotation_.x * from, rotation_.y * from, rotation_.z * from};
     double step[4];
     ik::exponential(vector, step);
     ik::product(step, first_, result.first_);
     result.origin_ = pose.origin;
     result.travel_ = travel_ * (to - from);
-    result.turn_ = turn_ * (to - from);
-    result.still_ = pose;
+    result.rotation_ = rotation_ * (to - from);
+    result.unrotated_ = pose;
     return result;
   }
 
  private:
-  Vec origin_, travel_, turn_;
+  Vec origin_, travel_, rotation_;
   double first_[4] = {0, 0, 0, 1};
-  Pose still_;
-  bool turns_ = false, moves_ = false;
+  Pose unrotated_;
+  bool rotates_ = false, moves_ = false;
 };
 
 }  // namespace animtool::collide

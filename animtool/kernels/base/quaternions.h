@@ -50,7 +50,7 @@ inline void product(const double* a, const double* b, double* c) {
 }
 
 // A vector turned by a unit quaternion (a, w): v + w c + a x c, c being 2 a x v.
-inline void turn(const double* q, const double* v, double* out) {
+inline void rotate_vector(const double* q, const double* v, double* out) {
   double across[3], again[3];
   cross(q, v, across);
   for (double& c : across) c *= 2;

@@ -19,7 +19,7 @@ namespace animtool {
 // Numbers that are worked on at once.
 constexpr std::size_t WIDE = 4;
 // Up to this square of their distance two ends are at one place; one over more is finite.
-constexpr double ONE_PLACE = std::numeric_limits<double>::min();
+constexpr double COINCIDENT = std::numeric_limits<double>::min();
 
 struct Plain {};
 
@@ -85,9 +85,9 @@ struct Registers {
     return each([&](std::size_t l) { return T(a.at[l] != 0 || b.at[l] != 0); });
   }
   static unsigned bits(const Row& where) {
-    unsigned found = 0;
-    for (std::size_t l = 0; l < N; ++l) found |= (where.at[l] != 0 ? 1u : 0u) << l;
-    return found;
+    unsigned set_bits = 0;
+    for (std::size_t l = 0; l < N; ++l) set_bits |= (where.at[l] != 0 ? 1u : 0u) << l;
+    return set_bits;
   }
   // By halves, as registers do it.
   static T largest(Row a) {
@@ -177,7 +177,7 @@ struct Wide {
 
   // A value of two ends by the square of their distance: 0 where they are at one place.
   friend Wide where_apart(const Wide& square, const Wide& value) {
-    return kept(below(T(ONE_PLACE), square), value);
+    return kept(below(T(COINCIDENT), square), value);
   }
   // One over the square of a distance, 0 of ends at one place.
   friend Wide inverse(const Wide& square) { return where_apart(square, T(1) / square); }

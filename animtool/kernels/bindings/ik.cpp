@@ -14,7 +14,7 @@ void bind_ik(nb::module_& m) {
   // misses is a length, and whether cyclic coordinate descent heeds it.
   m.attr("IK_GOAL_KINDS") = nb::tuple(nb::cast(ik_goal_kinds()));
 
-  m.def("place_ik_targets", &place_ik_targets, Unlocked(), "targets"_a, "frames"_a, "length"_a,
+  m.def("to_chain_targets", &to_chain_targets, Unlocked(), "targets"_a, "frames"_a, "length"_a,
         R"(Bring targets ``(B, E, W)`` to a chain, in place.
 
 Lengths are divided by ``length``, rotations brought to length 1, one without length to
@@ -70,14 +70,14 @@ Returns ``(sought, scales, eased)``: such targets; what the bones are multiplied
   nb::class_<RigSolver> rig_solver(m, "RigSolver",
                                    R"(Problems of one rig, arrays as for `solve_ik`.
 
-``goal_frames`` ``(E, 4)`` and ``length`` are those of `place_ik_targets`. The chain's
+``goal_frames`` ``(E, 4)`` and ``length`` are those of `to_chain_targets`. The chain's
 coordinates are ``columns`` ``(C,)`` of the rig's over ``scales``; those that turn all the way
 round stay in ``periods`` ``(C, 2)``; from ``balls`` ``(T,)`` on they are quaternions in
 ``ball_frames``. ``mimics`` ``(M, 2)`` are columns and those of their leaders,
 ``mimic_numbers`` gain and offset. ``limbs`` and ``limb_numbers`` as of `extend_ik_limbs`,
 ``limb_joints``: a joint of one's bones, and its goal. The rest as of `coordinates_to_local`.
 ``closed``: 0 none, 1 a limb of two bones, 2 an arm of six pins.)");
-  define_made(rig_solver, Field{"nodes", &R::nodes}, Field{"numbers", &R::numbers},
+  define_class(rig_solver, Field{"nodes", &R::nodes}, Field{"numbers", &R::numbers},
               Field{"goals", &R::goals}, Field{"goal_numbers", &R::goal_numbers},
               Field{"rest_weight", &R::rest_weight}, Field{"goal_frames", &R::goal_frames},
               Field{"length", &R::length}, Field{"columns", &R::columns},

@@ -40,13 +40,13 @@ first coordinate of each. Quaternions are brought to length 1.)");
                             Values t_values, Rest r_rest, Moving r_moving, Values r_values,
                             std::optional<std::tuple<Rest, Moving, Values>> scales,
                             Filled<double, 3> positions, Filled<double, 4> linear) {
-    MotionArrays given{parents, {t_rest, t_moving, t_values}, {r_rest, r_moving, r_values},
+    MotionArrays arrays{parents, {t_rest, t_moving, t_values}, {r_rest, r_moving, r_values},
                        std::nullopt, positions, linear};
     if (scales) {
       const auto& [rest, moving, values] = *scales;
-      given.scales = MotionChannel{rest, moving, values};
+      arrays.scales = MotionChannel{rest, moving, values};
     }
-    forward_motion(given);
+    forward_motion(arrays);
   };
   m.def("forward_motion", of_motion, Unlocked(), "parents"_a, "translation_rest"_a,
         "translation_joints"_a, "translations"_a, "rotation_rest"_a, "rotation_joints"_a,

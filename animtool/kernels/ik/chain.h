@@ -78,7 +78,7 @@ void each_dof(const Chain& chain, const Node& node, Use&& use) {
     for (const int d : chain.programs[node.program].dofs) use(d);
 }
 
-inline void turn_about_z(const double* r, double angle, double* out) {
+inline void rotate_about_z(const double* r, double angle, double* out) {
   const double c = std::cos(angle), s = std::sin(angle);
   for (int i = 0; i < 9; i += 3) {
     out[i] = c * r[i] + s * r[i + 1];
@@ -136,11 +136,11 @@ struct Pull {
   double trace = 0;       // sum of a . b: C = trace - axis . moment axis
 
   void add(double weight, const double* from, const double* to) {
-    double turn[3];
-    cross(from, to, turn);
+    double crossed[3];
+    cross(from, to, crossed);
     trace += weight * dot(from, to);
     for (int i = 0; i < 3; ++i) {
-      torque[i] += weight * turn[i];
+      torque[i] += weight * crossed[i];
       for (int j = 0; j < 3; ++j) moment[3 * i + j] += weight * from[i] * to[j];
     }
   }

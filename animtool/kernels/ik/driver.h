@@ -82,10 +82,10 @@ class Evaluation {
   double* at(std::size_t i) { return &results_.stack[i * (1 + slots_)]; }
 
   double* push(double value) {
-    double* own = at(top_++);
-    own[0] = value;
-    std::fill(own + 1, own + 1 + slots_, 0.0);
-    return own + 1;
+    double* top = at(top_++);
+    top[0] = value;
+    std::fill(top + 1, top + 1 + slots_, 0.0);
+    return top + 1;
   }
 
   // The result of one, two or three values is in place of the first.

@@ -16,7 +16,7 @@ constexpr double SHUT = 1e-9;
 constexpr double ROUNDING = 1e-13;
 // Nearer to a limit than this, it is looked at in full [1].
 constexpr double SURE = 1e-9;
-constexpr double TURN = 6.283185307179586476925;
+constexpr double REVOLUTION = 6.283185307179586476925;
 
 struct SwingTwist {
   double swing[2];
@@ -62,9 +62,9 @@ inline bool well_inside(const Node& node, const double* q) {
 inline void prepare(Node& node) {
   const double* l = node.limit;
   const double least = std::min(l[0], l[1]);
-  const double sine = least < TURN / 2 ? std::sin(least / 2) : 1;
-  const double low = std::max(l[2], -TURN / 2), high = std::min(l[3], TURN / 2);
-  const bool known = (l[2] >= -TURN / 2 && l[3] <= TURN / 2) || (l[2] < -1e300 && l[3] > 1e300);
+  const double sine = least < REVOLUTION / 2 ? std::sin(least / 2) : 1;
+  const double low = std::max(l[2], -REVOLUTION / 2), high = std::min(l[3], REVOLUTION / 2);
+  const bool known = (l[2] >= -REVOLUTION / 2 && l[3] <= REVOLUTION / 2) || (l[2] < -1e300 && l[3] > 1e300);
   node.quick[0] = known ? sine * sine * (1 - SURE) : -1;
   node.quick[1] = std::sin(low / 2), node.quick[2] = std::cos(low / 2);
   node.quick[3] = std::sin(high / 2), node.quick[4] = std::cos(high / 2);

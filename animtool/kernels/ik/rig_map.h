@@ -26,7 +26,7 @@ struct RigMapArrays {
 class RigMap {
  public:
   // `width`: coordinates of the rig.
-  RigMap(const RigMapArrays& given, const Chain& chain, std::size_t width);
+  RigMap(const RigMapArrays& arrays, const Chain& chain, std::size_t width);
 
   void to_chain(const double* rig, double* q) const;
 
