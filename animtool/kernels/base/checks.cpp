@@ -1,4 +1,4 @@
-// What arguments are refused for, and how that is told.
+// Checks of arguments, and their error messages.
 #include "base/checks.h"
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// Directions, and poses of rigid things.
+// Directions, and rigid transforms.
 #pragma once
 
 #include "base/quaternions.h"
@@ -11,13 +11,13 @@ using animtool::length;
 using animtool::load;
 using animtool::store;
 
-// A unit vector; the fallback where there is no direction.
+// A normalised vector; the fallback for zero length.
 inline Vec direction(Vec a, Vec fallback) {
   const double n = length(a);
   return n > 0 ? a * (1 / n) : fallback;
 }
 
-// A unit vector at right angles to a unit one.
+// A unit vector orthogonal to a unit vector.
 inline Vec across(Vec a) {
   const double in[3] = {a.x, a.y, a.z};
   double u[3], v[3];
@@ -25,7 +25,7 @@ inline Vec across(Vec a) {
   return load(u);
 }
 
-// world_from_local of a rigid thing.
+// A rigid transform world_from_local.
 struct Pose {
   Vec origin;
   double turn[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
@@ -44,7 +44,7 @@ struct Pose {
   Vec to_local(Vec world) const { return unrotated(world - origin); }
 };
 
-// A pose at both ends of a step: the origin goes straight, the turn is even.
+// Motion between two poses: linear translation, constant angular velocity.
 class Motion {
  public:
   Motion() = default;
@@ -73,7 +73,7 @@ class Motion {
   Vec turn() const { return rotation_; }
   double angle() const { return length(rotation_); }
 
-  // Where it is at a share of the step from 0 to 1.
+  // The pose at a fraction of the step from 0 to 1.
   Pose at(double fraction) const {
     if (!moves_) return unrotated_;
     Pose pose = unrotated_;

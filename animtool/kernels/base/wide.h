@@ -1,4 +1,4 @@
-// Several numbers side by side, whichever way a processor holds them, and vectors of such.
+// SIMD numbers for any processor, and vectors of them.
 //
 // What works on them is a template over `On`: Plain is any processor, and base/quads.h has
 // Quads. Nothing of it is shared between source files that are built for other processors:
@@ -16,15 +16,15 @@
 
 namespace animtool {
 
-// Numbers that are worked on at once.
+// Numbers per SIMD vector.
 constexpr std::size_t WIDE = 4;
 // Up to this square of their distance two ends are at one place; one over more is finite.
 constexpr double COINCIDENT = std::numeric_limits<double>::min();
 
 struct Plain {};
 
-// Rows of N numbers and what is done with them. Rows that say where something is so are not 0
-// there; they are for `chosen`, `kept`, `either` and `bits`.
+// Rows of N numbers and their operations. Mask rows are nonzero where a condition holds; they
+// are for `chosen`, `kept`, `either` and `bits`.
 template <class T, std::size_t N, class On>
 struct Registers {
   struct Row {

@@ -1,4 +1,4 @@
-// What kernels take and give, as Python has it: arrays of numpy, and bytes.
+// Conversion of kernel arguments and results: numpy arrays and bytes.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -18,7 +18,7 @@ using namespace nanobind::literals;
 // Kernels run without the lock of the interpreter.
 using Unlocked = nb::call_guard<nb::gil_scoped_release>;
 
-// An argument that is a member of what a kernel takes.
+// A keyword argument stored in a member of a kernel's argument struct.
 template <class Struct, class Member>
 struct Field {
   const char* name;
@@ -27,7 +27,7 @@ struct Field {
   nb::arg arg() const { return nb::arg(name); }
 };
 
-// Binds a kernel that takes many things as one, or a class that is made of such.
+// Binds a kernel, or the constructor of a class, with a struct of arguments.
 template <class Result, class Struct, class... Members>
 void define(nb::module_& m, const char* name, Result (*kernel)(const Struct&), const char* doc,
             Field<Struct, Members>... fields) {

@@ -1,4 +1,4 @@
-// Curves of keys: their values, and curves and poses that are fitted.
+// Key curves: evaluation and fitting.
 #pragma once
 
 #include <cstdint>

@@ -47,7 +47,7 @@ struct Handle {
   double length_ratio, dv;
 };
 
-// A segment as seen from either key; `middle` is the time at u = 1/2.
+// A segment as two halves, one from each key; `middle` is the time at u = 1/2.
 struct Segment {
   Half halves[2];
   double start, middle, end;
@@ -152,7 +152,7 @@ void evaluate_half(const Half& half, const double* at, double* out, std::size_t 
   }
 }
 
-// How many times from the first on lie in [low, high).
+// The number of leading times in [low, high).
 std::size_t run_length(const double* at, std::size_t n, double low, double high) {
   std::size_t i = 0;
   while (i < n && at[i] >= low && at[i] < high) ++i;

@@ -1,4 +1,4 @@
-// Arms of six pins: three that meet in a wrist, or three that are parallel.
+// Closed form of six-pin arms with a spherical wrist or three parallel axes.
 //
 // Angles come one after the other, of geometric subproblems: two vectors that a turn brings
 // together (1), two turns (2), and a turn whose image has a given part along another vector
@@ -55,7 +55,7 @@ Triple crossed(const Triple& a, const Triple& b) {
 
 double size(const Triple& a) { return length(a.data()); }
 
-// A turn about a unit axis.
+// A rotation about a unit axis.
 Triple turned(const Triple& axis, double angle, const Triple& v) {
   const double c = std::cos(angle), s = std::sin(angle), along = (1 - c) * inner(axis, v);
   const Triple side = crossed(axis, v);
@@ -64,13 +64,13 @@ Triple turned(const Triple& axis, double angle, const Triple& v) {
   return out;
 }
 
-// Of an equation no, one or two angles solve; where all do, it is `open`.
+// Solutions of an equation: none, one or two angles, or `open` if all.
 struct Angles {
   int count = 0;
   double values[2] = {};
 };
 
-// Subproblem 1: what turns p to q; `open` where they have no direction across the axis.
+// Subproblem 1: the rotation from p to q; `open` if they lie on the axis.
 double angle_between(const Triple& axis, const Triple& p, const Triple& q, double open) {
   const Triple side = crossed(axis, p), other = crossed(axis, q);
   if (std::min(size(side), size(other)) < ARM_OPEN) return open;
@@ -99,7 +99,7 @@ Angles angles_at_distance(const Triple& axis, const Triple& p, const Triple& q, 
                      open);
 }
 
-// Subproblem 2: turns of p about one axis and of q about another to the same vector.
+// Subproblem 2: rotations of p and of q about two axes to a common vector.
 template <class Use>
 void angles_to_common(const Triple& first, const Triple& p, const Triple& second, const Triple& q,
                     double slack, double open_first, double open_second, Use&& use) {
@@ -117,14 +117,14 @@ void angles_to_common(const Triple& first, const Triple& p, const Triple& second
   }
 }
 
-// A line of an axis, and how two of them are to each other.
+// The line of an axis, and the relation of two lines.
 struct Line {
   Triple axis, at;
 };
 
 double out_of_parallel(const Line& a, const Line& b) { return size(crossed(a.axis, b.axis)); }
 
-// The point of line a nearest to line b, and how far b is from it.
+// The point of line a nearest to line b, and their distance.
 double meeting(const Line& a, const Line& b, Triple& point) {
   const Triple between = minus(b.at, a.at);
   const double mixed = inner(a.axis, b.axis), sine = 1 - mixed * mixed;
@@ -140,10 +140,10 @@ bool on_line(const Triple& point, const Line& line) {
   return size(minus(away, times(inner(away, line.axis), line.axis))) < ARM_NEARLY;
 }
 
-// How the first three axes bring a wrist to its place.
+// Methods to place the wrist with the first three axes.
 enum class Approach { NONE, LATER_PARALLEL, LATER_MEET, EARLIER_MEET, EARLIER_PARALLEL };
 
-// What is known of an arm from its pose without angles.
+// Geometry of an arm at zero angles.
 struct Anatomy {
   ArmKind kind = ArmKind::NONE;
   Approach reach = Approach::NONE;

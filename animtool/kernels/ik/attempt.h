@@ -53,7 +53,7 @@ inline void sample(const Chain& chain, const double* home, Random& random, doubl
   }
 }
 
-// One problem on its way: poses, what they cost, and when to stop.
+// The state of one solve: poses, costs and stopping tests.
 
 struct Settings {
   double length_tolerance;  // of the chain's length
@@ -84,7 +84,7 @@ struct Outcome {
   int descents = 0;
 };
 
-// A way of solving, from problem to problem.
+// A solver of consecutive problems.
 class Solver {
  public:
   virtual ~Solver() = default;
@@ -97,7 +97,7 @@ class Solver {
   virtual const State& best() const = 0;
 };
 
-// What the ways of solving share.
+// Base of the solvers.
 class Attempt {
  public:
   const State& best() const { return best_; }
@@ -177,7 +177,7 @@ class Attempt {
   std::chrono::steady_clock::time_point began_;
 };
 
-// The way downhill from a pose.
+// Descent from a pose.
 
 class Descent : public Attempt {
  protected:

@@ -1,5 +1,5 @@
-// Systems over time: a full block (D, D) a frame, multiples of the identity one and two frames
-// off the diagonal.
+// Block-pentadiagonal systems over time: a full block (D, D) per frame, multiples of the
+// identity in the blocks one and two frames off the diagonal.
 #pragma once
 
 #include <cstddef>

@@ -1,4 +1,4 @@
-// Programs of joints that follow others, run.
+// Evaluates programs of driven joints.
 #include "ik/driver.h"
 
 namespace animtool::ik {

@@ -1,5 +1,5 @@
-// Poses of a whole clip that come as near to weighted goals as they can: robust against what
-// no pose explains, smooth in time, within the limits.
+// Fits the poses of a clip to weighted goals: robust against outliers, smooth in time, within
+// the limits.
 //
 // Over all frames at once: min sum rho(|r|) + speed |v|^2 / 2 + acceleration |a|^2 / 2, with
 // rho(r) = r^2 / 2 / (1 + r^2 / c^2) (S. Geman, D. McClure, Statistical methods for

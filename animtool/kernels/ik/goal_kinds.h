@@ -1,4 +1,4 @@
-// The kinds of goals: what is missing of each, its slopes, and how solvers heed it.
+// The kinds of goals: residuals, Jacobians, and use in solvers.
 //
 // A residual r is what is missing, so that r(q + d) = r(q) - J d to first order, and
 // the gradient of the cost |r|^2 / 2 is -J^T r, exactly: rotations are compared by
@@ -13,7 +13,7 @@
 
 namespace animtool::ik {
 
-// What a kind of goal sees of the pose of the chain.
+// The pose of the chain as seen by a goal kind.
 struct View {
   const double* rotation;  // of the goal's node
   const double* point;
@@ -22,7 +22,7 @@ struct View {
   const double *origin, *joint;     // of its root and middle; null without a limb
 };
 
-// How one axis of a node moves the point and the frame of a goal.
+// Velocity of a goal's point and frame per unit motion about an axis of a node.
 struct Motion {
   const Node& node;
   int index;
@@ -37,7 +37,7 @@ struct Motion {
   }
 };
 
-// What a target is.
+// Target types.
 struct PointTarget {
   static constexpr int WIDTH = 3;
 

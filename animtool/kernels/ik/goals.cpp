@@ -1,4 +1,4 @@
-// What goals miss, and its slopes.
+// Residuals of goals, and their Jacobian.
 #include "ik/goals.h"
 
 namespace animtool::ik {

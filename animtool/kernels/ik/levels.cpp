@@ -1,4 +1,4 @@
-// The search for poses, and for goals that give way to others.
+// The search with restarts, and prioritised goals.
 #include "ik/levels.h"
 
 namespace animtool::ik {

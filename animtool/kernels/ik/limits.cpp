@@ -1,4 +1,4 @@
-// What limits make of poses.
+// Clamps poses to limits.
 #include "ik/limits.h"
 
 namespace animtool::ik {

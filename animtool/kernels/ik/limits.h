@@ -1,4 +1,4 @@
-// How far joints go: boxes, and the cone and twist of balls.
+// Joint limits: ranges, and cone and twist of balls.
 //
 // A ball's motion is swing * twist about z. Its swing vector (x, y) lies in the
 // ellipse of the half-angles limit[0], limit[1]; its twist in limit[2], limit[3].
@@ -10,9 +10,9 @@
 
 namespace animtool::ik {
 
-// A range or cone that is narrower is shut [rad].
+// A narrower range or cone is locked [rad].
 constexpr double SHUT = 1e-9;
-// What rounding alone puts outside [rad] or lengths of the chain.
+// Tolerance of rounding at limits [rad], [chain lengths].
 constexpr double ROUNDING = 1e-13;
 // Nearer to a limit than this, it is looked at in full [1].
 constexpr double SURE = 1e-9;
@@ -70,7 +70,7 @@ inline void prepare(Node& node) {
   node.quick[3] = std::sin(high / 2), node.quick[4] = std::cos(high / 2);
 }
 
-// Which of the limits a motion exceeds.
+// The limits that a motion exceeds.
 struct Beyond {
   bool swing, twist;
 };
@@ -80,7 +80,7 @@ inline Beyond beyond(const SwingTwist& parts, const double* limit) {
           parts.twist < limit[2] - ROUNDING || parts.twist > limit[3] + ROUNDING};
 }
 
-// Bring a ball's motion inside, the swing along its own direction.
+// Clamp a ball's motion, the swing along its direction.
 void clamp_ball(double* q, const double* limit);
 
 // Gradients of the swing vector and the twist over q <- exp(d) q.

@@ -1,4 +1,4 @@
-// The cost around a pose, and its systems.
+// Linearised cost around a pose, and its normal equations.
 #include "ik/linear.h"
 
 #include "base/cholesky.h"

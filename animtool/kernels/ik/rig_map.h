@@ -1,4 +1,4 @@
-// The coordinates of a rig as those of a chain of its joints, and back.
+// Maps coordinates of a rig to those of a chain, and back.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// Problems of one rig, solved in the rig's own terms.
+// Solves problems of one rig in the rig's coordinates.
 #include "ik/rig_solver.h"
 
 #include <algorithm>
@@ -20,7 +20,7 @@ using namespace ik;
 
 namespace {
 
-// Directions whose numbers are larger have no square.
+// Larger direction targets overflow when squared.
 constexpr double FARTHEST = 1e100;
 
 // Closed forms, as Python numbers them.

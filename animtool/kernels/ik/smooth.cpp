@@ -1,4 +1,4 @@
-// A path of poses made smoother, while its goals stay where they are and limits kept.
+// Smooths a path of poses within limits while its goals keep their points.
 //
 // Over all frames at once: min sum |q - anchor|^2 + speed |v|^2 + acceleration |a|^2 by
 // Gauss-Newton, its steps in the null space of the goals' Jacobians. Of balls, differences

@@ -1,4 +1,4 @@
-// Inverse kinematics of one pose after the other.
+// Inverse kinematics of consecutive poses.
 #include "ik/solve.h"
 
 #include <chrono>

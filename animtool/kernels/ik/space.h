@@ -1,4 +1,4 @@
-// Of one frame of a path: the directions that its goals and fixed limits leave free.
+// Null space of the goals and fixed limits of one frame of a path.
 #pragma once
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// One damped step that keeps the limits.
+// One damped step within the limits.
 //
 // min |r - J d|^2 / 2 + damping |d|^2 / 2 over steps inside the limits, by fixing what
 // would go beyond at the limit and solving again for the rest.
@@ -11,7 +11,7 @@
 
 namespace animtool::ik {
 
-// Most that a joint turns in one step [rad].
+// Largest rotation of a joint in one step [rad].
 constexpr double MAX_ROTATION = 1.0;
 
 class Stepper {

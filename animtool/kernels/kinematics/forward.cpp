@@ -10,7 +10,7 @@ namespace animtool {
 
 namespace {
 
-// Where the joints of one frame are: linear parts (J, 3, 3) and origins (J, 3).
+// World transforms of one frame: linear parts (J, 3, 3) and origins (J, 3).
 struct World {
   double* linear;
   double* origins;

@@ -1,4 +1,4 @@
-// Joints and what they carry.
+// Kinematics of joints and points.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// Tracks of rotations as files have them, in float32 and each by itself, and as takes do.
+// Converts float32 rotation tracks of files to float64 arrays of takes.
 #include <cmath>
 #include <limits>
 #include <vector>
