@@ -23,9 +23,9 @@ from animtool.maths.filters import (
     NOISE_ORDER,
     best_cutoff,
     lowpass,
-    lowpass_turns,
+    lowpass_rotations,
     noise_level,
-    noise_of_turns,
+    rotation_noise,
 )
 from animtool.motion.motion import Channel
 from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
@@ -89,13 +89,13 @@ class _Cleaner:
             bad = _spikes(signal, self.options.spikes, least, rotation=rotation)
             if bad.any():
                 signal = bridged(signal, ~bad, rotation=rotation)
-            noise = (noise_of_turns if rotation else noise_level)(signal)
+            noise = (rotation_noise if rotation else noise_level)(signal)
             # Half an angle is in a quaternion.
             moved = noise / 2 if rotation else noise
             shakes = moved > NO_NOISE * least
             cutoff = self._cutoff(signal, rotation=rotation) if shakes else None
             if cutoff is not None:
-                run = lowpass_turns if rotation else lowpass
+                run = lowpass_rotations if rotation else lowpass
                 signal = run(signal, cutoff, self.rate)
             values[:, i] = signal
             frames = tuple(np.flatnonzero(bad).tolist())
@@ -117,7 +117,7 @@ def bridged(signal: FloatArray, known: BoolArray, *, rotation: bool) -> FloatArr
         aligned = signal.copy()
         aligned[known] = so3.align_signs(signal[known], signal[known][0])
         signal = aligned
-    run = lowpass_turns if rotation else lowpass
+    run = lowpass_rotations if rotation else lowpass
     across = run(signal, ACROSS, 1.0, order=3, known=known)
     return np.where(known[:, None], signal, across)
 
@@ -299,7 +299,9 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
             Score(
                 "rotation noise", max(turns, default=0.0), ScoreUnit.ANGLE, USUAL_NOISE
             ),
-            Score("frames with spikes", lost / max(frames, 1), ScoreUnit.SHARE, 0.01),
+            Score(
+                "frames with spikes", lost / max(frames, 1), ScoreUnit.FRACTION, 0.01
+            ),
         ),
         {what: joints for what, joints in names.items() if joints},
     )

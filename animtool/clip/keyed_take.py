@@ -231,7 +231,7 @@ class _Job:
         if motion.scales is None:
             return []
         bare = replace(motion, weights=None)
-        still = Channel.still(np.ones_like(motion.scales.rest))
+        still = Channel.static(np.ones_like(motion.scales.rest))
         tracks = tracks_of(self.rig, bare, replace(bare, scales=still))
         return [track for track in tracks if track.kind is ChannelKind.SCALE]
 

@@ -171,7 +171,7 @@ def mapped_numbers(
             numbers(values) if attribute.width else values
             for attribute, values in zip(track.attributes, known.values, strict=True)
         ),
-        known.held,
+        known.clamped,
     )
 
 
@@ -195,8 +195,8 @@ def gridded(track: Track, known: Transforms) -> Track:
             mapped.values[i] if attribute.width else known.values[i][places.frames]
             for i, attribute in enumerate(track.attributes)
         )
-        held = None if known.held is None else known.held[places.frames]
-        return replace(mapped, values=values, held=held)
+        held = None if known.clamped is None else known.clamped[places.frames]
+        return replace(mapped, values=values, clamped=held)
 
     return replace(track, sample=sample)
 
@@ -316,9 +316,9 @@ def _looped_track(
         translations=moved.translations.dense()[:, 0],
         rotations=moved.rotations.dense()[:, 0],
         values=held,
-        held=None
-        if known.held is None
-        else np.tile(seam.cycle(known.held)[:-1], repeats),
+        clamped=None
+        if known.clamped is None
+        else np.tile(seam.cycle(known.clamped)[:-1], repeats),
     )
     return gridded(track, looped)
 

@@ -13,7 +13,7 @@ from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.motion.contacts import smoothed, without_short
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.transforms import Track, Transforms, turned_track
+from animtool.motion.transforms import Track, Transforms, rotated_track
 from animtool.retarget.transfer import Transfer
 
 # A hand holds what goes with it: its place changes less than this share of an arm a
@@ -80,7 +80,7 @@ class Props:
         found = []
         for i, track in enumerate(self.tracks):
             if track.placed and track.moves:
-                turned = turned_track(track, transfer.upright).at(times[:, i])
+                turned = rotated_track(track, transfer.upright).at(times[:, i])
                 found.append(PropMotion(i, turned.translations, turned.rotations))
         return found
 
@@ -95,7 +95,7 @@ class Props:
             lift: By how much its ground is higher ``(3,)`` [m].
         """
         return tuple(
-            _scaled(turned_track(track, transfer.upright), transfer.scale, lift)
+            _scaled(rotated_track(track, transfer.upright), transfer.scale, lift)
             if i in held
             else track
             for i, track in enumerate(self.tracks)

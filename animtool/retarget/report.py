@@ -314,7 +314,7 @@ class FitMeter:
 
 def scores_of(report: RetargetReport) -> PassScores:
     """Return the numbers by which takes are compared, and the joints they concern."""
-    length, share = ScoreUnit.LENGTH, ScoreUnit.SHARE
+    length, share = ScoreUnit.LENGTH, ScoreUnit.FRACTION
     lost, stopped = len(report.unmapped_source), report.held_mean
     values = (
         ("drift", report.drift_max, length, USUAL_DRIFT, 0.0),

@@ -355,6 +355,6 @@ class _Run:
             reports,
             *self.tallies.errors(),
             self._seen,
-            int(markers.seen.sum()),
+            int(markers.visible.sum()),
             tuple(notices),
         )

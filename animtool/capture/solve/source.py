@@ -165,7 +165,7 @@ def solve_scores(solve: MarkerSolve) -> PassScores:
     outliers = float(np.mean([each.outliers for each in score.markers]))
     scores = (
         Score("marker", score.total, ScoreUnit.LENGTH, USUAL_MISS),
-        Score("outliers", outliers, ScoreUnit.SHARE, USUAL_OUTLIERS),
+        Score("outliers", outliers, ScoreUnit.FRACTION, USUAL_OUTLIERS),
     )
     return PassScores(scores, pass_name="solve")
 

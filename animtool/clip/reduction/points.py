@@ -166,7 +166,7 @@ class Budget:
         self.keys = fit_keys(
             self.track.samples,
             self.tolerance,
-            share=self.share,
+            tolerance_scale=self.share,
             anchors=anchors,
             within=self.track.within,
             straight=self.straight,

@@ -302,7 +302,7 @@ def _descendants(rig: Rig) -> BoolArray:
 def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
     """Return one frame of what needs no key."""
     joints = len(rig.joints)
-    still = Channel.still
+    still = Channel.static
     return Motion(
         still(np.zeros((joints, 3)) if additive else rig.rest_translations),
         still(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),

@@ -47,7 +47,7 @@ def job_trial(job: IkJob) -> Trial:
             context.take,
             context.tracks,
             options,
-            still=context.still,
+            static=context.still,
             only=context.only,
         )
 

@@ -356,7 +356,7 @@ class RigidSimulation(SharedBodies):
             meshes,
             names=tuple(bodies.names),
             xforms=self._spec.prims == "xforms",
-            still=bodies.still,
+            static=bodies.still,
             physics=self._physics,
         )
 

@@ -13,7 +13,7 @@ from pxr import UsdPhysics
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import excerpt
 from animtool.maths import so3
-from animtool.motion.physics import STILL, JointDrive, PhysicsJoint
+from animtool.motion.physics import IDENTITY_POSE, JointDrive, PhysicsJoint
 from animtool.usd.layers.faults import Spot
 from animtool.usd.physics.stage import (
     AXES,
@@ -64,7 +64,7 @@ def read_joint(
     for side in (0, 1):
         at = source.numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)
         turn = source.numbers(prim.GetAttribute(f"physics:localRot{side}"), 4)
-        own = STILL.copy()
+        own = IDENTITY_POSE.copy()
         own[:3] = 0.0 if at is None else at * source.unit
         own[3:] = so3.IDENTITY if turn is None or not turn.any() else turn
         own[3:] = so3.multiply(so3.normalize(own[3:]), lean)

@@ -297,7 +297,7 @@ def _mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:
         values["centre"] = own * scale * source.unit
     moments = source.numbers(api.GetDiagonalInertiaAttr(), 3, 0.0)
     if moments is not None and moments.any():
-        values["moments"] = moments * source.kilograms * source.unit**2
+        values["inertia"] = moments * source.kilograms * source.unit**2
         axes = source.numbers(api.GetPrincipalAxesAttr(), 4)
         if axes is not None and axes.any():
             values["axes"] = so3.normalize(axes)

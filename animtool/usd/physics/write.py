@@ -122,8 +122,8 @@ class PhysicsWriter:
             self._number(spec, "physics:mass", body.mass)
         if body.centre is not None:
             self._place(spec, "physics:centerOfMass", body.centre, _TYPES.Point3f)
-        if body.moments is not None:
-            moments = Gf.Vec3f(*(body.moments / self._unit**2).tolist())
+        if body.inertia is not None:
+            moments = Gf.Vec3f(*(body.inertia / self._unit**2).tolist())
             attribute(spec, "physics:diagonalInertia", _TYPES.Float3, moments)
             attribute(spec, "physics:principalAxes", _TYPES.Quatf, quatf(body.axes))
         for k, shape in enumerate(body.shapes):
@@ -230,7 +230,7 @@ class PhysicsWriter:
             scale, gain = math.degrees(1.0), force * math.radians(1.0)
             axes = {"angular": drive.target}
             if kind == "ball":
-                turn = so3.log(drive.turn).tolist()
+                turn = so3.log(drive.rotation).tolist()
                 axes = dict(zip(("rotX", "rotY", "rotZ"), turn, strict=True))
         for axis, target in axes.items():
             name = f"drive:{axis}:physics"

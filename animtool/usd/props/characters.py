@@ -91,7 +91,7 @@ class Characters:
         self.codes.append(code)
         for name in ("points", "headings", "roots", "near", "clocks", "visible"):
             self._rows.setdefault(name, []).append(getattr(frame, name))
-        self._turns.append([turns.astype(np.float32) for turns in frame.turns])
+        self._turns.append([turns.astype(np.float32) for turns in frame.rotations])
 
     def finish(self, layer: Any) -> None:
         """Write the characters."""
@@ -264,7 +264,7 @@ class _Group:
         # On uneven ground legs differ.
         cast = track.cast
         for i in np.flatnonzero(still).tolist():
-            (at,) = _standing(cast, cast.turns, track.clocks[:1, i])
+            (at,) = _standing(cast, cast.rotations, track.clocks[:1, i])
             near = np.abs((at * track.turns[0, i]).sum(axis=-1)) > 1 - 1e-6
             still[i] = bool(near.all())
         return np.asarray(still & (still.sum() > 1))
@@ -376,10 +376,12 @@ class _Group:
         spec = self._animation(path, np.arange(len(cast.moves)))
         spec.SetInfo("customData", {"animtool": {"thinned": True, "shared": True}})
         # Whoever stands is at most a period ahead of the first frame.
-        last = codes[-1] - codes[0] + cast.period * fps if len(cast.turns) > 1 else 0.0
+        last = (
+            codes[-1] - codes[0] + cast.period * fps if len(cast.rotations) > 1 else 0.0
+        )
         rows = np.arange(int(np.ceil(last)) + 1)
         clocks = rows / fps
-        turns = _continuous(_standing(cast, cast.turns, clocks).astype(np.float32))
+        turns = _continuous(_standing(cast, cast.rotations, clocks).astype(np.float32))
         arrays = [Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one)) for one in turns]
         codes = rows.astype(np.float64)
         put_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)

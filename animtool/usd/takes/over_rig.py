@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.motion.reorient import off_its_place
+from animtool.motion.reorient import at_stage_origin
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_world
 from animtool.rig.placed import placed_rig, standing_notice
@@ -79,7 +79,7 @@ def over_rig(
         alone, choice = False, choice or KEEP
     if own.uneven or alone or not placed:
         # Without a rest pose it is in the space of its rig, which this is.
-        stream = off_its_place(stream) if choice == DROP else stream
+        stream = at_stage_origin(stream) if choice == DROP else stream
         kept = choice != DROP
         notices += standing_notice(rig, where, kept=kept, over=own.stands)
         return OverRig(stream, _NONE, None, notices)
@@ -89,7 +89,7 @@ def over_rig(
     if not kept:
         back = own.sized.inverse()
         to_rig = None if back.is_none else lambda _: back
-        return OverRig(off_its_place(stream), own.sized, to_rig, notices)
+        return OverRig(at_stage_origin(stream), own.sized, to_rig, notices)
     if not own.rides:
         back = own.fixed.inverse()
         return OverRig(stream, own.sized, lambda _: back, notices)

@@ -19,7 +19,7 @@ from animtool.core.rates import rate_from_float
 from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import off_its_place, placed_motion
+from animtool.motion.reorient import at_stage_origin, placed_motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.placed import standing_notice
@@ -220,7 +220,7 @@ def _dropped(
     stream.notices += standing_notice(left, path, kept=False, stays=raw.rides)
     stream.rig = rest_rig(raw, placement, DROP)
     held = stream.rig.stands
-    stream = off_its_place(stream)
+    stream = at_stage_origin(stream)
     stream.rig = replace(stream.rig, rides=False)
     if left.stands is not None or left.rides:
         stream.dropped = _left_place(placement, held, prim, raw)

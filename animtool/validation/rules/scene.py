@@ -233,7 +233,7 @@ def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
     times = take.motion.track_times.dense()[..., 0]
     indices = {prop.path: i for i, prop in enumerate(subject.scene.props)}
     for column, track in enumerate(take.tracks):
-        held = track.at(times[:, column]).held
+        held = track.at(times[:, column]).clamped
         if held is None or not held.all():
             continue
         first, last = times[[0, -1], column]

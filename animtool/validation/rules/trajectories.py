@@ -32,7 +32,7 @@ FRAMES_COMPARED = 64
 def gaps(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield the labelled markers that are missing from many frames (MKR201)."""
     markers = subject.markers
-    shares = 1.0 - markers.seen.mean(axis=0)
+    shares = 1.0 - markers.visible.mean(axis=0)
     often = [
         f"{name} {percent(share)}"
         for name, share in zip(markers.names, shares.tolist(), strict=True)
@@ -65,7 +65,7 @@ def spikes(subject: MarkersSubject) -> Iterator[Fault]:
 
 def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield that many points have no label (MKR203)."""
-    names, seen = subject.markers.names, subject.markers.seen
+    names, seen = subject.markers.names, subject.markers.visible
     nameless = np.array([name.startswith("*") for name in names], np.bool_)
     total = int(seen.sum())
     share = float(seen[:, nameless].sum()) / total if total else 0.0
@@ -77,7 +77,7 @@ def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:
 
 def sizes(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield that markers are too far apart or too near (MKR204)."""
-    extents = _extents(subject.markers.positions, subject.markers.seen)
+    extents = _extents(subject.markers.positions, subject.markers.visible)
     if not len(extents):
         return
     usual = float(np.median(extents))
@@ -135,7 +135,7 @@ def same_points(subject: MarkersSubject) -> Iterator[Fault]:
 def unseen(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield the markers that no frame has (MKR206)."""
     markers = subject.markers
-    counts = markers.seen.sum(axis=0).tolist()
+    counts = markers.visible.sum(axis=0).tolist()
     never = [
         name
         for name, count in zip(markers.names, counts, strict=True)
