@@ -1,4 +1,4 @@
-"""The motions of a system whose steps must be short, and the steps that they allow."""
+"""Fastest modes of a system, and the step sizes they allow."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAX_COMPONENTS = 240
 
 
 def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
-    """Return the largest step that is stable for all of some motions [s].
+    """Return the largest step that is stable for all of some modes [s].
 
     They are angular frequencies [rad/s] and damping ratios [1] ``(M, 2)``.
 
@@ -37,7 +37,7 @@ def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
 
 
 def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | None:
-    """Return the fastest motions of a state ``(M, 2)``, None where they are not known.
+    """Return the fastest modes at a state ``(M, 2)``; None if unknown.
 
     Those that the system names; else those of its derivative by differences, where the
     state is small. What grows by itself, and is no method's fault, is left out.

@@ -1,4 +1,4 @@
-"""How to integrate."""
+"""Integration options."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FINER_STEP, FINER_TOLERANCE = 0.5, 0.01
 
 @dataclass(frozen=True, slots=True)
 class IntegrateOptions:
-    """How to integrate.
+    """Options of an integration.
 
     Attributes:
         method: A name of `INTEGRATORS`.
@@ -58,17 +58,17 @@ class IntegrateOptions:
 
     @property
     def relative(self) -> float:
-        """Tolerance of methods that choose their steps [1]."""
+        """Relative tolerance of adaptive methods [1]."""
         return TOLERANCE if self.tolerance is None else self.tolerance
 
     @property
     def least(self) -> float:
-        """The tolerance in the state's own units."""
+        """Absolute tolerance, in units of the state."""
         return self.relative if self.absolute is None else self.absolute
 
 
 def check_options(options: IntegrateOptions) -> Integrator:
-    """Return the integrator that options name, and raise where they make no sense.
+    """Return the integrator that options name; raise if they are invalid.
 
     Raises:
         OptionError: All that is wrong (SIM001, SIM004, SIM005, SIM006).
@@ -81,7 +81,7 @@ def check_options(options: IntegrateOptions) -> Integrator:
 
 
 def finer(options: IntegrateOptions) -> IntegrateOptions:
-    """Return options of a motion that is nearer to the truth.
+    """Return options of a more accurate run, to compare with.
 
     >>> finer(IntegrateOptions("rk4", step=0.1)).step
     0.05
@@ -111,19 +111,21 @@ def _chosen(options: IntegrateOptions) -> Integrator:
 
 
 def _faults(options: IntegrateOptions, control: Control) -> list[Fault]:
-    """Return what of options makes no sense, for a method of a kind."""
+    """Return faults of options, for a kind of method."""
     return range_faults(options) + _unfit(options, fixed=control is Control.FIXED)
 
 
 def _unfit(options: IntegrateOptions, *, fixed: bool) -> list[Fault]:
-    """Return what a method needs and has not, and what it has and does not heed."""
+    """Return faults of options that a method requires or ignores."""
     faults = []
     if fixed and options.step is None:
         message = f"{options.method} needs a step"
         hint = "set one in seconds, or use an adaptive method, such as rk45"
         faults.append(Fault("SIM005", message, where="step", hint=hint))
-    given = {"tolerance": options.tolerance, "absolute": options.absolute}
-    for name in [name for name, value in given.items() if fixed and value is not None]:
+    tolerances = {"tolerance": options.tolerance, "absolute": options.absolute}
+    for name in [
+        name for name, value in tolerances.items() if fixed and value is not None
+    ]:
         message = f"{options.method} has a fixed step and ignores {name}"
         hint = f"remove {name}, or use an adaptive method, such as rk45"
         faults.append(Fault("SIM005", message, where=name, hint=hint))

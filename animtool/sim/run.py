@@ -1,4 +1,4 @@
-"""A motion under way: where it stands, what it took, and its even steps."""
+"""A running integration: its state, its statistics, and its fixed steps."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ LOOK_EVERY = 32
 
 
 class Signs(Protocol):
-    """What looks for signs of a blow-up."""
+    """Checks states for divergence."""
 
     def sign(self, t: float, state: FloatArray) -> str:
-        """Return why a state is beyond bounds, empty where it is not."""
+        """Return why a state has diverged; empty if it has not."""
         ...
 
 
 @dataclass(slots=True)
 class Run:
-    """A motion under way."""
+    """A running integration."""
 
     integrator: Integrator
     equations: Equations
@@ -53,7 +53,7 @@ class Run:
     looked: int = field(default=0)  # steps kept when signs were last looked for
 
     def keep(self, step: Step, t: float, h: float) -> Status:
-        """Go on to where a step leads, at time t, and return whether to go further."""
+        """Accept a step that ends at time t; return whether to continue."""
         system = self.equations.system
         state, memory = step.state, step.memory
         if system.settles:
@@ -66,7 +66,7 @@ class Run:
         return self.count(t, h, 1)
 
     def count(self, t: float, h: float, steps: int) -> Status:
-        """Count steps that led to time t, and return whether to go further."""
+        """Count steps up to time t; return whether to continue."""
         self.time = t
         self.steps += steps
         self.smallest, self.largest = min(self.smallest, h), max(self.largest, h)
@@ -75,7 +75,7 @@ class Run:
         return self.within_budget()
 
     def look(self) -> Status:
-        """Return whether the state shows a sign of a blow-up."""
+        """Return whether the state has diverged."""
         self.looked = self.steps
         sign = self.watch.sign(self.time, self.state)
         if sign:
@@ -83,21 +83,21 @@ class Run:
         return self.within_budget()
 
     def within_budget(self) -> Status:
-        """Return whether there are evaluations left."""
+        """Return whether evaluations remain."""
         if self.equations.evaluations < self.options.budget:
             return Status.OK
         took = f"it took {self.equations.evaluations} evaluations"
         return self.stop(Status.OUT_OF_BUDGET, took)
 
     def stop(self, status: Status, reason: str) -> Status:
-        """Say why to go no further."""
+        """Stop, and record the reason."""
         self.reason = reason
         return status
 
 
 @dataclass(frozen=True, slots=True)
 class Division:
-    """Even steps from a time to another."""
+    """Equal steps between two times."""
 
     start: float  # [s]
     end: float  # [s]
@@ -108,14 +108,14 @@ class Division:
     first: int | None
 
     def time(self, i: int) -> float:
-        """Return when step i begins [s]; i may be the count."""
+        """Return the start time of step i [s]; i may be the count."""
         if self.first is not None:
             return (self.first + i) * self.h
         return self.end if i == self.count else self.start + i * self.h
 
 
 def divide(start: float, end: float, step: float) -> Division:
-    """Return the even steps, none longer than a step, between two times.
+    """Split an interval into equal steps, none longer than a given one.
 
     Where both times are multiples of the step, it is taken as it is, and steps begin
     at multiples of it: so it is the same steps whichever values are asked for between,
@@ -138,7 +138,7 @@ def divide(start: float, end: float, step: float) -> Division:
 
 
 def advance_evenly(run: Run, target: float) -> Status:
-    """Bring a motion to a later time, in even steps."""
+    """Integrate up to a time, in equal steps."""
     assert run.options.step is not None
     division = divide(run.time, target, run.options.step)
     native = run.equations.system.native(run.integrator.name)
@@ -164,7 +164,7 @@ def _stepwise(run: Run, division: Division) -> Status:
 
 
 def _blocks(run: Run, division: Division, native: Native) -> Status:
-    """Take the steps many at once, as many as may go without a look."""
+    """Take the steps in blocks, as long as no check is due."""
     each = run.integrator.evaluations or 1
     for i in range(0, division.count, LOOK_EVERY):
         count = min(LOOK_EVERY, division.count - i)

@@ -26,12 +26,12 @@ MAX_DAMPING = 1e6
 
 
 def unlimited(omega: float, damping_ratio: float) -> float:  # noqa: ARG001
-    """Return the limit of methods that are stable with any step."""
+    """Return the limit of unconditionally stable methods."""
     return math.inf
 
 
 def rate_limit(growth: Sequence[float]) -> Limit:
-    """Return the limit of a method that multiplies ``y' = λ y`` by R(h λ) a step.
+    """Return the limit of a method with growth polynomial R(h λ) for ``y' = λ y``.
 
     R is a polynomial that begins 1 + z.
 
@@ -69,7 +69,7 @@ def jury_limit(
     trace: Callable[[float], Sequence[float]],
     determinant: Callable[[float], Sequence[float]],
 ) -> Limit:
-    """Return the limit of a method that multiplies (x, v/ω) by a matrix a step.
+    """Return the limit of a method that maps (x, v/ω) by a matrix each step.
 
     Both of its eigenvalues are in the unit circle where the determinant D is at most 1
     and the trace T at most 1 + D in size (Jury's conditions). Both are polynomials in s
@@ -93,7 +93,7 @@ def jury_limit(
 
 
 def _first_positive(polynomial: FloatArray) -> float:
-    """Return from which argument above 0 on a polynomial is first positive."""
+    """Return the smallest argument above 0 at which a polynomial is positive."""
     small = np.abs(polynomial) <= ROUNDING * max(np.abs(polynomial).max(), 1.0)
     kept = np.where(small, 0.0, polynomial)
     (used,) = kept.nonzero()

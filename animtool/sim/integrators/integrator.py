@@ -1,4 +1,4 @@
-"""What an integrator is: one entry of the table."""
+"""An entry of the table of integrators."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.sim.stability import Limit
 
 
 class Form(StrEnum):
-    """What of a system a method uses.
+    """The form of equations that a method needs.
 
     Attributes:
         RATES: Rates of the whole state; any system has them.
@@ -25,7 +25,7 @@ class Form(StrEnum):
 
 
 class Control(StrEnum):
-    """Who chooses the steps.
+    """How the step size is chosen.
 
     Attributes:
         FIXED: The caller.
@@ -40,7 +40,7 @@ class Control(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Where a step leads."""
+    """The result of a step."""
 
     state: FloatArray  # after it
     memory: object = None  # what the method takes along to the next step
@@ -59,7 +59,7 @@ StepFunction: TypeAlias = Callable[
 
 @dataclass(frozen=True, slots=True)
 class Integrator:
-    """One entry of the table of integrators.
+    """An entry of the table of integrators.
 
     Attributes:
         name: As options write it.

@@ -1,4 +1,4 @@
-"""The table of integrators: a file a family, imported when used."""
+"""The table of integrators: imported when first used."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ INTEGRATORS: dict[str, str] = {
 
 
 def find_integrator(name: str) -> Integrator:
-    """Return an integrator by its name.
+    """Return an integrator by name.
 
     Raises:
         OptionError: There is none of that name (SIM001).

@@ -1,4 +1,4 @@
-"""What can be simulated in several ways, how far apart, and which are worth it."""
+"""A trial: the settings of a simulation, and distances between its runs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FINER = (0.5, 0.25, 0.125)
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A way to simulate."""
+    """A method with its options."""
 
     method: str  # an integrator or a solver
     # Names and values that go with it, as the scene file writes them.
@@ -35,7 +35,7 @@ class Setting:
 
     @property
     def by_name(self) -> dict[str, float]:
-        """The options by name."""
+        """The options, by name."""
         return dict(self.options)
 
     @staticmethod
@@ -52,7 +52,7 @@ class Setting:
         return dict(self.options)[name]
 
     def __str__(self) -> str:
-        """Return it as the scene file writes it.
+        """Return it in the notation of scene files.
 
         >>> str(Setting.of("rk4", step=0.01))
         'rk4, step 0.01'
@@ -62,8 +62,8 @@ class Setting:
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
-    """Points at a time."""
+class Snapshot:
+    """The points at one time."""
 
     points: FloatArray  # (N, 3) [m]
     # Which point is which, ascending (N,); None where they are always the same.
@@ -73,7 +73,7 @@ class Shot:
 
 
 class Figure(StrEnum):
-    """A figure of a motion besides where its points are."""
+    """A measured quantity of a run besides its points."""
 
     STRETCH = "stretch"  # most that a spring was longer than at rest, over that [1]
     DEPTH = "depth"  # most that cloth was inside of what it meets [m]
@@ -84,14 +84,14 @@ class Figure(StrEnum):
 
 
 class ErrorMeasure(StrEnum):
-    """Which of the distances of a setting is its error."""
+    """The distance that counts as a setting's error."""
 
     LARGEST = "largest"
     RMS = "rms"
 
 
 class CostMeasure(StrEnum):
-    """What a setting costs: what is timed or written, or work that is counted."""
+    """The measure of cost: time, file size, or counted work."""
 
     SECONDS = "seconds"
     BYTES = "bytes"
@@ -99,12 +99,12 @@ class CostMeasure(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What a setting came to."""
+class TrialOutcome:
+    """The result of running one setting."""
 
     seconds: float  # wall time of the simulation [s]
     steps: int  # that were taken
-    shots: Sequence[Shot]  # at the times that were reached
+    shots: Sequence[Snapshot]  # at the times that were reached
     status: Status = Status.OK  # how it ended
     reason: str = ""  # why it stopped, empty where it did not
     # The largest that is stable where it ended [s]: 0 where none is, infinite where all
@@ -116,13 +116,13 @@ class Outcome:
     # What else tells settings apart.
     figures: Mapping[Figure, float] = field(default_factory=dict)
     # How far it is off, where that is measured as it is made, and not by shots.
-    error: Distances | None = None
+    error: PointDistances | None = None
     worst: str = ""  # where that is
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What is made of an input, in the way that its file chooses and in others."""
+    """A simulation that can be run under several settings."""
 
     name: str
     kind: str  # `particles`, `cloth`, `ik`
@@ -134,7 +134,7 @@ class Trial:
     # each, its steps being half of those before.
     references: Callable[[], list[list[Setting]]]
     # Makes it in one way; `OptionError` where the method is not for it.
-    run: Callable[[Setting], Outcome]
+    run: Callable[[Setting], TrialOutcome]
     error: ErrorMeasure = ErrorMeasure.RMS  # what settings are judged by
     cost: CostMeasure = CostMeasure.SECONDS
     unit: str = "steps"  # what is counted of the work
@@ -151,29 +151,31 @@ class Trial:
 
 
 def ladder(value: float, shares: Sequence[float] = COARSER) -> list[float]:
-    """Return values in some shares of one, as they would be written.
+    """Return multiples of a value, rounded for a file.
 
     >>> ladder(0.03)
     [0.12, 0.06, 0.03, 0.015]
     """
-    return [value if share == 1 else float(f"{value * share:.12g}") for share in shares]
+    return [
+        value if factor == 1 else float(f"{value * factor:.12g}") for factor in shares
+    ]
 
 
 def stepwise(
     method: str, step: float, shares: Sequence[float] = COARSER
 ) -> list[Setting]:
-    """Return a method with steps in some shares of one [s]."""
+    """Return a method with several multiples of a step [s]."""
     return [Setting.of(method, step=each) for each in ladder(step, shares)]
 
 
 @dataclass(frozen=True, slots=True)
-class Distances:
-    """How far points are from where others have them, over all times."""
+class PointDistances:
+    """Distances between the points of two runs, over all times."""
 
     largest: float  # [m]
     rms: float  # root of the mean of squares [m]
     median: float  # half of them are nearer [m]
-    apart: float = 0.0  # share of the points that only one of the two has [1]
+    unmatched: float = 0.0  # share of the points that only one of the two has [1]
     # Root of the mean of squares of the angles between their orientations [rad]; None
     # where they have none.
     angle: float | None = None
@@ -181,24 +183,24 @@ class Distances:
     json_keys: ClassVar[str] = "largest rms median apart angle?"
 
     def error(self, measure: ErrorMeasure, reach: float) -> float:
-        """Return the distance of what reaches so far from the points [m]."""
-        own = self.largest if measure is ErrorMeasure.LARGEST else self.rms
-        return own + (0.0 if self.angle is None else self.angle * reach)
+        """Return the distance at a given reach from the points [m]."""
+        distance = self.largest if measure is ErrorMeasure.LARGEST else self.rms
+        return distance + (0.0 if self.angle is None else self.angle * reach)
 
-    def scaled(self, factor: float) -> Distances:
-        """Return them times a factor."""
-        return Distances(
+    def scaled(self, factor: float) -> PointDistances:
+        """Return them multiplied by a factor."""
+        return PointDistances(
             self.largest * factor,
             self.rms * factor,
             self.median * factor,
-            self.apart,
+            self.unmatched,
             None if self.angle is None else self.angle * factor,
             self.at,
         )
 
 
-def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
-    """Return how far shots are from others of the same times.
+def distances(truth: Sequence[Snapshot], shots: Sequence[Snapshot]) -> PointDistances:
+    """Return distances between snapshots at the same times.
 
     Points are compared by their ids.
 
@@ -211,7 +213,7 @@ def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
     most, at = -1.0, None
     for k, (one, other) in enumerate(zip(truth, shots, strict=True)):
         a, b = one.points, other.points
-        turned, turns = one.orientations, other.orientations
+        here, there = one.orientations, other.orientations
         if one.ids is not None and other.ids is not None:
             _, i, j = np.intersect1d(
                 one.ids, other.ids, assume_unique=True, return_indices=True
@@ -219,8 +221,8 @@ def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
             lone += len(a) + len(b) - 2 * len(i)
             count += len(a) + len(b) - len(i)
             a, b, points = a[i], b[j], i
-            turned = None if turned is None else turned[i]
-            turns = None if turns is None else turns[j]
+            here = None if here is None else here[i]
+            there = None if there is None else there[j]
         else:
             count += len(a)
             points = np.arange(len(a))
@@ -229,25 +231,25 @@ def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
             farthest = int(gaps.argmax())
             most, at = float(gaps[farthest]), (k, int(points[farthest]))
         parts.append(gaps)
-        if turned is not None and turns is not None:
-            angles.append(so3.angle_between(turned, turns))
+        if here is not None and there is not None:
+            angles.append(so3.angle_between(here, there))
     every: FloatArray = np.concatenate(parts)
     angle = _rms(np.concatenate(angles)) if angles else None
     if not len(every):
-        return Distances(0.0, 0.0, 0.0, lone / max(count, 1), angle)
+        return PointDistances(0.0, 0.0, 0.0, lone / max(count, 1), angle)
     largest, median = float(every.max()), float(np.median(every))
-    return Distances(largest, _rms(every), median, lone / count, angle, at)
+    return PointDistances(largest, _rms(every), median, lone / count, angle, at)
 
 
 def _rms(values: FloatArray) -> float:
-    """Return the root of the mean of squares of values ``(N,)``, 0 of none."""
+    """Return the root mean square of values ``(N,)``, 0 if empty."""
     # Squares of what has blown up are beyond any number.
     with np.errstate(over="ignore"):
         return math.sqrt(float(np.mean(values**2))) if len(values) else 0.0
 
 
-def extent_of(shots: Sequence[Shot]) -> float:
-    """Return the diagonal of the box that all points stay in [m]."""
+def extent_of(shots: Sequence[Snapshot]) -> float:
+    """Return the diagonal of the bounding box of all points [m]."""
     every = [shot.points for shot in shots if len(shot.points)]
     if not every:
         return 0.0
@@ -256,18 +258,18 @@ def extent_of(shots: Sequence[Shot]) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def reach_of(shots: Sequence[Shot]) -> float:
-    """Return how far what is placed reaches from its point, at any time [m]."""
+def reach_of(shots: Sequence[Snapshot]) -> float:
+    """Return the largest extent of instances from their points, at any time [m]."""
     return max((shot.reach for shot in shots), default=0.0)
 
 
-def order_seen(coarse: float, fine: float) -> float | None:
-    """Return the power of the step that errors go with; None where nothing tells it.
+def observed_order(coarse: float, fine: float) -> float | None:
+    """Return the observed order of convergence; None if undefined.
 
     A motion moves by the coarse distance from steps to half of them, by the fine one
     from these to half of them again [m].
 
-    >>> order_seen(0.4, 0.1)
+    >>> observed_order(0.4, 0.1)
     2.0
     """
     if not (coarse > 0 and fine > 0 and math.isfinite(coarse / fine)):

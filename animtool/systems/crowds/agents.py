@@ -107,7 +107,7 @@ class Agents:
 
 
 @dataclass(frozen=True, slots=True)
-class Going:
+class AgentMotion:
     """How N agents go at a time."""
 
     points: FloatArray  # x and z (N, 2) [m]
@@ -121,17 +121,17 @@ def agents_of(
     """Return the agents of a spec; who begins in another is moved (SIM147)."""
     _check(spec)
     drawn = [
-        _drawn(one, own, begin, frame)
-        for one, own in zip(spec.populations, parts, strict=True)
+        _drawn(one, part, begin, frame)
+        for one, part in zip(spec.populations, parts, strict=True)
     ]
     counts = [len(each[0]) for each in drawn]
     starts, speeds, gives, delays, sides, offsets, sizes, chances = (
         np.concatenate(each) for each in zip(*(one[:8] for one in drawn), strict=True)
     )
     groups, number = [], 0
-    for *_, own in drawn:
-        groups.append(np.where(own >= 0, own + number, -1))
-        number += int(own.max(initial=-1)) + 1
+    for *_, part in drawn:
+        groups.append(np.where(part >= 0, part + number, -1))
+        number += int(part.max(initial=-1)) + 1
     most = [
         one.speed.most if one.speed.most is not None else FASTEST * one.speed.mean
         for one in spec.populations
@@ -150,10 +150,10 @@ def agents_of(
         sizes,
         chances,
     )
-    return _apart(agents, [own.get("points") is not None for own in parts])
+    return _separated(agents, [part.get("points") is not None for part in parts])
 
 
-def _apart(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]:
+def _separated(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]:
     """Return agents none of which begins in another.
 
     Those whose places a file gives are named.
@@ -169,11 +169,15 @@ def _apart(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]
         # Who was moved may be in another now.
         overlap = overlap if (starts == before).all() else np.inf
     moved = np.linalg.norm(starts - agents.starts, axis=1)
-    odd = (moved > ENOUGH * agents.radii) & np.asarray(placed, bool)[agents.kinds]
+    moved_far = (moved > ENOUGH * agents.radii) & np.asarray(placed, bool)[agents.kinds]
     faults = []
-    if odd.any():
-        message = f"{counted(int(odd.sum()), 'agent')} would start inside each other, "
-        message += f"{agents.named(int(np.argmax(odd)))} first: moved apart by up to "
+    if moved_far.any():
+        message = (
+            f"{counted(int(moved_far.sum()), 'agent')} would start inside each other, "
+        )
+        message += (
+            f"{agents.named(int(np.argmax(moved_far)))} first: moved apart by up to "
+        )
         message += f"{moved.max():.3g} m"
         faults.append(warning("SIM147", message, "place them farther apart"))
     if overlap > ENOUGH * radius:
@@ -191,10 +195,10 @@ def separated(
 
     ``walls`` are as the kernel has them, those of each agent behind its start.
     """
-    still, radius = np.zeros_like(x), float(agents.radii.max(initial=1.0))
+    velocities, radius = np.zeros_like(x), float(agents.radii.max(initial=1.0))
     count = len(x)
     moved, _, overlap, _ = _kernels.crowd_step(
-        points=x, velocities=still, preferred=still,
+        points=x, velocities=velocities, preferred=velocities,
         radii=agents.radii, most=np.zeros(count), gives=agents.gives,
         shoulders=np.zeros((count, 2)), depth=1.0, groups=agents.groups,
         does=np.zeros(count, np.uint8), starts=starts, walls=walls,

@@ -12,7 +12,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.systems.crowds.agents import Going
+from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.footing import Blend, BodyState, Footing, followed
 from animtool.systems.crowds.gaits import PHASES
 from animtool.systems.crowds.ground import turned, wrapped
@@ -40,7 +40,7 @@ RISES = 0.6
 # From this part of a swing on it is settled where its foot lands.
 SETTLED = 0.6
 # How far a landing is looked ahead [rad] where a body turns.
-MAX_TURN = 1.0
+MAX_YAW = 1.0
 # Whose push makes them go as fast to a side or back, over `STANDS`, walk.
 PUSHED = 3.0
 # Steps to a side, and back, go no farther from the hips, over the length of a leg.
@@ -50,7 +50,7 @@ SPUN = 0.8
 
 
 @dataclass(frozen=True)
-class Bodies(Footing):
+class AgentBodies(Footing):
     """What moves the bodies of N agents."""
 
     @cached_property
@@ -58,7 +58,9 @@ class Bodies(Footing):
         """Return the joints that clips and legs turn, ascending ``(M,)``."""
         gaits = self.gaits
         rest = gaits.walker.rig.rest_rotations
-        tables = [one.turns for one in (*gaits.moving, gaits.idle, *gaits.reactions)]
+        tables = [
+            one.rotations for one in (*gaits.moving, gaits.idle, *gaits.reactions)
+        ]
         moved = [(np.abs(one - rest) > 1e-9).any(axis=(0, 2)) for one in tables]
         legs = [joint for leg in gaits.walker.legs for joint in leg[:3]]
         legs += self.trunk.joints.tolist()
@@ -73,21 +75,21 @@ class Bodies(Footing):
     def tables(self) -> tuple[list[FloatArray], FloatArray]:
         """Return the turns of `moves` of who walks, by gait, and of who stands."""
         gaits = self.gaits
-        return [one.turns[:, self.moves] for one in gaits.moving], gaits.idle.turns[
-            :, self.moves
-        ]
+        return [
+            one.rotations[:, self.moves] for one in gaits.moving
+        ], gaits.idle.rotations[:, self.moves]
 
-    def first(self, going: Going, chances: FloatArray) -> BodyState:
+    def first(self, going: AgentMotion, chances: FloatArray) -> BodyState:
         """Return bodies that stand ``(N,)``, as random numbers ``(N,)`` have it."""
         count = len(chances)
         paces = np.zeros((count, 3))
         blend = self.blend(paces)
-        places = self.stands(going, blend)
+        stands = self.stands(going, blend)
         return BodyState(
             chances,
-            places,
+            stands,
             -np.ones((count, 2)),
-            places,
+            stands,
             blend.rate,
             np.zeros(count),
             np.ones(count),
@@ -137,8 +139,8 @@ class Bodies(Footing):
     def next(
         self,
         state: BodyState,
-        before: Going,
-        after: Going,
+        before: AgentMotion,
+        after: AgentMotion,
         dt: float,
         hit: BoolArray | None = None,
     ) -> BodyState:
@@ -161,42 +163,42 @@ class Bodies(Footing):
         goes = moves | ~standing
         stances = self._stances(state, after, phases, blend)
         speeds = went / self.scales[:, None]
-        turns = np.clip(turning, paces[:, 1] - JERK, paces[:, 1] + JERK)
-        rates, ends = hurried(self.reach, stances, speeds, turns)
+        yaw_rates = np.clip(turning, paces[:, 1] - JERK, paces[:, 1] + JERK)
+        rates, ends = hurried(self.reach, stances, speeds, yaw_rates)
         # Who hurried slows down again as its pace does.
         slower = state.rates + (blend.rate - state.rates) * -np.expm1(-dt / PACING)
         rates = np.maximum(rates, slower)
         rates = np.minimum(rates, np.maximum(slower, state.rates + QUICKENS * dt))
         change = np.where(goes, rates * dt, 0.0)
-        places, swings = state.places.copy(), state.swings.copy()
+        footholds, swings = state.places.copy(), state.swings.copy()
         aims, heels, spans = state.aims.copy(), state.heels.copy(), state.spans.copy()
         for k in range(2):
             swings[ends[:, k], k] = 0.0
             begins = np.where(ends[:, k], stances.begins[:, k], blend.stands[:, k])
             heel = self.pitches(k, begins, blend, state.still)
-            self._advance(k, phases, change, blend, (before, after), places, swings)
+            self._advance(k, phases, change, blend, (before, after), footholds, swings)
             lifted = (state.swings[:, k] < 0) & (swings[:, k] >= 0)
             heels[lifted, k] = heel[lifted]
             left = 1 - np.maximum((phases - 0.5 * k) % 1.0, begins)
             spans[lifted, k] = left[lifted]
             landed = (state.swings[:, k] >= SETTLED) & (swings[:, k] < 0)
-            places[landed, k] = state.aims[landed, k]
+            footholds[landed, k] = state.aims[landed, k]
         phases = (phases + change) % 1.0
         for k in range(2):
             aimed = (swings[:, k] >= 0) & ~(state.swings[:, k] >= SETTLED)
             left = (1 - (phases - 0.5 * k) % 1.0) / rates
-            turn = np.clip(paces[:, 1] * left, -MAX_TURN, MAX_TURN)
+            yaw = np.clip(paces[:, 1] * left, -MAX_YAW, MAX_YAW)
             then = after.points + after.velocities * left[:, None]
-            lands = self.placed(k, blend, then, after.headings + turn, places)
+            lands = self.placed(k, blend, then, after.headings + yaw, footholds)
             new = state.swings[:, k] < 0
             aims[aimed, k] = followed(aims, lands, swings, new, self.scales, dt, k)[
                 aimed
             ]
         target = np.where(moves | (swings >= 0).any(axis=1), -dt, dt) / SETTLING
-        made = replace(
+        moved = replace(
             state,
             phases=phases,
-            places=places,
+            places=footholds,
             swings=swings,
             aims=aims,
             rates=rates,
@@ -207,26 +209,36 @@ class Bodies(Footing):
             heels=heels,
             spans=spans,
         )
-        return self._reached(state, made, after, blend, dt)
+        return self._reached(state, moved, after, blend, dt)
 
     def _reached(
-        self, before: BodyState, state: BodyState, going: Going, blend: Blend, dt: float
+        self,
+        before: BodyState,
+        state: BodyState,
+        going: AgentMotion,
+        blend: Blend,
+        dt: float,
     ) -> BodyState:
         """Return bodies whose feet landed where legs reach, and hips lowered for it."""
         stances = self._stances(state, going, state.phases, blend)
-        places = state.places.copy()
+        footholds = state.places.copy()
         leg = self.gaits.walker.leg
         lowered = np.maximum(before.lowered - RISES * leg * dt, 0.0)
         for k in range(2):
-            seen = k, stances.thighs[:, k], stances.feet[:, k], stances.pitches[0, :, k]
+            stance = (
+                k,
+                stances.thighs[:, k],
+                stances.feet[:, k],
+                stances.pitches[0, :, k],
+            )
             stands = state.swings[:, k] < 0
-            room, ways = self.reach.room(*seen)
-            landed = stands & (places[:, k] != before.places[:, k]).any(axis=1)
-            back = np.minimum(room, 0.0)[:, None] * ways * self.scales[:, None]
-            places[landed, k, :2] += turned(back, going.headings)[landed]
-            need = np.where(stands, self.reach.lowered(*seen), 0.0)
+            room, outwards = self.reach.room(*stance)
+            landed = stands & (footholds[:, k] != before.places[:, k]).any(axis=1)
+            back = np.minimum(room, 0.0)[:, None] * outwards * self.scales[:, None]
+            footholds[landed, k, :2] += turned(back, going.headings)[landed]
+            need = np.where(stands, self.reach.lowered(*stance), 0.0)
             lowered = np.maximum(lowered, need)
-        return replace(state, places=places, lowered=lowered)
+        return replace(state, places=footholds, lowered=lowered)
 
     @cached_property
     def reach(self) -> Reach:
@@ -234,17 +246,17 @@ class Bodies(Footing):
         return Reach.of(self.gaits)
 
     def pitches(
-        self, k: int, begins: FloatArray, blend: Blend, still: FloatArray
+        self, k: int, begins: FloatArray, blend: Blend, standing: FloatArray
     ) -> FloatArray:
         """Return how far heels of feet that stand are up ``(N,)`` [rad]."""
         stood = np.clip(begins / blend.stands[:, k], 0.0, 1.0) * (PHASES - 1)
         pitch = np.zeros(len(begins))
         for weight, one in zip(blend.weights.T, self.gaits.moving, strict=True):
             pitch += weight * np.interp(stood, np.arange(PHASES), one.pitches[k])
-        return np.asarray(pitch * (1 - still))
+        return np.asarray(pitch * (1 - standing))
 
     def _stances(
-        self, state: BodyState, going: Going, phases: FloatArray, blend: Blend
+        self, state: BodyState, going: AgentMotion, phases: FloatArray, blend: Blend
     ) -> Stances:
         """Return how feet stand of bodies in phases."""
         feet = np.zeros((len(phases), 2, 4))
@@ -275,9 +287,9 @@ class Bodies(Footing):
         if not self.gaits.reactions:
             return reacts
         period = self.gaits.reactions[0].period
-        made = np.where(reacts >= 0, reacts + dt, reacts)
-        made = np.where(made > period, -1.0, made)
-        return made if hit is None else np.where(hit & (made < 0), 0.0, made)
+        times = np.where(reacts >= 0, reacts + dt, reacts)
+        times = np.where(times > period, -1.0, times)
+        return times if hit is None else np.where(hit & (times < 0), 0.0, times)
 
     def _begun(
         self,
@@ -285,15 +297,15 @@ class Bodies(Footing):
         blend: Blend,
         begins: BoolArray,
         off: BoolArray,
-        going: Going,
+        going: AgentMotion,
     ) -> FloatArray:
         """Return phases ``(N,)``: who begins lifts the foot that is farther behind."""
         back = self.stands(going, blend) - state.places
         along = turned(back[..., :2], -going.headings[:, None])[..., 1]
         score = along + np.where(off, 10.0, 0.0)
         right = score[:, 1] > score[:, 0]
-        own = np.where(right, 0.5 + blend.stands[:, 1], blend.stands[:, 0])
-        return np.where(begins, own % 1.0, state.phases)
+        lift_phases = np.where(right, 0.5 + blend.stands[:, 1], blend.stands[:, 0])
+        return np.where(begins, lift_phases % 1.0, state.phases)
 
     def _advance(
         self,
@@ -301,8 +313,8 @@ class Bodies(Footing):
         phases: FloatArray,
         change: FloatArray,
         blend: Blend,
-        goings: tuple[Going, Going],
-        places: FloatArray,
+        goings: tuple[AgentMotion, AgentMotion],
+        footholds: FloatArray,
         swings: FloatArray,
     ) -> None:
         """Let a foot of each body lift, swing and land in a step, in place."""
@@ -318,8 +330,8 @@ class Bodies(Footing):
         up = swings[:, k] >= 0
         done = np.clip((end - at) / np.maximum(1 - at, 1e-9), 0.0, 1.0)
         lands = up & (end >= 1)
-        share = (1 - begin) / np.where(change > 0, change, 1.0)
-        places[lands, k] = self.landing(k, blend, goings, share, places)[lands]
+        fraction = (1 - begin) / np.where(change > 0, change, 1.0)
+        footholds[lands, k] = self.landing(k, blend, goings, fraction, footholds)[lands]
         swings[up, k] += (1 - swings[up, k]) * done[up]
         swings[lands, k] = -1.0
 

@@ -15,8 +15,8 @@ from animtool.motion.frames import Cast, CharactersFrame
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.crowds.agents import Agents, Going
-from animtool.systems.crowds.bodies import Bodies
+from animtool.systems.crowds.agents import Agents, AgentMotion
+from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.footing import BodyState, Heights
 from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import Frame, about_up
@@ -32,8 +32,8 @@ LIFTED, LANDING = 0.08, 0.78
 class CastGroup:
     """Agents of one rig, and what they show."""
 
-    own: IntArray  # which agents (n,)
-    bodies: Bodies
+    agents: IntArray  # which agents (n,)
+    bodies: AgentBodies
     cast: Cast
 
 
@@ -57,30 +57,38 @@ class Casting:
         which = np.array([distinct.index(one) for one in sources])[agents.kinds]
         groups = []
         for k, source in enumerate(distinct):
-            own = np.flatnonzero(which == k)
-            bodies = Bodies(source(), agents.sizes[own], ground)
-            groups.append(CastGroup(own, bodies, _cast(bodies, falls=falls)))
-        order = np.concatenate([group.own for group in groups])
+            rows = np.flatnonzero(which == k)
+            bodies = AgentBodies(source(), agents.sizes[rows], ground)
+            groups.append(CastGroup(rows, bodies, _cast(bodies, falls=falls)))
+        order = np.concatenate([group.agents for group in groups])
         return Casting(groups, order)
 
-    def first(self, going: Going, chances: FloatArray) -> BodyState:
+    def first(self, going: AgentMotion, chances: FloatArray) -> BodyState:
         """Return the bodies of agents at the beginning."""
         return self._joined(
-            [g.bodies.first(part(going, g.own), chances[g.own]) for g in self.groups]
+            [
+                g.bodies.first(part(going, g.agents), chances[g.agents])
+                for g in self.groups
+            ]
         )
 
     def next(
-        self, state: BodyState, before: Going, after: Going, dt: float, hit: BoolArray
+        self,
+        state: BodyState,
+        before: AgentMotion,
+        after: AgentMotion,
+        dt: float,
+        hit: BoolArray,
     ) -> BodyState:
         """Return the bodies of agents a step [s] later; some were hit ``(N,)``."""
         return self._joined(
             [
                 g.bodies.next(
-                    part(state, g.own),
-                    part(before, g.own),
-                    part(after, g.own),
+                    part(state, g.agents),
+                    part(before, g.agents),
+                    part(after, g.agents),
                     dt,
-                    hit[g.own],
+                    hit[g.agents],
                 )
                 for g in self.groups
             ]
@@ -99,40 +107,45 @@ class Casting:
     @property
     def rigs(self) -> list[Rig]:
         """Return the rig of each agent."""
-        made = [self.groups[0].cast.rig] * len(self.order)
+        rigs = [self.groups[0].cast.rig] * len(self.order)
         for group in self.groups:
-            for i in group.own.tolist():
-                made[i] = group.cast.rig
-        return made
+            for i in group.agents.tolist():
+                rigs[i] = group.cast.rig
+        return rigs
 
     def world(
-        self, state: BodyState, going: Going, frame: Frame, ground: Heights, i: int
+        self,
+        state: BodyState,
+        going: AgentMotion,
+        frame: Frame,
+        ground: Heights,
+        i: int,
     ) -> WorldTransforms:
         """Return where the joints of an agent are in the world, one frame."""
-        group = next(one for one in self.groups if i in one.own)
+        group = next(one for one in self.groups if i in one.agents)
         row, rig = np.array([i]), group.cast.rig
         bodies = replace(
-            group.bodies, scales=group.bodies.scales[np.searchsorted(group.own, row)]
+            group.bodies, scales=group.bodies.scales[np.searchsorted(group.agents, row)]
         )
-        made = poses_of(bodies, part(state, row), part(going, row))
-        places = np.repeat(rig.rest_translations[None], 1, axis=0)
-        places[:, 0] = made.roots
-        world = forward(rig, places, made.turns)
+        poses = poses_of(bodies, part(state, row), part(going, row))
+        positions = np.repeat(rig.rest_translations[None], 1, axis=0)
+        positions[:, 0] = poses.roots
+        world = forward(rig, positions, poses.rotations)
         heading = about_up(going.headings[row])
-        turn = so3.multiply(frame.rotation, heading)
+        rotation = so3.multiply(frame.rotation, heading)
         heights = np.nan_to_num(ground(going.points[row])[0])
         origin = np.insert(going.points[row], 1, heights, axis=1)
-        matrix = so3.to_matrix(turn)
-        places = so3.rotate(turn, bodies.scales[:, None, None] * world.positions)
+        matrix = so3.to_matrix(rotation)
+        positions = so3.rotate(rotation, bodies.scales[:, None, None] * world.positions)
         return WorldTransforms(
-            places + frame.to_world(origin)[:, None],
+            positions + frame.to_world(origin)[:, None],
             matrix[:, None] @ world.linear,
         )
 
     def frame(
         self,
         state: BodyState,
-        going: Going,
+        going: AgentMotion,
         heights: FloatArray,
         placed: tuple[Frame, FloatArray],
         visible: BoolArray,
@@ -153,21 +166,21 @@ class Casting:
                 the first in the world.
         """
         frame, velocities = placed
-        turns, roots = [], []
+        rotations, roots = [], []
         points = np.column_stack([going.points[:, 0], heights, going.points[:, 1]])
         for group in self.groups:
-            some = part(state, group.own), part(going, group.own)
-            made = poses_of(group.bodies, *some)
-            for i, (places, own) in fallen.items():
-                for row in np.flatnonzero(group.own == i).tolist():
-                    turn = so3.multiply(frame.rotation, about_up(going.headings[i]))
-                    back = so3.conjugate(turn)
-                    made.turns[row] = own
-                    made.turns[row, 0] = so3.multiply(back, own[0])
-                    off = places[0] - frame.to_world(points[i])
-                    made.roots[row] = so3.rotate(back, off) / group.bodies.scales[row]
-            turns.append(made.turns[:, group.cast.moves])
-            roots.append(made.roots)
+            some = part(state, group.agents), part(going, group.agents)
+            poses = poses_of(group.bodies, *some)
+            for i, (positions, fallen_rotations) in fallen.items():
+                for row in np.flatnonzero(group.agents == i).tolist():
+                    rotation = so3.multiply(frame.rotation, about_up(going.headings[i]))
+                    back = so3.conjugate(rotation)
+                    poses.rotations[row] = fallen_rotations
+                    poses.rotations[row, 0] = so3.multiply(back, fallen_rotations[0])
+                    off = positions[0] - frame.to_world(points[i])
+                    poses.roots[row] = so3.rotate(back, off) / group.bodies.scales[row]
+            rotations.append(poses.rotations[:, group.cast.moves])
+            roots.append(poses.roots)
         order = self.order
         only = (state.still >= 1) & ~going.velocities.any(axis=1) & (state.reacts < 0)
         only &= state.shoulders == 0
@@ -184,8 +197,8 @@ class Casting:
             going.headings[order],
             np.concatenate([group.bodies.scales for group in self.groups]),
             tuple(group.cast for group in self.groups),
-            np.array([len(group.own) for group in self.groups]),
-            tuple(turns),
+            np.array([len(group.agents) for group in self.groups]),
+            tuple(rotations),
             np.concatenate(roots),
             stands[order],
             near[order],
@@ -201,16 +214,16 @@ def part(record: Any, rows: IntArray) -> Any:
     return replace(record, **changes)
 
 
-def _cast(bodies: Bodies, *, falls: bool) -> Cast:
+def _cast(bodies: AgentBodies, *, falls: bool) -> Cast:
     """Return the rig of bodies, and what those do alike who stand on level ground."""
     gaits = bodies.gaits
-    period = 2 * gaits.idle.period if len(gaits.idle.turns) > 1 else 0.0
+    period = 2 * gaits.idle.period if len(gaits.idle.rotations) > 1 else 0.0
     count = max(round(period * STANDING_RATE), 1)
     clocks: FloatArray = np.arange(count, dtype=np.float64) * (period / count)
-    here = Going(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
+    here = AgentMotion(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
     level = replace(bodies, scales=np.ones(count), ground=_level)
     first = level.first(here, np.zeros(count))
-    made = poses_of(level, replace(first, clocks=clocks), here)
+    poses = poses_of(level, replace(first, clocks=clocks), here)
     moves = bodies.moves
     if falls:
         moves = np.union1d(moves, Capsules.of(gaits.walker.rig).joints)
@@ -219,8 +232,8 @@ def _cast(bodies: Bodies, *, falls: bool) -> Cast:
         gaits.walker.rig,
         moves,
         (left, right),
-        made.turns[:, moves],
-        made.roots,
+        poses.rotations[:, moves],
+        poses.roots,
         period,
     )
 

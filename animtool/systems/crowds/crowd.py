@@ -20,7 +20,7 @@ from animtool.motion.frames import (
     TransformsFrame,
 )
 from animtool.sim.colliders import Collider, Colliders
-from animtool.systems.crowds.agents import ENOUGH, Going, agents_of
+from animtool.systems.crowds.agents import ENOUGH, AgentMotion, agents_of
 from animtool.systems.crowds.beginning import (
     along_ground,
     ground_of,
@@ -37,11 +37,11 @@ from animtool.systems.framework.simulation import Diagnostics, SimContext
 if TYPE_CHECKING:
     from animtool.rig.kinematics import WorldTransforms
     from animtool.systems.crowds.cast import Casting
-    from animtool.systems.crowds.falls import Falling, Falls
+    from animtool.systems.crowds.falls import FallSimulator, Falls
     from animtool.systems.crowds.footing import BodyState
 
 # Rounds in which agents that overlap in a step are moved apart.
-APART = 100
+SEPARATION_PASSES = 100
 # What agents do, as the kernel knows it.
 WALKS, STAYS, OUT = np.uint8(0), np.uint8(1), np.uint8(2)
 # Agents look where they go, and by this part where they would like to.
@@ -53,7 +53,7 @@ SLOW = 0.6
 # How long agents take to turn to where they go [s].
 TURNING = 0.25
 # They turn no faster [rad/s]: who turns round takes the best part of a second.
-FASTEST_TURN = 4.0
+MAX_YAW_RATE = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class Crowd:
         self._agents, self._notices = agents_of(
             spec, context.parts["populations"], context.begin, self._frame
         )
-        self._steering, self._obstacles = self._ways(context)
+        self._steering, self._obstacles = self._navigation(context)
         self._settling = self._agents.each(
             [one.acceleration for one in spec.populations]
         )
@@ -105,11 +105,11 @@ class Crowd:
         self._meshes: tuple[MeshFrame, ...] = tuple(c[0] for c in cycles.values())
         order = list(cycles)
         self._casting: Casting | None = None
-        self._falling: Falling | None = None
+        self._falling: FallSimulator | None = None
         self._cast(context)
         self._shown = np.array([order.index(s) if s else 0 for s in shows], np.int64)
 
-    def _ways(self, context: SimContext) -> tuple[Steering, Obstacles]:
+    def _navigation(self, context: SimContext) -> tuple[Steering, Obstacles]:
         """Return what leads agents to their goals, and what is in their way."""
         spec, agents, frame = self._spec, self._agents, self._frame
         goals = self._on_ground([goal.at for goal in spec.goals])
@@ -167,15 +167,17 @@ class Crowd:
         for group in self._casting.groups:
             self._notices += group.bodies.gaits.notices
 
-    def _fallers(self, context: SimContext) -> Falling | None:
+    def _fallers(self, context: SimContext) -> FallSimulator | None:
         """Return what moves those who fall; None where a rig has no bodies for it."""
-        from animtool.systems.crowds.falls import Falling
+        from animtool.systems.crowds.falls import FallSimulator
 
         assert self._casting is not None
         casts = [group.cast.rig for group in self._casting.groups]
-        if not all(Falling.possible(rig) for rig in casts) or not len(self._agents):
+        if not all(FallSimulator.possible(rig) for rig in casts) or not len(
+            self._agents
+        ):
             return None
-        return Falling(
+        return FallSimulator(
             self._casting.rigs,
             self._agents.sizes,
             self._frame,
@@ -191,15 +193,15 @@ class Crowd:
     def initial(self) -> CrowdState:
         """Return where all begin, looking to where they go first."""
         x, progress = self._start, self._steering.first()
-        still = np.zeros_like(x)
-        ways = self._steering.preferred(np.inf, self._begin, progress, x)
-        headings = np.arctan2(ways[:, 0], ways[:, 1])
+        at_rest = np.zeros_like(x)
+        preferred = self._steering.preferred(np.inf, self._begin, progress, x)
+        headings = np.arctan2(preferred[:, 0], preferred[:, 1])
         bodies = None
         if self._casting is not None:
-            going = Going(x, still, headings)
+            going = AgentMotion(x, at_rest, headings)
             bodies = self._casting.first(going, self._agents.chances)
         falls = None if self._falling is None else self._falling.none()
-        return CrowdState(x, still, headings, progress, 0.0, bodies, falls)
+        return CrowdState(x, at_rest, headings, progress, 0.0, bodies, falls)
 
     def step(self, state: CrowdState, t: float, dt: float) -> CrowdState:
         """Return where agents are a step [s] later.
@@ -211,8 +213,8 @@ class Crowd:
         if not len(agents):
             return state
         x, v = state.points, state.velocities
-        wanted = self._steering.preferred(t, self._begin, state.progress, x)
-        relaxed = v + (wanted - v) * -np.expm1(-dt / self._settling)[:, None]
+        preferred = self._steering.preferred(t, self._begin, state.progress, x)
+        relaxed = v + (preferred - v) * -np.expm1(-dt / self._settling)[:, None]
         walls = self._obstacles.walls(t, dt, x)
         down = np.zeros(len(x), np.bool_)
         if state.falls is not None:
@@ -230,15 +232,15 @@ class Crowd:
             groups=agents.groups, does=does, starts=walls.starts, walls=walls.rows,
             sight=rules.sight, nearest=rules.nearest, horizon=rules.horizon,
             space=rules.space, push=rules.push, headway=rules.headway,
-            side=SIDES[rules.side], step=dt, rounds=APART,
+            side=SIDES[rules.side], step=dt, rounds=SEPARATION_PASSES,
             enough=ENOUGH * float(agents.radii.min()),
         )  # fmt: skip
         progress = self._steering.advanced(state.progress, points, dt)
-        headings = self._turned(state.headings, wanted, velocities, dt)
+        headings = self._turned(state.headings, preferred, velocities, dt)
         bodies = state.bodies
         falls = state.falls
         if self._casting is not None and bodies is not None:
-            before, after = _going(state), Going(points, velocities, headings)
+            before, after = _going(state), AgentMotion(points, velocities, headings)
             speeds = self._struck(walls, dt)
             hit = speeds > self._spec.impact.stagger
             bodies = self._casting.next(bodies, before, after, dt, hit)
@@ -268,12 +270,12 @@ class Crowd:
         assert self._falling is not None
         assert state.bodies is not None
         here, v = _going(state), state.velocities
-        ahead = Going(here.points + v * dt, v, here.headings)
+        next_motion = AgentMotion(here.points + v * dt, v, here.headings)
         unhit = np.zeros(len(v), np.bool_)
-        walked = self._casting.next(state.bodies, here, ahead, dt, unhit)
+        walked = self._casting.next(state.bodies, here, next_motion, dt, unhit)
         now, soon = (
             [self._world(bodies, going, i) for i in fell.tolist()]
-            for bodies, going in ((state.bodies, here), (walked, ahead))
+            for bodies, going in ((state.bodies, here), (walked, next_motion))
         )
         return self._falling.begun(falls, fell, now, soon, dt)
 
@@ -288,28 +290,30 @@ class Crowd:
 
     def _struck(self, walls: Walls, dt: float) -> FloatArray:
         """Return how fast what touches each in a step comes to it ``(N,)`` [m/s]."""
-        made = np.zeros(len(self._agents))
+        closing = np.zeros(len(self._agents))
         touch = walls.gaps < np.maximum(walls.closing, 0.0) * dt
-        np.maximum.at(made, walls.whose[touch], walls.closing[touch])
-        return made
+        np.maximum.at(closing, walls.whose[touch], walls.closing[touch])
+        return closing
 
-    def _world(self, bodies: BodyState | None, going: Going, i: int) -> WorldTransforms:
+    def _world(
+        self, bodies: BodyState | None, going: AgentMotion, i: int
+    ) -> WorldTransforms:
         """Return where the joints of an agent are."""
         assert self._casting is not None
         assert bodies is not None
         return self._casting.world(bodies, going, self._frame, self._ground, i)
 
     def _turned(
-        self, headings: FloatArray, wanted: FloatArray, v: FloatArray, dt: float
+        self, headings: FloatArray, preferred: FloatArray, v: FloatArray, dt: float
     ) -> FloatArray:
         """Return headings ``(N,)`` of agents that turn to where they go, if they do."""
-        ways = v + FACING * wanted
-        fast = np.linalg.norm(ways, axis=1) / (SLOW * self._agents.speeds)
-        turn = np.arctan2(ways[:, 0], ways[:, 1]) - headings
-        turn = (turn + np.pi) % (2 * np.pi) - np.pi
-        share = -np.expm1(-dt / TURNING * np.minimum(fast, 1.0))
-        most = FASTEST_TURN * dt
-        return np.asarray(headings + np.clip(turn * share, -most, most))
+        facing = v + FACING * preferred
+        fast = np.linalg.norm(facing, axis=1) / (SLOW * self._agents.speeds)
+        yaw = np.arctan2(facing[:, 0], facing[:, 1]) - headings
+        yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
+        fraction = -np.expm1(-dt / TURNING * np.minimum(fast, 1.0))
+        most = MAX_YAW_RATE * dt
+        return np.asarray(headings + np.clip(yaw * fraction, -most, most))
 
     def frame(
         self,
@@ -379,9 +383,9 @@ class Crowd:
 
 def _moving(colliders: Colliders) -> list[Collider]:
     """Return the colliders that move."""
-    return [one for one in colliders if len(one.poses.moments) > 1]
+    return [one for one in colliders if len(one.poses.sample_times) > 1]
 
 
-def _going(state: CrowdState) -> Going:
+def _going(state: CrowdState) -> AgentMotion:
     """Return how agents go."""
-    return Going(state.points, state.velocities, state.headings)
+    return AgentMotion(state.points, state.velocities, state.headings)

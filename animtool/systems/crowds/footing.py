@@ -11,15 +11,15 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
-from animtool.systems.crowds.agents import Going
+from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.gaits import Gaits, eased
 from animtool.systems.crowds.ground import turned, wrapped
 
 # A standing foot is off its place if it is farther than this, over the length of a leg,
 # or turned by more [rad].
-OFF, OFF_TURN = 0.15, 0.45
+OFF, OFF_YAW = 0.15, 0.45
 # A foot lands no nearer to the other than this part of how far apart gaits put them.
-APART = 0.6
+STEP_WIDTH = 0.6
 # Feet pass each other with a gap of so much of a leg, where they are nearer than so
 # much along z.
 PASSING, LONG = 0.09, 0.35
@@ -83,16 +83,16 @@ class Footing:
         self,
         k: int,
         blend: Blend,
-        goings: tuple[Going, Going],
-        share: FloatArray,
-        places: FloatArray,
+        goings: tuple[AgentMotion, AgentMotion],
+        fractions: FloatArray,
+        footholds: FloatArray,
     ) -> FloatArray:
         """Return where feet land ``(N, 3)``, shares of the step from now."""
         before, after = goings
-        points = before.points + share[:, None] * (after.points - before.points)
+        points = before.points + fractions[:, None] * (after.points - before.points)
         change = wrapped(after.headings - before.headings)
-        headings = before.headings + share * change
-        return self.placed(k, blend, points, headings, places)
+        headings = before.headings + fractions * change
+        return self.placed(k, blend, points, headings, footholds)
 
     def placed(
         self,
@@ -100,7 +100,7 @@ class Footing:
         blend: Blend,
         points: FloatArray,
         headings: FloatArray,
-        places: FloatArray,
+        footholds: FloatArray,
     ) -> FloatArray:
         """Return where a foot of each lands whose body is there ``(N, 3)``.
 
@@ -110,8 +110,8 @@ class Footing:
         step = blend.steps[:, k] * np.stack(
             [self.scales, self.scales, 0 * self.scales + 1], 1
         )
-        other = turned(places[:, 1 - k, :2] - points, -headings)
-        wide = APART * (blend.steps[:, 0, 0] - blend.steps[:, 1, 0]) * self.scales
+        other = turned(footholds[:, 1 - k, :2] - points, -headings)
+        wide = STEP_WIDTH * (blend.steps[:, 0, 0] - blend.steps[:, 1, 0]) * self.scales
         near = side * (step[:, 0] - other[:, 0]) < wide
         # Where the other foot is out of reach of a step nothing is between them.
         near &= np.abs(other[:, 0]) < 2 * wide
@@ -119,7 +119,7 @@ class Footing:
         flat = turned(np.stack([x, step[:, 1]], axis=1), headings)
         return np.column_stack([points + flat, headings + step[:, 2]])
 
-    def stands(self, going: Going, blend: Blend) -> FloatArray:
+    def stands(self, going: AgentMotion, blend: Blend) -> FloatArray:
         """Return where feet of bodies that stand are to be ``(N, 2, 3)``."""
         steps = (
             blend.steps
@@ -129,72 +129,78 @@ class Footing:
         yaws = going.headings[:, None] + steps[..., 2:][..., 0]
         return np.concatenate([going.points[:, None] + flat, yaws[..., None]], axis=2)
 
-    def off(self, state: BodyState, going: Going, blend: Blend) -> BoolArray:
+    def off(self, state: BodyState, going: AgentMotion, blend: Blend) -> BoolArray:
         """Return which feet are not where they are to stand ``(N, 2)``."""
         away = state.places - self.stands(going, blend)
         far = np.linalg.norm(away[..., :2], axis=2)
         leg = self.gaits.walker.leg * self.scales[:, None]
-        turns = np.abs(wrapped(away[..., 2]))
-        return np.asarray((far > OFF * leg) | (turns > OFF_TURN))
+        yaws = np.abs(wrapped(away[..., 2]))
+        return np.asarray((far > OFF * leg) | (yaws > OFF_YAW))
 
     def feet(
-        self, state: BodyState, going: Going
+        self, state: BodyState, going: AgentMotion
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return ground below feet in the frame of bodies ``(N, 2, 4)``, and normals.
 
         x, y, z and how far each is turned; in lengths of the rig. And how far each is
         from where it stood or will stand, whichever is nearer ``(N, 2)``.
         """
-        made = np.zeros((len(state.phases), 2, 4))
+        feet = np.zeros((len(state.phases), 2, 4))
         normals = np.zeros((len(state.phases), 2, 3))
         away = np.zeros((len(state.phases), 2))
         base, _ = self.heights(going.points)
-        places = state.places.copy()
+        footholds = state.places.copy()
         for k in range(2):
             up = state.swings[:, k] >= 0
-            share = eased(np.maximum(state.swings[:, k], 0.0))[:, None]
+            fraction = eased(np.maximum(state.swings[:, k], 0.0))[:, None]
             from_, next_ = state.places[:, k], state.aims[:, k]
-            way = next_ - from_
-            places[:, k] = np.where(up[:, None], from_ + share * way, from_)
-            ends = np.linalg.norm(way[:, :2], axis=1)[:, None] * np.hstack(
-                [share, 1 - share]
+            stride = next_ - from_
+            footholds[:, k] = np.where(up[:, None], from_ + fraction * stride, from_)
+            ends = np.linalg.norm(stride[:, :2], axis=1)[:, None] * np.hstack(
+                [fraction, 1 - fraction]
             )
             away[:, k] = np.where(up, ends.min(axis=1), 0.0) / self.scales
             low, first = self.heights(from_[:, :2])
             high, last = self.heights(next_[:, :2])
-            here, _ = self.heights(places[:, k, :2])
+            here, _ = self.heights(footholds[:, k, :2])
             height = np.where(
-                up, np.maximum(low + share[:, 0] * (high - low), here), low
+                up, np.maximum(low + fraction[:, 0] * (high - low), here), low
             )
-            normals[:, k] = np.where(up[:, None], first + share * (last - first), first)
-            made[:, k, 1] = (height - base) / self.scales
-        away += self._pass(state, going, places) / self.scales[:, None]
-        off = turned(places[..., :2] - going.points[:, None], -going.headings[:, None])
-        made[..., [0, 2]] = off / self.scales[:, None, None]
-        made[..., 3] = wrapped(places[..., 2] - going.headings[:, None])
+            normals[:, k] = np.where(
+                up[:, None], first + fraction * (last - first), first
+            )
+            feet[:, k, 1] = (height - base) / self.scales
+        away += self._pass(state, going, footholds) / self.scales[:, None]
+        off = turned(
+            footholds[..., :2] - going.points[:, None], -going.headings[:, None]
+        )
+        feet[..., [0, 2]] = off / self.scales[:, None, None]
+        feet[..., 3] = wrapped(footholds[..., 2] - going.headings[:, None])
         normals[..., [0, 2]] = turned(normals[..., [0, 2]], -going.headings[:, None])
-        return made, normals, away
+        return feet, normals, away
 
-    def _pass(self, state: BodyState, going: Going, places: FloatArray) -> FloatArray:
+    def _pass(
+        self, state: BodyState, going: AgentMotion, footholds: FloatArray
+    ) -> FloatArray:
         """Let feet that swing go around those that stand, in place.
 
         Returns how far they do ``(N, 2)`` [m].
         """
-        around = np.zeros((len(places), 2))
-        local = turned(places[..., :2], -going.headings[:, None])
+        around = np.zeros((len(footholds), 2))
+        local = turned(footholds[..., :2], -going.headings[:, None])
         wide, long = (
             part * self.gaits.walker.leg * self.scales for part in (PASSING, LONG)
         )
         for k in range(2):
             side = 1 - 2 * k
             off = local[:, k] - local[:, 1 - k]
-            share = np.maximum(state.swings[:, k], 0.0)
+            fraction = np.maximum(state.swings[:, k], 0.0)
             near = np.clip(1 - np.abs(off[:, 1]) / long, 0.0, 1.0)
             # Crossed feet go around by no more: legs that did would jerk.
             lack = np.clip(wide - side * off[:, 0], 0.0, wide) * near
             out = np.zeros_like(off)
-            out[:, 0] = side * lack * 16 * (share * (1 - share)) ** 2
-            places[:, k, :2] += turned(out, going.headings)
+            out[:, 0] = side * lack * 16 * (fraction * (1 - fraction)) ** 2
+            footholds[:, k, :2] += turned(out, going.headings)
             around[:, k] = np.abs(out[:, 0])
         return around
 
@@ -218,11 +224,11 @@ def followed(
     ``new``: whose foot stood before ``(N,)``.
     """
     gone = np.where(new, 0.0, eased(np.clip(swings[:, k], 0.0, 1.0)))
-    way = lands - aims[:, k]
-    far = gone * np.linalg.norm(way[:, :2], axis=1)
+    correction = lands - aims[:, k]
+    far = gone * np.linalg.norm(correction[:, :2], axis=1)
     room = np.minimum(SWERVES * scales * dt / np.maximum(far, 1e-9), 1.0)
-    made = aims[:, k] + np.where(far > 0, room, 1.0)[:, None] * way
-    turn = wrapped(way[:, 2])
+    followed_aims = aims[:, k] + np.where(far > 0, room, 1.0)[:, None] * correction
+    yaw = wrapped(correction[:, 2])
     most = np.where(gone > 0, SWIVELS * dt / np.maximum(gone, 1e-9), np.inf)
-    made[:, 2] = aims[:, k, 2] + np.clip(turn, -most, most)
-    return np.where(new[:, None], lands, made)
+    followed_aims[:, 2] = aims[:, k, 2] + np.clip(yaw, -most, most)
+    return np.where(new[:, None], lands, followed_aims)

@@ -38,7 +38,7 @@ class Walker:
 
     person: Person
     legs: tuple[tuple[int, int, int, int], tuple[int, int, int, int]]
-    ahead: float
+    heading: float
     level: FloatArray
     ankle: FloatArray
     ball: FloatArray
@@ -57,8 +57,8 @@ class Walker:
         if left is None or right is None or facing is None:
             message = f"{rig.name!r} does not have two legs with thigh, shin and foot"
             raise OptionError(Fault("SIM149", message, where="gaits"))
-        ahead = float(np.arctan2(facing[2, 0], facing[2, 2]))
-        back = about_up(np.array([-ahead]))[0]
+        heading = float(np.arctan2(facing[2, 0], facing[2, 2]))
+        back = about_up(np.array([-heading]))[0]
         ground = _ground(person)
         feet = [left[2], right[2]]
         balls = []
@@ -70,7 +70,7 @@ class Walker:
         return Walker(
             person,
             (left, right),
-            ahead,
+            heading,
             so3.multiply(back, person.turns[feet]),
             person.positions[feet, 1] - ground,
             np.array(balls),
@@ -85,8 +85,8 @@ def _ground(person: Person) -> float:
     """
     ends = [
         person.positions[joint] + so3.rotate(person.turns[joint], np.array(tip))
-        for joint, own in enumerate(person.rig.joints)
-        for tip in own.tips
+        for joint, config in enumerate(person.rig.joints)
+        for tip in config.tips
     ]
     return float(np.vstack([person.positions, *ends])[:, 1].min())
 
@@ -115,7 +115,7 @@ class Gait:
     """
 
     name: str
-    turns: FloatArray
+    rotations: FloatArray
     hips: FloatArray
     period: float
     velocity: FloatArray
@@ -150,16 +150,16 @@ class Gaits:
     notices: tuple[Fault, ...]
 
 
-def eased(share: FloatArray) -> FloatArray:
+def eased(fraction: FloatArray) -> FloatArray:
     """Return how far a foot is on its way to its next place, of its swing."""
-    return share**3 * (10 - 15 * share + 6 * share * share)
+    return fraction**3 * (10 - 15 * fraction + 6 * fraction * fraction)
 
 
 def about_side(angles: FloatArray) -> FloatArray:
     """Return turns about x ``(…, 4)`` by angles [rad]."""
-    made = np.zeros((*angles.shape, 4))
-    made[..., 0], made[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
-    return made
+    rotations = np.zeros((*angles.shape, 4))
+    rotations[..., 0], rotations[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
+    return rotations
 
 
 def standing_ankle(walker: Walker, k: int, pitched: FloatArray) -> FloatArray:
@@ -179,9 +179,9 @@ def rows(table: FloatArray, at: FloatArray, *, again: bool = False) -> FloatArra
     count = len(table)
     low = np.clip(at.astype(np.int64), 0, count - 1)
     high = (low + 1) % count if again else np.minimum(low + 1, count - 1)
-    share = (at - low).reshape(-1, *[1] * (table.ndim - 1))
+    fraction = (at - low).reshape(-1, *[1] * (table.ndim - 1))
     first, last = table[low], table[high]
     if table.shape[-1] == 4:
         flipped = (first * last).sum(axis=-1, keepdims=True) < 0
         last = np.where(flipped, -last, last)
-    return np.asarray(first + share * (last - first))
+    return np.asarray(first + fraction * (last - first))

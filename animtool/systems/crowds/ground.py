@@ -19,9 +19,9 @@ EDGE = 1e-9
 
 def about_up(angles: FloatArray) -> FloatArray:
     """Return turns about y ``(…, 4)`` by angles [rad]."""
-    made = np.zeros((*angles.shape, 4))
-    made[..., 1], made[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
-    return made
+    rotations = np.zeros((*angles.shape, 4))
+    rotations[..., 1], rotations[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
+    return rotations
 
 
 def turned(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
@@ -66,7 +66,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Ground:
+class Terrain:
     """Triangles seen from above, or none for a plane at height 0.
 
     Attributes:
@@ -91,23 +91,23 @@ class Ground:
             return np.zeros(count), normals
         heights = np.full(count, -np.inf)
         rows, which = self._candidates(points)
-        (a, to_b, to_c), over, ways = self._planes
+        (a, to_b, to_c), over, normal_table = self._planes
         off = points[rows] - a[which][:, [0, 2]]
         b, c = to_b[which], to_c[which]
-        share_b = (off[:, 0] * c[:, 2] - off[:, 1] * c[:, 0]) * over[which]
-        share_c = (b[:, 0] * off[:, 1] - b[:, 2] * off[:, 0]) * over[which]
-        least = np.minimum(np.minimum(share_b, share_c), 1 - share_b - share_c)
+        weight_b = (off[:, 0] * c[:, 2] - off[:, 1] * c[:, 0]) * over[which]
+        weight_c = (b[:, 0] * off[:, 1] - b[:, 2] * off[:, 0]) * over[which]
+        least = np.minimum(np.minimum(weight_b, weight_c), 1 - weight_b - weight_c)
         inside = least >= -EDGE
         rows, which = rows[inside], which[inside]
         at = (
             a[which, 1]
-            + share_b[inside] * b[inside, 1]
-            + share_c[inside] * c[inside, 1]
+            + weight_b[inside] * b[inside, 1]
+            + weight_c[inside] * c[inside, 1]
         )
         np.maximum.at(heights, rows, at)
         highest = at == heights[rows]
         # Of two that share an edge, the last in their order.
-        normals[rows[highest]] = ways[which[highest]]
+        normals[rows[highest]] = normal_table[which[highest]]
         return np.where(np.isfinite(heights), heights, np.nan), normals
 
     @cached_property
@@ -119,15 +119,15 @@ class Ground:
     @cached_property
     def _planes(self) -> tuple[tuple[FloatArray, ...], FloatArray, FloatArray]:
         """Return first corners and both edges from them, 1 / area, and normals."""
-        a, b, c = self._seen.swapaxes(0, 1)
+        a, b, c = self._upward.swapaxes(0, 1)
         to_b, to_c = b - a, c - a
         area = to_b[:, 0] * to_c[:, 2] - to_b[:, 2] * to_c[:, 0]
-        ways = np.cross(to_c, to_b)
-        ways = ways / np.linalg.norm(ways, axis=1)[:, None]
-        return (a, to_b, to_c), 1 / area, ways * np.sign(ways[:, 1:2])
+        face_normals = np.cross(to_c, to_b)
+        face_normals = face_normals / np.linalg.norm(face_normals, axis=1)[:, None]
+        return (a, to_b, to_c), 1 / area, face_normals * np.sign(face_normals[:, 1:2])
 
     @cached_property
-    def _seen(self) -> FloatArray:
+    def _upward(self) -> FloatArray:
         """Return triangles that are not seen from the side alone ``(S, 3, 3)``."""
         a, b, c = self.triangles[..., [0, 2]].swapaxes(0, 1)
         to_b, to_c = b - a, c - a
@@ -138,7 +138,7 @@ class Ground:
     @cached_property
     def _grid(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
         """Return low corner, cell sizes and counts, and triangles cell by cell."""
-        flat = self._seen[..., [0, 2]]
+        flat = self._upward[..., [0, 2]]
         low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
         side = max(1, min(MAX_CELLS, int(np.sqrt(len(flat)))))
         counts = np.array([side, side])
@@ -175,7 +175,11 @@ class Ground:
 
 
 def walkable(
-    ground: Ground, nodes: FloatArray, shape: tuple[int, int], cell: float, slope: float
+    ground: Terrain,
+    nodes: FloatArray,
+    shape: tuple[int, int],
+    cell: float,
+    slope: float,
 ) -> tuple[FloatArray, BoolArray]:
     """Return heights of nodes of a grid, and where agents may walk ``(R, C)``.
 
@@ -185,8 +189,8 @@ def walkable(
     heights = heights.reshape(shape)
     free = np.array(np.isfinite(heights))
     most = np.tan(slope) * cell
-    for seen, rows in ((free, heights), (free.T, heights.T)):
+    for walkable_rows, rows in ((free, heights), (free.T, heights.T)):
         steep = np.abs(np.diff(rows, axis=0)) > most
-        seen[:-1] &= ~steep
-        seen[1:] &= ~steep
+        walkable_rows[:-1] &= ~steep
+        walkable_rows[1:] &= ~steep
     return heights, free

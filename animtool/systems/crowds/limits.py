@@ -12,21 +12,21 @@ from animtool.rig.limits import SMALLEST_CONE, BallLimit, RangeLimit, swing_twis
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 
-def open_to(rig: Rig, turns: FloatArray) -> Rig:
+def open_to(rig: Rig, rotations: FloatArray) -> Rig:
     """Return a rig whose limits hold local rotations ``(J, 4)``.
 
     Who walks may be beyond limits of his rig, which would pull him back at once.
     """
-    joints = zip(rig.joints, _motions(rig, turns), strict=True)
+    joints = zip(rig.joints, _motions(rig, rotations), strict=True)
     return replace(rig, joints=tuple(_open_to(*one) for one in joints))
 
 
-def kept(rig: Rig, turns: FloatArray) -> FloatArray:
+def kept(rig: Rig, rotations: FloatArray) -> FloatArray:
     """Return local rotations ``(J, 4)`` that joints of a rig can have.
 
     Bodies that are crushed are torn apart for a moment, and turned any way.
     """
-    motions = _motions(rig, turns)
+    motions = _motions(rig, rotations)
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.PIN:
             angle = _angle(joint, motions[j])
@@ -38,9 +38,9 @@ def kept(rig: Rig, turns: FloatArray) -> FloatArray:
     return so3.multiply(rig.rest_rotations, motions)
 
 
-def _motions(rig: Rig, turns: FloatArray) -> FloatArray:
+def _motions(rig: Rig, rotations: FloatArray) -> FloatArray:
     """Return how joints are turned from rest ``(J, 4)``."""
-    return so3.multiply(so3.conjugate(rig.rest_rotations), turns)
+    return so3.multiply(so3.conjugate(rig.rest_rotations), rotations)
 
 
 def _angle(joint: Joint, motion: FloatArray) -> float:

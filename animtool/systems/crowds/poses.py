@@ -1,4 +1,4 @@
-"""Poses of bodies: what their gaits play, with legs that reach where feet stand."""
+"""BodyPoses of bodies: what their gaits play, with legs that reach where feet stand."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.retarget.legs import put_ankle
 from animtool.rig.kinematics import forward
-from animtool.systems.crowds.agents import Going
-from animtool.systems.crowds.bodies import Bodies
+from animtool.systems.crowds.agents import AgentMotion
+from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.footing import Blend, BodyState
 from animtool.systems.crowds.gaits import (
     PHASES,
@@ -44,35 +44,35 @@ STEEP, CLEAR = 2.0, 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Poses:
+class BodyPoses:
     """N bodies, each in the frame of its own."""
 
-    turns: FloatArray  # local rotations of joints (N, J, 4)
+    rotations: FloatArray  # local rotations of joints (N, J, 4)
     roots: FloatArray  # of the first joint (N, 3) [m]
     lowered: FloatArray  # hips, so that legs reach (N,) [m]
     missed: FloatArray  # how far ankles are from where they should be (N, 2) [m]
 
 
-def poses_of(bodies: Bodies, state: BodyState, going: Going) -> Poses:
+def poses_of(bodies: AgentBodies, state: BodyState, going: AgentMotion) -> BodyPoses:
     """Return the poses of bodies."""
     rig = bodies.gaits.walker.rig
     blend = bodies.blend(state.paces)
     played, roots = _played(bodies, state, blend)
-    turns = np.repeat(rig.rest_rotations[None], len(played), axis=0)
-    turns[:, bodies.moves] = played
-    bodies.trunk.turn(rig.parents, turns, state.shoulders)
+    rotations = np.repeat(rig.rest_rotations[None], len(played), axis=0)
+    rotations[:, bodies.moves] = played
+    bodies.trunk.rotate(rig.parents, rotations, state.shoulders)
     feet, normals, away = bodies.feet(state, going)
     goals, soles = _ankles(bodies, state, blend, feet, normals, away)
     # Hips are over the middle of both feet's ground.
     roots[:, 1] += feet[:, :, 1].mean(axis=1)
-    lowered, missed = _reach(bodies.gaits.walker, turns, roots, goals, soles, state)
+    lowered, missed = _reach(bodies.gaits.walker, rotations, roots, goals, soles, state)
     roots[:, 1] -= lowered
-    return Poses(turns, roots, lowered, missed)
+    return BodyPoses(rotations, roots, lowered, missed)
 
 
 def _reach(
     walker: Walker,
-    turns: FloatArray,
+    rotations: FloatArray,
     roots: FloatArray,
     goals: FloatArray,
     soles: FloatArray,
@@ -84,9 +84,9 @@ def _reach(
     goals all the same ``(N, 2)`` [m].
     """
     rig = walker.rig
-    translations = np.repeat(rig.rest_translations[None], len(turns), axis=0)
+    translations = np.repeat(rig.rest_translations[None], len(rotations), axis=0)
     translations[:, 0] = roots
-    world = forward(rig, translations, turns)
+    world = forward(rig, translations, rotations)
     joints = world.positions
     spins = {
         joint: so3.from_matrix(world.linear[:, joint])
@@ -97,7 +97,7 @@ def _reach(
     lowered = _lowered(walker, joints, goals, state)
     joints = joints - lowered[:, None, None] * UP
     goals = _reached(walker, joints, goals, state.swings >= 0)
-    missed = np.zeros((len(turns), 2))
+    missed = np.zeros((len(rotations), 2))
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         above = int(rig.parents[thigh])
         upper, lower = put_ankle(
@@ -111,12 +111,12 @@ def _reach(
         over = (
             spins[above] if above >= 0 else np.broadcast_to(so3.IDENTITY, upper.shape)
         )
-        for joint, parent, own in (
+        for joint, parent, posed in (
             (thigh, over, upper),
             (shin, upper, lower),
             (foot, lower, sole),
         ):
-            turns[:, joint] = so3.multiply(so3.conjugate(parent), own)
+            rotations[:, joint] = so3.multiply(so3.conjugate(parent), posed)
         knee = joints[:, thigh] + so3.rotate(upper, rig.rest_translations[shin])
         ankle = knee + so3.rotate(lower, rig.rest_translations[foot])
         missed[:, k] = np.linalg.norm(ankle - goals[:, k], axis=1)
@@ -134,11 +134,11 @@ def _lowered(
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         bones = joints[:, [thigh, shin, foot]]
         length = np.linalg.norm(np.diff(bones, axis=1), axis=2).sum(axis=1)
-        way = joints[:, thigh] - goals[:, k]
-        across = (way[:, [0, 2]] ** 2).sum(axis=1)
+        leg = joints[:, thigh] - goals[:, k]
+        across = (leg[:, [0, 2]] ** 2).sum(axis=1)
         high = np.sqrt(np.maximum((STRAIGHT * length) ** 2 - across, 0.0))
         ends = (np.abs(2 * state.swings[:, k] - 1) - 1 + 2 * NEARING) / (2 * NEARING)
-        need = way[:, 1] - high
+        need = leg[:, 1] - high
         air = eased(np.clip(ends, 0.0, 1.0)) * need
         air = np.minimum(air, state.lowered + AIRBORNE * walker.leg)
         lowered = np.maximum(lowered, np.where(state.swings[:, k] < 0, need, air))
@@ -152,16 +152,16 @@ def _reached(
 
     As they go along below the hips, they are over the ground.
     """
-    made = goals.copy()
+    reached = goals.copy()
     for k, (thigh, *_) in enumerate(walker.legs):
-        way = goals[:, k] - joints[:, thigh]
-        across = np.linalg.norm(way[:, [0, 2]], axis=1)
-        far = (STRAIGHT * walker.leg) ** 2 - way[:, 1] ** 2
+        leg = goals[:, k] - joints[:, thigh]
+        across = np.linalg.norm(leg[:, [0, 2]], axis=1)
+        far = (STRAIGHT * walker.leg) ** 2 - leg[:, 1] ** 2
         over = np.maximum(across - np.sqrt(np.maximum(far, 0.0)), 0.0) * up[:, k]
-        share = over / np.maximum(across, 1e-9)
-        made[:, k, [0, 2]] -= share[:, None] * way[:, [0, 2]]
-        made[:, k, 1] += cleared(over)
-    return made
+        excess = over / np.maximum(across, 1e-9)
+        reached[:, k, [0, 2]] -= excess[:, None] * leg[:, [0, 2]]
+        reached[:, k, 1] += cleared(over)
+    return reached
 
 
 def cleared(away: FloatArray) -> FloatArray:
@@ -170,7 +170,7 @@ def cleared(away: FloatArray) -> FloatArray:
 
 
 def _ankles(
-    bodies: Bodies,
+    bodies: AgentBodies,
     state: BodyState,
     blend: Blend,
     feet: FloatArray,
@@ -220,8 +220,8 @@ def _swung(
     ``up``: of which bodies foot ``k`` does ``(N,)``.
     """
     swings = np.clip(state.swings[up, k], 0.0, 1.0)
-    pitched, lifts = _on_way(gaits, state, blend, k, up, swings)
-    first, begins = _on_way(gaits, state, blend, k, up, np.zeros_like(swings))
+    pitched, lifts = _in_swing(gaits, state, blend, k, up, swings)
+    first, begins = _in_swing(gaits, state, blend, k, up, np.zeros_like(swings))
     stood = about_side(state.heels[up, k])
     left = (1 - eased(np.minimum(swings / LEAVING, 1.0)))[:, None]
     off = so3.multiply(stood, so3.conjugate(first))
@@ -230,7 +230,7 @@ def _swung(
     return turned, lifts + left * (standing_ankle(gaits.walker, k, stood) - begins)
 
 
-def _on_way(
+def _in_swing(
     gaits: Gaits,
     state: BodyState,
     blend: Blend,
@@ -257,17 +257,17 @@ def _on_way(
         )
         for end in (0, -1)
     ]
-    share = at / (PHASES - 1)
-    even = ends[0] + share * (ends[1] - ends[0])
+    fraction = at / (PHASES - 1)
+    even = ends[0] + fraction * (ends[1] - ends[0])
     long = np.minimum(blend.stride[up], 1.0)
     lifts[:, 2] = even + long * (lifts[:, 2] - even)
     # Who just stood lifts a flat foot, and so does who steps fast, less high.
-    still = state.still[up]
+    standing = state.still[up]
     long = state.spans[up, k] / state.rates[up]
-    usual = (1 - blend.stands[up, k]) / blend.free[up]
-    quick = 1 - np.minimum(long / usual, 1.0)
+    typical = (1 - blend.stands[up, k]) / blend.free[up]
+    quick = 1 - np.minimum(long / typical, 1.0)
     lands = eased(np.clip((swings - LANDING) / (1 - LANDING), 0.0, 1.0))
-    level = np.maximum(still, quick * (1 - lands))[:, None]
+    level = np.maximum(standing, quick * (1 - lands))[:, None]
     flat = np.broadcast_to(so3.IDENTITY, swung.shape)
     pitched = _mixed([swung, flat], np.hstack([1 - level, level]))
     low = standing_ankle(gaits.walker, k, flat)
@@ -277,7 +277,7 @@ def _on_way(
 
 
 def _played(
-    bodies: Bodies, state: BodyState, blend: Blend
+    bodies: AgentBodies, state: BodyState, blend: Blend
 ) -> tuple[FloatArray, FloatArray]:
     """Return local rotations of `moves` ``(N, M, 4)``, and places of the root."""
     gaits, at = bodies.gaits, state.phases * PHASES
@@ -290,43 +290,43 @@ def _played(
         )
     )
     at = idle_rows(gaits.idle, state.clocks)
-    still = state.still[:, None]
+    idling = state.still[:, None]
     stood = rows(standing, at)
-    turns = _mixed([walked, stood], np.concatenate([1 - still, still], axis=1))
-    hips = hips + still * (rows(gaits.idle.hips, at) - hips)
+    rotations = _mixed([walked, stood], np.concatenate([1 - idling, idling], axis=1))
+    hips = hips + idling * (rows(gaits.idle.hips, at) - hips)
     if gaits.reactions and (state.reacts >= 0).any():
         reaction = gaits.reactions[0]
         since = np.maximum(state.reacts, 0.0)
-        share = np.minimum(since, reaction.period - since) / RAMP
-        weight = eased(np.clip(share, 0.0, 1.0)) * (state.reacts >= 0)
-        at = since / reaction.period * (len(reaction.turns) - 1)
-        played = rows(reaction.turns[:, bodies.moves], at)
+        fraction = np.minimum(since, reaction.period - since) / RAMP
+        weight = eased(np.clip(fraction, 0.0, 1.0)) * (state.reacts >= 0)
+        at = since / reaction.period * (len(reaction.rotations) - 1)
+        played = rows(reaction.rotations[:, bodies.moves], at)
         both = np.stack([1 - weight, weight], axis=1)
-        turns = _mixed([turns, played], both)
+        rotations = _mixed([rotations, played], both)
         # How high the hips are then; where, is where the agent is.
         high = rows(reaction.hips, at)[:, 1] - hips[:, 1]
         hips[:, 1] += weight * high
-    return turns, hips
+    return rotations, hips
 
 
 def idle_rows(idle: Gait, clocks: FloatArray) -> FloatArray:
     """Return where in what agents do as they stand they are: there and back again."""
-    last = len(idle.turns) - 1
+    last = len(idle.rotations) - 1
     if not last:
         return np.zeros(len(clocks))
-    share = (clocks / idle.period) % 2.0
-    return np.asarray(np.minimum(share, 2 - share) * last)
+    cycle = (clocks / idle.period) % 2.0
+    return np.asarray(np.minimum(cycle, 2 - cycle) * last)
 
 
-def _mixed(turns: list[FloatArray], weights: FloatArray) -> FloatArray:
+def _mixed(rotations: list[FloatArray], weights: FloatArray) -> FloatArray:
     """Return turns ``(N, …, 4)`` mixed by weights ``(N, K)``, of length 1."""
-    first = turns[0]
+    first = rotations[0]
     wide = (-1, *[1] * (first.ndim - 1))
-    made = first * weights[:, 0].reshape(wide)
-    for k, one in enumerate(turns[1:], start=1):
+    mixed = first * weights[:, 0].reshape(wide)
+    for k, one in enumerate(rotations[1:], start=1):
         flipped = (first * one).sum(axis=-1, keepdims=True) < 0
-        made = made + np.where(flipped, -one, one) * weights[:, k].reshape(wide)
-    return np.asarray(made / np.linalg.norm(made, axis=-1, keepdims=True))
+        mixed = mixed + np.where(flipped, -one, one) * weights[:, k].reshape(wide)
+    return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))
 
 
 def _tilts(normals: FloatArray) -> FloatArray:

@@ -30,7 +30,7 @@ LOWERED, MOST_LOWERED = 0.09, 0.11
 TURNED_IN, TURNED_OUT = 0.4, 0.6
 # What is left of either counts as so much at least [m], [rad]: who goes slowly does not
 # hurry.
-LEAST_ROOM, LEAST_TURN = 0.05, 0.3
+LEAST_ROOM, LEAST_YAW = 0.05, 0.3
 # So much more they are for a foot in the air.
 AIRBORNE = 0.045
 # Legs step no more often [cycles/s].
@@ -58,14 +58,14 @@ class Reach:
         return Reach(gaits, walking, _thighs(gaits, gaits.idle).mean(axis=0))
 
     def thighs(
-        self, phases: FloatArray, weights: FloatArray, still: FloatArray
+        self, phases: FloatArray, weights: FloatArray, standing: FloatArray
     ) -> FloatArray:
         """Return where the thighs of bodies are over level ground ``(N, 2, 3)``."""
         at = phases * PHASES
-        made = np.zeros((len(phases), 2, 3))
+        thighs = np.zeros((len(phases), 2, 3))
         for weight, table in zip(weights.T, self.walking, strict=True):
-            made += weight[:, None, None] * rows(table, at, again=True)
-        return np.asarray(made + still[:, None, None] * (self.standing - made))
+            thighs += weight[:, None, None] * rows(table, at, again=True)
+        return np.asarray(thighs + standing[:, None, None] * (self.standing - thighs))
 
     def room(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
@@ -81,24 +81,24 @@ class Reach:
             pitches: How far their heels are up ``(N,)`` [rad].
         """
         leg = self.gaits.walker.leg
-        way = self._ways(k, thighs, feet, pitches)
-        high = np.maximum(-way[:, 1] - LOWERED * leg, 0.0)
-        away = np.linalg.norm(way[:, [0, 2]], axis=1)
-        ways = way[:, [0, 2]] / np.maximum(away, 1e-9)[:, None]
+        to_ankle = self._legs(k, thighs, feet, pitches)
+        high = np.maximum(-to_ankle[:, 1] - LOWERED * leg, 0.0)
+        away = np.linalg.norm(to_ankle[:, [0, 2]], axis=1)
+        outwards = to_ankle[:, [0, 2]] / np.maximum(away, 1e-9)[:, None]
         far = np.maximum((STRAIGHT * leg) ** 2 - high**2, 0.0)
-        return np.asarray(np.sqrt(far) - away), ways
+        return np.asarray(np.sqrt(far) - away), outwards
 
     def lowered(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
         """Return how far hips are lowered for a foot that stands ``(N,)``."""
         leg = self.gaits.walker.leg
-        way = self._ways(k, thighs, feet, pitches)
-        across = (way[:, [0, 2]] ** 2).sum(axis=1)
+        to_ankle = self._legs(k, thighs, feet, pitches)
+        across = (to_ankle[:, [0, 2]] ** 2).sum(axis=1)
         high = np.sqrt(np.maximum((STRAIGHT * leg) ** 2 - across, 0.0))
-        return np.asarray(np.clip(-way[:, 1] - high, 0.0, MOST_LOWERED * leg))
+        return np.asarray(np.clip(-to_ankle[:, 1] - high, 0.0, MOST_LOWERED * leg))
 
-    def _ways(
+    def _legs(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
         """Return ways from thighs to ankles of feet that stand ``(N, 3)``."""
@@ -144,16 +144,16 @@ def hurried(
     for k in range(2):
         up = stances.swings[:, k]
         begin, stand = stances.begins[:, k], stances.stands[:, k]
-        seen = k, stances.thighs[:, k], stances.feet[:, k]
-        now, _ = reach.room(*seen, stances.pitches[0, :, k])
-        last, way = reach.room(*seen, stances.pitches[1, :, k])
-        leaves = -(way * went).sum(axis=1)
+        stance = k, stances.thighs[:, k], stances.feet[:, k]
+        now, _ = reach.room(*stance, stances.pitches[0, :, k])
+        last, outwards = reach.room(*stance, stances.pitches[1, :, k])
+        leaves = -(outwards * went).sum(axis=1)
         twist = stances.feet[:, k, 3]
         most = np.where(twist * (1 - 2 * k) < 0, TURNED_IN, TURNED_OUT)
         twists = -turning * np.sign(twist)
         need = np.maximum(
             _hurry(last, LEAST_ROOM, leaves),
-            _hurry(most - np.abs(twist), LEAST_TURN, twists),
+            _hurry(most - np.abs(twist), LEAST_YAW, twists),
         ) * np.maximum(stand - begin, 0.0)
         ends[:, k] = ~up & (np.maximum(now, last) < 0)
         # A foot that lifted too soon is to land soon.
@@ -171,7 +171,7 @@ def _hurry(room: FloatArray, least: float, speed: FloatArray) -> FloatArray:
 def _thighs(gaits: Gaits, gait: Gait) -> FloatArray:
     """Return where the legs of a gait begin ``(P, 2, 3)``."""
     rig = gaits.walker.rig
-    places = np.repeat(rig.rest_translations[None], len(gait.turns), axis=0)
-    places[:, 0] = gait.hips
+    translations = np.repeat(rig.rest_translations[None], len(gait.rotations), axis=0)
+    translations[:, 0] = gait.hips
     legs = [leg[0] for leg in gaits.walker.legs]
-    return np.asarray(forward(rig, places, gait.turns).positions[:, legs])
+    return np.asarray(forward(rig, translations, gait.rotations).positions[:, legs])

@@ -17,12 +17,12 @@ MAX_NODES = 4_000_000
 # are of first order, and agents avoid what they touch.
 STRAIGHT = 1.5
 # So many cells ahead nothing may be in a way that is straight.
-AHEAD = 8
+LOOKAHEAD_NODES = 8
 TINY = 1e-300
 
 
 @dataclass(frozen=True)
-class Grid:
+class NavGrid:
     """Nodes on the ground, and which of them agents may stand on.
 
     Attributes:
@@ -88,7 +88,7 @@ class Grid:
         row, column = self.at(points).T
         return np.asarray(self.nearest[1][row, column])
 
-    def place(self, numbers: IntArray) -> FloatArray:
+    def positions_of(self, numbers: IntArray) -> FloatArray:
         """Return x and z of nodes by their numbers ``(K, 2)`` [m]."""
         index = np.stack(np.divmod(numbers, self.free.shape[1]), axis=-1)
         return np.asarray(self.low + self.cell * index)
@@ -111,8 +111,8 @@ class Grid:
         at = np.clip((points - self.low) / self.cell, 0, most)
         first = np.minimum(at.astype(np.int64), np.maximum(most - 1, 0))
         ends = np.minimum(first[:, None] + np.array([[0], [1]]), most)
-        share = at - first
-        sides = np.stack([1 - share, share], axis=1)
+        fraction = at - first
+        sides = np.stack([1 - fraction, fraction], axis=1)
         shares = sides[:, :, None, 0] * sides[:, None, :, 1]
         return ends[:, :, None, 0], ends[:, None, :, 1], shares
 
@@ -124,33 +124,33 @@ class Grid:
         rows, columns, shares = self.corners(points)
         far = self._clearances[rows, columns]
         rises = far[:, 1] - far[:, 0], far[:, :, 1] - far[:, :, 0]
-        ways = np.stack(
+        directions = np.stack(
             [(rises[0] * shares.sum(axis=1)).sum(axis=1),
              (rises[1] * shares.sum(axis=2)).sum(axis=1)], axis=1,
         )  # fmt: skip
-        size = np.linalg.norm(ways, axis=1)[:, None]
-        ways = ways / np.where(size > 0, size, 1.0)
-        return (far * shares).sum(axis=(1, 2)) - self.cell / 2, ways
+        size = np.linalg.norm(directions, axis=1)[:, None]
+        directions = directions / np.where(size > 0, size, 1.0)
+        return (far * shares).sum(axis=(1, 2)) - self.cell / 2, directions
 
 
 @dataclass(frozen=True)
-class Route:
+class FlowField:
     """The way to one goal from everywhere.
 
     Attributes:
         distances: Of each node, infinite where no way leads ``(R, C)`` [m].
     """
 
-    grid: Grid
+    grid: NavGrid
     goals: FloatArray  # x and z of where the ways end, by part ``(P, 2)`` [m]
     distances: FloatArray
 
     @cached_property
-    def ways(self) -> FloatArray:
+    def gradient(self) -> FloatArray:
         """Return unit vectors along the shortest way from each node ``(R, C, 2)``."""
         padded = np.pad(self.distances, 1, constant_values=np.inf)
         here = self.distances
-        made = np.zeros((*here.shape, 2))
+        descent = np.zeros((*here.shape, 2))
         inner = slice(1, -1)
         for axis in (0, 1):
             before = padded[
@@ -162,9 +162,9 @@ class Route:
             least = np.minimum(before, after)
             falls = np.isfinite(here) & (least < here)
             drop = np.where(falls, here, 0) - np.where(falls, least, 0)
-            made[..., axis] = np.where(before < after, -drop, drop)
-        size = np.linalg.norm(made, axis=2)[..., None]
-        return made / np.where(size > 0, size, 1.0)
+            descent[..., axis] = np.where(before < after, -drop, drop)
+        size = np.linalg.norm(descent, axis=2)[..., None]
+        return descent / np.where(size > 0, size, 1.0)
 
     def directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
         """Return unit vectors ``(K, 2)`` along the way from x and z ``(K, 2)``.
@@ -174,37 +174,37 @@ class Route:
         """
         grid = self.grid
         rows, columns, shares = grid.corners(points)
-        made = (self.ways[rows, columns] * shares[..., None]).sum(axis=(1, 2))
-        lost = ~made.any(axis=1)
+        along = (self.gradient[rows, columns] * shares[..., None]).sum(axis=(1, 2))
+        lost = ~along.any(axis=1)
         if lost.any():
-            made[lost] = grid.place(grid.free_at(points[lost])) - points[lost]
+            along[lost] = grid.positions_of(grid.free_at(points[lost])) - points[lost]
         goal = self.goal(points)
         off = goal - points
         far = np.linalg.norm(off, axis=1)
         row, column = grid.at(points).T
         # Who is outside of the grid sees what its nearest node sees.
-        seen = np.linalg.norm(
-            goal - grid.place(row * grid.free.shape[1] + column), axis=1
+        to_goal = np.linalg.norm(
+            goal - grid.positions_of(row * grid.free.shape[1] + column), axis=1
         )
-        within = np.where(grid.depth(points) < 0, np.maximum(far, seen), far)
+        within = np.where(grid.depth(points) < 0, np.maximum(far, to_goal), far)
         near = self.distances[row, column] <= within + STRAIGHT * grid.cell
         # Ways to a goal outside of the grid end at its sides, and go straight on there.
         near &= (grid.depth(points) < grid.cell) | (grid.depth(goal) > -grid.cell)
         near[near] = self._sees(points[near], targets[near])
-        made[near] = (targets - points)[near]
-        size = np.linalg.norm(made, axis=1)[:, None]
-        return np.asarray(made / np.where(size > 0, size, 1.0))
+        along[near] = (targets - points)[near]
+        size = np.linalg.norm(along, axis=1)[:, None]
+        return np.asarray(along / np.where(size > 0, size, 1.0))
 
     def _sees(self, points: FloatArray, targets: FloatArray) -> BoolArray:
         """Return whether nothing is between x and z and targets ``(K, 2)`` nearby."""
         grid = self.grid
         off = targets - points
         far = np.linalg.norm(off, axis=1)
-        reach = np.minimum(far, AHEAD * grid.cell)[:, None] / AHEAD
-        steps = np.arange(1, AHEAD + 1)[:, None, None] * reach
-        places = points + steps * (off / np.maximum(far, TINY)[:, None])
-        rows, columns = grid.at(places.reshape(-1, 2)).T
-        free = grid.free[rows, columns].reshape(AHEAD, -1)
+        reach = np.minimum(far, LOOKAHEAD_NODES * grid.cell)[:, None] / LOOKAHEAD_NODES
+        steps = np.arange(1, LOOKAHEAD_NODES + 1)[:, None, None] * reach
+        samples = points + steps * (off / np.maximum(far, TINY)[:, None])
+        rows, columns = grid.at(samples.reshape(-1, 2)).T
+        free = grid.free[rows, columns].reshape(LOOKAHEAD_NODES, -1)
         return np.asarray(free.all(axis=0), np.bool_)
 
     def goal(self, points: FloatArray) -> FloatArray:
@@ -213,37 +213,37 @@ class Route:
         return self.goals[part]
 
 
-def route_to(grid: Grid, goal: FloatArray) -> Route:
+def route_to(grid: NavGrid, goal: FloatArray) -> FlowField:
     """Return the ways to a goal at x and z ``(2,)``.
 
     From a part of the grid that it is not in they lead to the node there that is
     nearest to it.
     """
     number = int(grid.free_at(goal[None])[0])
-    own = int(grid.parts.ravel()[number])
+    goal_part = int(grid.parts.ravel()[number])
     nodes = np.flatnonzero(grid.free.ravel())
     parts = grid.parts.ravel()[nodes]
-    off = np.linalg.norm(grid.place(nodes) - goal, axis=1)
+    off = np.linalg.norm(grid.positions_of(nodes) - goal, axis=1)
     order = np.lexsort([off, parts])
     first = order[np.flatnonzero(np.diff(parts[order], prepend=0))]
     row, column = grid.at(goal[None])[0]
-    goals = np.concatenate([np.zeros((1, 2)), grid.place(nodes[first])])
+    goals = np.concatenate([np.zeros((1, 2)), grid.positions_of(nodes[first])])
     near: Sequence[int] | IntArray = []
     if grid.free[row, column]:
-        goals[own] = goal
+        goals[goal_part] = goal
         # From the nodes about the goal itself, so that ways end there and not at a
         # node; outside of the grid nothing is between it and the sides that face it.
-        close = nodes[(parts == own) & (off < 1.5 * grid.cell)]
+        close = nodes[(parts == goal_part) & (off < 1.5 * grid.cell)]
         sides = grid.facing(goal)
-        near = np.union1d(close, sides[grid.parts.ravel()[sides] == own])
+        near = np.union1d(close, sides[grid.parts.ravel()[sides] == goal_part])
     seeds = np.concatenate([nodes[first], near]).astype(np.int64)
     starts = np.linalg.norm(
-        grid.place(seeds) - goals[grid.parts.ravel()[seeds]], axis=1
+        grid.positions_of(seeds) - goals[grid.parts.ravel()[seeds]], axis=1
     )
     distances = _kernels.travel_distances(grid.free, grid.cell, seeds, starts)
-    return Route(grid, goals, distances)
+    return FlowField(grid, goals, distances)
 
 
-def routes_to(grid: Grid, goals: Iterable[FloatArray]) -> list[Route]:
+def routes_to(grid: NavGrid, goals: Iterable[FloatArray]) -> list[FlowField]:
     """Return the ways to each of some goals."""
     return [route_to(grid, goal) for goal in goals]

@@ -49,9 +49,9 @@ def turned_shoulders(
     side = np.where(shoulders != 0, np.sign(shoulders), np.sign(pressed))
     target = MOST * side * np.abs(pressed)
     time = np.where(np.abs(target) > np.abs(shoulders), TURNING, BACK)
-    made = shoulders + (target - shoulders) * -np.expm1(-dt / time)
-    back = (pressed == 0) & (np.abs(made) < LEAST * MOST)
-    return np.where(back, 0.0, made)
+    next_yaws = shoulders + (target - shoulders) * -np.expm1(-dt / time)
+    back = (pressed == 0) & (np.abs(next_yaws) < LEAST * MOST)
+    return np.where(back, 0.0, next_yaws)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Trunk:
     def of(person: Person) -> Trunk:
         """Return that of a skeleton; of one without a spine nothing turns."""
         named = {
-            role: tuple(j for j, own in enumerate(person.roles) if own == role)
+            role: tuple(j for j, actual in enumerate(person.roles) if actual == role)
             for role in ("spine", "neck", "head")
         }
         return Trunk(named["spine"], named["neck"] + named["head"])
@@ -75,7 +75,9 @@ class Trunk:
         """Return the joints that it turns."""
         return np.array([*self.spine, *self.neck], np.int64)
 
-    def turn(self, parents: IntArray, turns: FloatArray, angles: FloatArray) -> None:
+    def rotate(
+        self, parents: IntArray, rotations: FloatArray, angles: FloatArray
+    ) -> None:
         """Turn shoulders of poses by angles ``(N,)`` [rad], in place.
 
         ``turns`` ``(N, J, 4)`` are local; the head keeps looking ahead.
@@ -83,22 +85,22 @@ class Trunk:
         some = np.flatnonzero(angles)
         if not len(some) or not self.spine:
             return
-        own, angle = turns[some], angles[some]
+        posed, angle = rotations[some], angles[some]
         each = [(j, 1 / len(self.spine)) for j in self.spine]
         each += [(j, -1 / len(self.neck)) for j in self.neck]
-        for joint, share in each:
+        for joint, fraction in each:
             above = np.broadcast_to(so3.IDENTITY, (len(some), 4))
             for j in _above(parents, joint):
-                above = so3.multiply(above, own[:, j])
-            yaw = about_up(share * angle)
+                above = so3.multiply(above, posed[:, j])
+            yaw = about_up(fraction * angle)
             back = so3.multiply(so3.conjugate(above), so3.multiply(yaw, above))
-            own[:, joint] = so3.multiply(back, own[:, joint])
-        turns[some] = own
+            posed[:, joint] = so3.multiply(back, posed[:, joint])
+        rotations[some] = posed
 
 
 def _above(parents: IntArray, joint: int) -> list[int]:
     """Return the joints above one, the first first."""
-    made: list[int] = []
+    chain: list[int] = []
     while (joint := int(parents[joint])) >= 0:
-        made.insert(0, joint)
-    return made
+        chain.insert(0, joint)
+    return chain

@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import Agents
-from animtool.systems.crowds.routes import Grid, Route, routes_to
+from animtool.systems.crowds.routes import NavGrid, FlowField, routes_to
 from animtool.systems.crowds.spec import CrowdGoalModel
 
 # Time that agents take to stop at a goal, and to come back to their place in a group or
@@ -57,10 +57,10 @@ class Steering:
     goals: Sequence[CrowdGoalModel]
     points: FloatArray
     lines: FloatArray
-    grid: Grid | None  # None where nothing is in the way
+    grid: NavGrid | None  # None where nothing is in the way
 
     @cached_property
-    def routes(self) -> list[Route]:
+    def routes(self) -> list[FlowField]:
         """Return the ways to each goal; none where nothing is in the way."""
         return [] if self.grid is None else routes_to(self.grid, self.points)
 
@@ -104,16 +104,16 @@ class Steering:
             return x, np.zeros(len(x), np.bool_)
         at = self._middles(goal, x)
         radii = np.array([one.radius for one in self.goals])
-        apart = (
+        beside_goal = (
             at + self.agents.offsets * np.where(goal >= 0, radii[goal], 0.0)[:, None]
         )
         if self.grid is None:
-            at = apart
+            at = beside_goal
         else:
             # Only where it can be reached from the middle.
-            nodes = self.grid.at(np.stack([at, apart]).reshape(-1, 2))
+            nodes = self.grid.at(np.stack([at, beside_goal]).reshape(-1, 2))
             parts = self.grid.parts[nodes[:, 0], nodes[:, 1]].reshape(2, -1)
-            at = np.where((parts[0] == parts[1])[:, None], apart, at)
+            at = np.where((parts[0] == parts[1])[:, None], beside_goal, at)
         queued = progress.tickets != NO_TICKET
         for g in np.unique(goal[queued]).tolist():
             line = np.flatnonzero(queued & (goal == g))
@@ -125,8 +125,8 @@ class Steering:
         """Return the goal of each that it can reach ``(N, 2)`` [m]; without one, x."""
         at = np.where((goal >= 0)[:, None], self.points[goal], x)
         for g, route in enumerate(self.routes):
-            own = goal == g
-            at[own] = route.goal(x[own])
+            assigned = goal == g
+            at[assigned] = route.goal(x[assigned])
         return np.asarray(at)
 
     def preferred(
@@ -138,11 +138,11 @@ class Steering:
         target, queued = self.targets(progress, goal, x)
         off = target - x
         far = np.linalg.norm(off, axis=1)
-        ways = off / np.maximum(far, np.finfo(float).tiny)[:, None]
+        directions = off / np.maximum(far, np.finfo(float).tiny)[:, None]
         for g, route in enumerate(self.routes):
-            own = (goal == g) & ~queued
-            if own.any():
-                ways[own] = route.directions(x[own], target[own])
+            assigned = (goal == g) & ~queued
+            if assigned.any():
+                directions[assigned] = route.directions(x[assigned], target[assigned])
         speeds = np.minimum(agents.speeds, far / STOPPING)
         speeds = np.where((goal >= 0) & (t - begin >= agents.delays), speeds, 0.0)
         # Who waits where all are at once makes room for those behind, and stays.
@@ -151,36 +151,36 @@ class Steering:
             radius = self._radius(goal, progress.waited > 0)
             inside = np.maximum(far - INNER * radius, 0.0) / STOPPING
             speeds = np.where(waits, np.minimum(speeds, inside), speeds)
-        wanted = ways * speeds[:, None]
-        return self._in_groups(wanted, queued | waits, x)
+        preferred = directions * speeds[:, None]
+        return self._in_groups(preferred, queued | waits, x)
 
     def _in_groups(
-        self, wanted: FloatArray, apart: BoolArray, x: FloatArray
+        self, preferred: FloatArray, alone: BoolArray, x: FloatArray
     ) -> FloatArray:
         """Return velocities with which those of a group walk side by side."""
         groups = self.agents.groups
-        own = np.flatnonzero((groups >= 0) & ~apart & wanted.any(axis=1))
-        if not len(own):
-            return wanted
-        number = groups[own]
+        members = np.flatnonzero((groups >= 0) & ~alone & preferred.any(axis=1))
+        if not len(members):
+            return preferred
+        number = groups[members]
         count = np.bincount(number)[number][:, None]
 
         def mean(values: FloatArray) -> FloatArray:
             sums = [np.bincount(number, column)[number] for column in values.T]
             return np.asarray(np.stack(sums, axis=1) / count)
 
-        ahead = mean(wanted[own])
-        size = np.linalg.norm(ahead, axis=1)[:, None]
-        ahead = ahead / np.where(size > 0, size, 1.0)
-        side = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
-        slot = mean(x[own]) + side * self.agents.sides[own, None]
-        back = (slot - x[own]) / STOPPING
+        forward = mean(preferred[members])
+        size = np.linalg.norm(forward, axis=1)[:, None]
+        forward = forward / np.where(size > 0, size, 1.0)
+        side = np.stack([forward[:, 1], -forward[:, 0]], axis=1)
+        slot = mean(x[members]) + side * self.agents.sides[members, None]
+        back = (slot - x[members]) / STOPPING
         sizes = np.linalg.norm(back, axis=1)[:, None]
-        most = CATCHING_UP * self.agents.speeds[own, None]
+        most = CATCHING_UP * self.agents.speeds[members, None]
         back = back * np.minimum(1.0, most / np.where(sizes > 0, sizes, 1.0))
-        made = wanted.copy()
-        made[own] = wanted[own] + back
-        return made
+        adjusted = preferred.copy()
+        adjusted[members] = preferred[members] + back
+        return adjusted
 
     def advanced(self, progress: Progress, x: FloatArray, dt: float) -> Progress:
         """Return how far agents are a step [s] later, where they are at x and z."""
@@ -216,25 +216,27 @@ class Steering:
 
     def _radius(self, goal: IntArray, there: BoolArray) -> FloatArray:
         """Return how near its goal each must come ``(N,)`` [m], as others are there."""
-        own = np.array([one.radius for one in self.goals])[goal]
+        radii = np.array([one.radius for one in self.goals])[goal]
         count = np.bincount(goal[there & (goal >= 0)], minlength=len(self.goals))[goal]
-        return np.asarray(np.maximum(own, self.agents.radii * np.sqrt(count / PACKED)))
+        return np.asarray(
+            np.maximum(radii, self.agents.radii * np.sqrt(count / PACKED))
+        )
 
     def _joined(
         self, tickets: IntArray, goal: IntArray, queues: BoolArray, x: FloatArray
     ) -> IntArray:
         """Return tickets with those of who comes to the end of a queue."""
-        made = tickets
+        joined = tickets
         for g in np.unique(goal[queues]).tolist():
-            own = queues & (goal == g)
-            waiting = own & (made != NO_TICKET)
+            queuing = queues & (goal == g)
+            waiting = queuing & (joined != NO_TICKET)
             end = self.points[g] + int(waiting.sum()) * self.lines[g]
             spacing = float(np.linalg.norm(self.lines[g]))
             far = np.linalg.norm(x - end, axis=1)
-            near = np.flatnonzero(own & ~waiting & (far < JOINING * spacing))
+            near = np.flatnonzero(queuing & ~waiting & (far < JOINING * spacing))
             if len(near):
-                made = made.copy()
+                joined = joined.copy()
                 # Who is nearer is first; of two as near, the first of them.
                 order = near[np.argsort(far[near], kind="stable")]
-                made[order] = made.max() + 1 + np.arange(len(order))
-        return made
+                joined[order] = joined.max() + 1 + np.arange(len(order))
+        return joined

@@ -18,13 +18,13 @@ from animtool.sim.equations import Equations
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import SecondOrder
 from animtool.systems.flocks.members import Members, check_species
-from animtool.systems.flocks.rules import Rule, flocking, rules_of
-from animtool.systems.flocks.spacing import FIRST, Spacing
+from animtool.systems.flocks.rules import FlockRule, flocking, rules_of
+from animtool.systems.flocks.spacing import FIRST_PASSES, Spacing
 from animtool.systems.flocks.spec import DomainModel, FlocksModel
 from animtool.systems.flocks.steering import (
     avoidance,
     kept_speeds,
-    own_ways,
+    goal_accelerations,
     steered,
 )
 from animtool.systems.framework.interacting import integrated
@@ -51,12 +51,14 @@ class Heading:
 def first_heading(members: Members, v: FloatArray) -> Heading:
     """Return how members are turned that begin with velocities ``(N, 3)`` [m/s]."""
     count = len(v)
-    still = np.broadcast_to(so3.IDENTITY, (count, 4))
+    identity = np.broadcast_to(so3.IDENTITY, (count, 4))
     phases = [
-        uniforms(species.seed, np.arange(own.stop - own.start), 1)[:, 0]
-        for species, own in zip(members.species, members.parted, strict=True)
+        uniforms(species.seed, np.arange(rows.stop - rows.start), 1)[:, 0]
+        for species, rows in zip(members.species, members.parted, strict=True)
     ]
-    return Heading(_along(still, v, _UP), np.zeros((count, 3)), np.concatenate(phases))
+    return Heading(
+        _along(identity, v, _UP), np.zeros((count, 3)), np.concatenate(phases)
+    )
 
 
 def next_heading(
@@ -71,8 +73,8 @@ def next_heading(
     lift = banking * (v1 - v0) / dt + GRAVITY * _UP
     up = so3.rotate(heading.rotations, _UP)
     # Across the way, else what is gained along it would count.
-    ways = v1 / np.maximum(np.linalg.norm(v1, axis=1), _TINY)[:, None]
-    lift = lift - (lift * ways).sum(axis=1)[:, None] * ways
+    directions = v1 / np.maximum(np.linalg.norm(v1, axis=1), _TINY)[:, None]
+    lift = lift - (lift * directions).sum(axis=1)[:, None] * directions
     size = np.linalg.norm(lift, axis=1)[:, None]
     leaned = up + (lift / np.maximum(size, _TINY) - up) * -np.expm1(-dt / LEANING)
     turned = _along(heading.rotations, v1, np.where(size > _TINY, leaned, up))
@@ -90,15 +92,15 @@ def _along(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatArray:
     Who stands stays as it was.
     """
     speeds = np.linalg.norm(v, axis=1)[:, None]
-    ahead = v / np.maximum(speeds, _TINY)
-    side = so3.cross(np.broadcast_to(up, v.shape), ahead)
+    forward = v / np.maximum(speeds, _TINY)
+    side = so3.cross(np.broadcast_to(up, v.shape), forward)
     # Straight up or down, it keeps its side.
     size = np.linalg.norm(side, axis=1)[:, None]
-    held = so3.rotate(before, np.array([1.0, 0.0, 0.0]))
-    held = held - (held * ahead).sum(axis=1)[:, None] * ahead
-    side = np.where(size > 1e-6, side / np.maximum(size, _TINY), held)
+    right = so3.rotate(before, np.array([1.0, 0.0, 0.0]))
+    right = right - (right * forward).sum(axis=1)[:, None] * forward
+    side = np.where(size > 1e-6, side / np.maximum(size, _TINY), right)
     side = side / np.maximum(np.linalg.norm(side, axis=1)[:, None], _TINY)
-    axes = np.stack([side, so3.cross(ahead, side), ahead], axis=-1)
+    axes = np.stack([side, so3.cross(forward, side), forward], axis=-1)
     return np.where(speeds > _TINY, so3.from_matrix(axes), before)
 
 
@@ -129,7 +131,7 @@ class FlockForces(SecondOrder):
     domain: DomainModel | None
     colliders: Colliders
     forces: Sequence[Force]
-    rules: Sequence[Rule]
+    rules: Sequence[FlockRule]
     motion: FloatArray  # (2, N, 3)
     spacing: Spacing | None = None
     settles = True
@@ -142,16 +144,16 @@ class FlockForces(SecondOrder):
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return accelerations ``(N, 3)`` [m/s²]."""
         members = self.members
-        made = flocking(self.rules, self.domain, x, v)
-        made += own_ways(members, t, x, v)
+        accelerations = flocking(self.rules, self.domain, x, v)
+        accelerations += goal_accelerations(members, t, x, v)
         if self.colliders.rigid:
-            made += avoidance(members, self.colliders, t, x, v)
-        made = steered(members, v, made)
+            accelerations += avoidance(members, self.colliders, t, x, v)
+        accelerations = steered(members, v, accelerations)
         if self.forces:
             particles = members.particles
             pushed = sum(force.force(t, x, v, particles) for force in self.forces)
-            made = made + pushed / particles.masses[:, None]
-        return made
+            accelerations = accelerations + pushed / particles.masses[:, None]
+        return accelerations
 
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
@@ -160,7 +162,7 @@ class FlockForces(SecondOrder):
         x, v = after[0], after[1]
         if self.spacing is not None:
             v = self._braked(h, before[1], x, v)
-            x, _ = self.spacing.moved_apart(x)
+            x, _ = self.spacing.separated(x)
         v = kept_speeds(self.members, v)
         if self.colliders.active:
             radii = self.members.radii
@@ -174,9 +176,9 @@ class FlockForces(SecondOrder):
         """Return velocities of who brakes for others, as fast as it may ``(N, 3)``."""
         assert self.spacing is not None
         brakes = self.spacing.braking(x, v)
-        whole = steered(self.members, before, (v - before) / h + brakes)
+        braking = steered(self.members, before, (v - before) / h + brakes)
         acts = (brakes != 0).any(axis=1, keepdims=True)
-        return np.where(acts, before + h * whole, v)
+        return np.where(acts, before + h * braking, v)
 
 
 class Flock:
@@ -209,7 +211,7 @@ class Flock:
         spacing = Spacing.of(self._members, spec.domain)
         points, self._notices = self._members.outside(colliders)
         if spacing is not None:
-            points, overlap = spacing.moved_apart(points, FIRST)
+            points, overlap = spacing.separated(points, FIRST_PASSES)
             self._notices += self._members.spread(points, overlap)
             points, _ = replace(self._members, points=points).outside(colliders)
         forces = context.parts.get("forces", ())
@@ -267,9 +269,9 @@ class Flock:
             return motion
         size = np.array(self._domain.size)
         low = np.array(self._domain.at) - size / 2
-        turns = np.floor((motion[0] - low) / size)
+        wraps = np.floor((motion[0] - low) / size)
         return (
-            np.stack([motion[0] - turns * size, motion[1]]) if turns.any() else motion
+            np.stack([motion[0] - wraps * size, motion[1]]) if wraps.any() else motion
         )
 
     def frame(self, state: FlockState, t: float) -> PointsFrame | TransformsFrame:  # noqa: ARG002
@@ -300,7 +302,7 @@ class Flock:
         moving = speeds > 0
         values = {"members": float(len(speeds))}
         if moving.any():
-            ways = velocities[moving] / speeds[moving, None]
+            directions = velocities[moving] / speeds[moving, None]
             values["speed"] = float(speeds.mean())
-            values["order"] = float(np.linalg.norm(ways.mean(axis=0)))
+            values["order"] = float(np.linalg.norm(directions.mean(axis=0)))
         return Diagnostics(values=values, notices=self._notices)

@@ -51,14 +51,14 @@ class Members:
     ) -> Members:
         """Return the members of a spec: refused where two begin at one place."""
         drawn, refusals = [], Refusals()
-        for species, own in zip(spec.species, parts, strict=True):
+        for species, part in zip(spec.species, parts, strict=True):
             with refusals.collect():
-                drawn.append(_drawn(species, own, begin))
+                drawn.append(_drawn(species, part, begin))
         refusals.check()
         points, velocities = (np.concatenate(each) for each in zip(*drawn, strict=True))
         ends = np.cumsum([len(each[0]) for each in drawn]).tolist()
         members = Members(spec.species, parts, ends, begin, points, velocities)
-        members.check_apart()
+        members.check_distinct()
         return members
 
     def __len__(self) -> int:
@@ -98,7 +98,7 @@ class Members:
         kind = int(self.kinds[i])
         return f"member {i - self.parted[kind].start} of {self.species[kind].name!r}"
 
-    def check_apart(self) -> None:
+    def check_distinct(self) -> None:
         """Refuse two at one place: nothing would ever tell them apart (SIM060)."""
         hint = "use place: {sphere: {radius: 2}}, or another region with a size"
         check_apart(
@@ -116,8 +116,8 @@ class Members:
         """
         points, moved = self.points, np.zeros(len(self), bool)
         for _ in range(MOVES if colliders.rigid else 0):
-            found = colliders.volumes.sample(points, self.begin)
-            depths = self.radii - found.distances
+            volumes = colliders.volumes.sample(points, self.begin)
+            depths = self.radii - volumes.distances
             worst = np.argmax(depths, axis=0)
             all_of_them = np.arange(len(self))
             depth = depths[worst, all_of_them]
@@ -125,8 +125,10 @@ class Members:
             if not within.any():
                 break
             moved |= within
-            way = found.normals[worst, all_of_them]
-            points = points + (way * ((depth + CLEAR * self.radii) * within)[:, None])
+            normal = volumes.normals[worst, all_of_them]
+            points = points + (
+                normal * ((depth + CLEAR * self.radii) * within)[:, None]
+            )
         else:
             if colliders.rigid:
                 name = self.named(int(np.argmax(within)))
@@ -149,12 +151,16 @@ class Members:
         (SIM147).
         """
         moved = np.linalg.norm(points - self.points, axis=1)
-        given = np.array([own.get("points") is not None for own in self.parts])
-        odd = (moved > MOVED * self.radii) & given[self.kinds]
+        from_points = np.array([part.get("points") is not None for part in self.parts])
+        moved_far = (moved > MOVED * self.radii) & from_points[self.kinds]
         faults = []
-        if odd.any():
-            message = f"{counted(int(odd.sum()), 'member')} would start closer to each "
-            message += f"other than allowed, {self.named(int(np.argmax(odd)))} first: "
+        if moved_far.any():
+            message = (
+                f"{counted(int(moved_far.sum()), 'member')} would start closer to each "
+            )
+            message += (
+                f"other than allowed, {self.named(int(np.argmax(moved_far)))} first: "
+            )
             message += f"moved apart by up to {moved.max():.3g} m"
             hint = "place them farther apart, or reduce repulsion.least"
             faults.append(warning("SIM147", message, hint))
@@ -184,15 +190,15 @@ def _drawn(
         seed=species.seed,
     )
     count = species.count if points is None else len(points)
-    own, ways = emitter.drawn_at(begin, count)
+    drawn, velocities_drawn = emitter.drawn_at(begin, count)
     if points is None:
-        return own, ways
+        return drawn, velocities_drawn
     for name, array in (("points", points), ("velocities", velocities)):
         shape = (len(points), 3)
         if array is not None and (array.shape != shape or not np.isfinite(array).all()):
             message = f"{name} of {species.name!r} have shape {array.shape} or are not "
             refuse("SIM060", f"{message}finite: they must be {shape}", name)
-    return points, ways if velocities is None else velocities
+    return points, velocities_drawn if velocities is None else velocities
 
 
 def check_species(spec: FlocksModel) -> None:

@@ -23,7 +23,7 @@ _NEVER = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class FlockRule:
     """What members of a species do by those of some: arguments of the kernel."""
 
     members: Indices | None  # (M,); None is all
@@ -37,44 +37,46 @@ class Rule:
     softening: float  # [m]
 
 
-def rules_of(members: Members) -> list[Rule]:
+def rules_of(members: Members) -> list[FlockRule]:
     """Return the rules of all species, those without an effect left out."""
-    found = []
+    rules = []
     names = [species.name for species in members.species]
     for number, species in enumerate(members.species):
-        own = _some(members, [number])
+        subjects = _some(members, [number])
         mates = [number, *(names.index(name) for name in species.joins)]
-        found.append(_flocking(species, own, _some(members, sorted({*mates}))))
+        rules.append(_flocking(species, subjects, _some(members, sorted({*mates}))))
         for flee in species.flees:
             those = _some(members, [names.index(flee.species)])
             push = (flee.weight, flee.radius)
-            found.append(
-                Rule(
-                    own, those, flee.radius, -1.0, 0, _NEVER, _NEVER, push,
+            rules.append(
+                FlockRule(
+                    subjects, those, flee.radius, -1.0, 0, _NEVER, _NEVER, push,
                     species.repulsion.softening,
                 )
             )  # fmt: skip
         for chase in species.chases:
             those = _some(members, [names.index(chase.species)])
             pull = (chase.weight, chase.radius)
-            found.append(
-                Rule(own, those, chase.radius, -1.0, 1, pull, _NEVER, _NEVER, 0.0)
+            rules.append(
+                FlockRule(
+                    subjects, those, chase.radius, -1.0, 1, pull, _NEVER, _NEVER, 0.0
+                )
             )
-    return [rule for rule in found if _acts(rule)]
+    return [rule for rule in rules if _acts(rule)]
 
 
 def _flocking(
     species: SpeciesModel,
-    own: Indices | None,
+    subjects: Indices | None,
     mates: Indices | None,
-) -> Rule:
+) -> FlockRule:
     vision, repulsion = species.vision, species.repulsion
 
     def within(radius: float | None) -> float:
         return vision.radius if radius is None else min(radius, vision.radius)
 
-    return Rule(
-        own,
+    return FlockRule(
+        subjects,
         mates,
         vision.radius,
         -1.0 if vision.angle == 360 else float(np.cos(np.radians(vision.angle / 2))),
@@ -86,7 +88,7 @@ def _flocking(
     )
 
 
-def _acts(rule: Rule) -> bool:
+def _acts(rule: FlockRule) -> bool:
     weights = (rule.attraction[0], rule.alignment[0], rule.repulsion[0])
     sizes = [len(some) for some in (rule.members, rule.others) if some is not None]
     return any(weights) and 0 not in sizes
@@ -115,7 +117,7 @@ def max_pairs(count: int) -> float:
 
 
 def flocking(
-    rules: Sequence[Rule], domain: DomainModel | None, x: FloatArray, v: FloatArray
+    rules: Sequence[FlockRule], domain: DomainModel | None, x: FloatArray, v: FloatArray
 ) -> FloatArray:
     """Return accelerations by those that members see ``(N, 3)`` [m/s²].
 
@@ -130,7 +132,7 @@ def flocking(
     for rule in rules:
         size = len(x) if rule.members is None else len(rule.members)
         most = max_pairs(size)
-        found, _, looked = _kernels.flock_accelerations(
+        accelerations, _, looked = _kernels.flock_accelerations(
             x, v, rule.members, rule.others, rule.radius, rule.cosine, rule.nearest,
             np.array(rule.attraction), np.array(rule.alignment),
             np.array(rule.repulsion), rule.softening, period, most,
@@ -141,5 +143,5 @@ def flocking(
             )
             hint = "reduce their range of sight, or strengthen the repulsion"
             raise ToleranceError(Fault("SIM107", message, hint=hint))
-        total[slice(None) if rule.members is None else rule.members] += found
+        total[slice(None) if rule.members is None else rule.members] += accelerations
     return total

@@ -13,12 +13,12 @@ from animtool.systems.flocks.rules import max_pairs, wrapping
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
 # Others are braked for within so many times the least distance.
-SEEN = 2.0
+SIGHT = 2.0
 # Share of the least distance below which the room to brake in is no smaller.
 ROOM = 0.1
 # Rounds in which members are moved apart in a step, and at the beginning; each goes
 # this share of the way.
-ROUNDS, FIRST, SHARE = 24, 400, 0.6
+PASSES, FIRST_PASSES, RELAXATION = 24, 400, 0.6
 # They are moved farther apart than must be by this share of it.
 CLEAR = 1e-4
 
@@ -39,15 +39,15 @@ def least_distance(species: SpeciesModel) -> float:
 class Spacing:
     """The least distances of N members: of two, the mean of both."""
 
-    own: FloatArray  # (N,) [m]; 0 keeps none
+    distances: FloatArray  # (N,) [m]; 0 keeps none
     period: FloatArray  # where axes begin and their lengths (2, 3) [m], 0 for none
 
     @staticmethod
     def of(members: Members, domain: DomainModel | None) -> Spacing | None:
         """Return the spacing of members; None where nobody keeps any."""
-        own = members.each([least_distance(one) for one in members.species])
-        keeps = len(own) > 1 and own.max() > 0
-        return Spacing(own, wrapping(domain)) if keeps else None
+        distances = members.each([least_distance(one) for one in members.species])
+        keeps = len(distances) > 1 and distances.max() > 0
+        return Spacing(distances, wrapping(domain)) if keeps else None
 
     def braking(self, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return what stops members before they are too near ``(N, 3)`` [m/s²].
@@ -59,14 +59,14 @@ class Spacing:
             ToleranceError: They are so many that a step would take minutes (SIM107).
         """
         most = max_pairs(len(x))
-        made, looked = _kernels.flock_braking(
-            x, v, self.own, SEEN, ROOM, self.period, most
+        brakes, looked = _kernels.flock_braking(
+            x, v, self.distances, SIGHT, ROOM, self.period, most
         )
         self._check(len(x), looked, most)
-        return np.asarray(made)
+        return np.asarray(brakes)
 
-    def moved_apart(
-        self, x: FloatArray, rounds: int = ROUNDS
+    def separated(
+        self, x: FloatArray, rounds: int = PASSES
     ) -> tuple[FloatArray, float]:
         """Return members moved apart ``(N, 3)`` [m], and the overlap left [m].
 
@@ -74,11 +74,11 @@ class Spacing:
             ToleranceError: They are so many that a step would take minutes (SIM107).
         """
         most = max_pairs(len(x))
-        made, overlap, looked = _kernels.flock_apart(
-            x, self.own, rounds, SHARE, CLEAR, self.period, most
+        moved, overlap, looked = _kernels.flock_apart(
+            x, self.distances, rounds, RELAXATION, CLEAR, self.period, most
         )
         self._check(len(x), looked, most)
-        return made, overlap
+        return moved, overlap
 
     @staticmethod
     def _check(count: int, looked: float, most: float) -> None:

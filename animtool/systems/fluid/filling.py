@@ -20,7 +20,7 @@ from animtool.systems.fluid.spec import FillModel, FluidEmitterModel, FluidModel
 # Places of a lattice that are looked at for one that is kept.
 SPARSE = 8
 # Two that are nearer than this begin at one place, in spacings.
-APART = 0.25
+MIN_SPACING = 0.25
 # Who comes in nearer than this to another has no room, in spacings.
 ROOM = 0.6
 # Share of a radius, or of the time between layers, that may be lost to rounding.
@@ -42,14 +42,14 @@ def filled(
         OptionError: A fill is too large, has nothing, or begins where it cannot be
             (SIM064).
     """
-    made, refusals = [np.zeros((2, 0, 3))], Refusals()
-    for i, own in enumerate(parts):
+    fills, refusals = [np.zeros((2, 0, 3))], Refusals()
+    for i, part in enumerate(parts):
         with refusals.collect():
-            made.append(_filled(spec, i, own, colliders, t))
+            fills.append(_filled(spec, i, part, colliders, t))
     refusals.check()
-    state = np.concatenate(made, axis=1)
+    state = np.concatenate(fills, axis=1)
     _check_count(spec, state.shape[1], "fills")
-    _check_apart(spec, state[0], np.cumsum([one.shape[1] for one in made[1:]]))
+    _check_distinct(spec, state[0], np.cumsum([one.shape[1] for one in fills[1:]]))
     return state
 
 
@@ -60,9 +60,9 @@ def coarse_drops(
     if not spec.tension:
         return
     radii = [
-        (_named(spec, i), float(np.diff(bounds(own["shape"]), axis=0).min()) / 2)
-        for i, own in enumerate(parts)
-        if isinstance(own.get("shape"), Sphere | Capsule)
+        (_named(spec, i), float(np.diff(bounds(part["shape"]), axis=0).min()) / 2)
+        for i, part in enumerate(parts)
+        if isinstance(part.get("shape"), Sphere | Capsule)
     ]
     nozzles = [one.radius for one in spec.emitters if one.radius is not None]
     radii += [(f"a drop of nozzle {i}", JET * r) for i, r in enumerate(nozzles)]
@@ -78,15 +78,15 @@ def coarse_drops(
 
 
 def _filled(
-    spec: FluidModel, i: int, own: Mapping[str, Any], colliders: Colliders, t: float
+    spec: FluidModel, i: int, part: Mapping[str, Any], colliders: Colliders, t: float
 ) -> FloatArray:
     """Return positions and velocities of one fill ``(2, N, 3)``."""
     name, fill = _named(spec, i), spec.fills[i]
-    if own.get("points") is not None:
-        given = _given_points(fill, own, name)
-        _check_outside(given[0], colliders, t, name)
-        return given
-    points = _lattice(spec, own["shape"], own["poses"], t)
+    if part.get("points") is not None:
+        state = _points_of_file(fill, part, name)
+        _check_outside(state[0], colliders, t, name)
+        return state
+    points = _lattice(spec, part["shape"], part["poses"], t)
     if colliders.rigid:
         gaps = colliders.volumes.sample(points, t).distances.min(axis=0)
         points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
@@ -102,9 +102,9 @@ def _named(spec: FluidModel, i: int) -> str:
     return repr(spec.fills[i].name) if spec.fills[i].name else f"fill {i}"
 
 
-def _given_points(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatArray:
+def _points_of_file(fill: FillModel, part: Mapping[str, Any], name: str) -> FloatArray:
     """Return points and velocities of arrays ``(2, N, 3)``."""
-    points, velocities = own["points"], own.get("velocities")
+    points, velocities = part["points"], part.get("velocities")
     if velocities is None:
         velocities = np.broadcast_to(np.array(fill.velocity), (len(points), 3))
     for what, array in (("points", points), ("velocities", velocities)):
@@ -130,7 +130,7 @@ def _check_outside(
     if not within.any():
         return
     c, i = (int(k) for k in np.argwhere(within)[0])
-    bodies = [one for own in colliders.bodies for one in own.colliders]
+    bodies = [one for system in colliders.bodies for one in system.colliders]
     collider = [*colliders, *bodies][c]
     what = repr(collider.name) if collider.name else f"colliders[{c}]"
     where = "outside the container" if collider.container else "inside"
@@ -140,13 +140,15 @@ def _check_outside(
     refuse("SIM064", message, "fills", "move it, or remove it")
 
 
-def _check_apart(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
+def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
     """Refuse two at one place: pressure has no way to part them."""
     from scipy.spatial import cKDTree
 
     if len(points) < 2:
         return
-    pairs = cKDTree(points).query_pairs(APART * spec.spacing, output_type="ndarray")
+    pairs = cKDTree(points).query_pairs(
+        MIN_SPACING * spec.spacing, output_type="ndarray"
+    )
     if not len(pairs):
         return
     one, other = sorted(pairs[np.lexsort(pairs.T[::-1])[0]].tolist())
@@ -208,9 +210,11 @@ class Nozzle:
         self._period = spec.spacing / emitter.speed  # of layers [s]
         opens: Sequence[Sequence[float]] = emitter.opens or [(begin, math.inf)]
         self._spans = [(max(a, begin), b) for a, b in opens]
-        self._layer_points = self._places(spec, emitter)
+        self._layer_points = self._layer_positions(spec, emitter)
 
-    def _places(self, spec: FluidModel, emitter: FluidEmitterModel) -> FloatArray:
+    def _layer_positions(
+        self, spec: FluidModel, emitter: FluidEmitterModel
+    ) -> FloatArray:
         """Return the places of a layer ``(M, 3)`` [m]."""
         radius = emitter.radius
         wide, deep = emitter.size or (2 * (radius or 0.0), 2 * (radius or 0.0))
@@ -247,12 +251,18 @@ class Nozzle:
     def _layers(self, times: FloatArray, until: float, pull: FloatArray) -> FloatArray:
         """Return layers that came out at times, at a later one ``(2, K M, 3)``."""
         now, before = self._poses.over(times), self._poses.over(times - BRIEF)
-        size, own = len(self._layer_points), (now[:, :3] - before[:, :3]) / BRIEF
-        turns, own = np.repeat(now[:, 3:], size, axis=0), np.repeat(own, size, axis=0)
-        places = np.tile(self._layer_points, (len(times), 1))
-        ways = np.broadcast_to([0.0, self._speed, 0.0], places.shape)
-        x = so3.rotate(turns, places) + np.repeat(now[:, :3], size, axis=0)
-        v = so3.rotate(turns, ways) + own
+        size, emitter_velocity = (
+            len(self._layer_points),
+            (now[:, :3] - before[:, :3]) / BRIEF,
+        )
+        rotations, emitter_velocity = (
+            np.repeat(now[:, 3:], size, axis=0),
+            np.repeat(emitter_velocity, size, axis=0),
+        )
+        positions = np.tile(self._layer_points, (len(times), 1))
+        outflow = np.broadcast_to([0.0, self._speed, 0.0], positions.shape)
+        x = so3.rotate(rotations, positions) + np.repeat(now[:, :3], size, axis=0)
+        v = so3.rotate(rotations, outflow) + emitter_velocity
         since = np.repeat(until - times, size)[:, None]
         return np.stack([x + since * (v + since / 2 * pull), v + since * pull])
 

@@ -81,8 +81,8 @@ class Fluid:
         self._mass = spec.density * spec.spacing**3
         self._start = filled(spec, parts.get("fills", ()), self._colliders, self._begin)
         self._nozzles = [
-            Nozzle(spec, emitter, own["poses"], self._begin)
-            for emitter, own in zip(
+            Nozzle(spec, emitter, part["poses"], self._begin)
+            for emitter, part in zip(
                 spec.emitters, parts.get("emitters", ()), strict=True
             )
         ]
@@ -94,8 +94,10 @@ class Fluid:
         self._notices += coarse_drops(spec, parts.get("fills", ()))
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
         # Nothing brings energy in, so that there is none but what there was.
-        still = not self._colliders.bodies and not self._colliders.sheets
-        self._closed = still and all(len(c.poses.moments) == 1 for c in self._colliders)
+        static = not self._colliders.bodies and not self._colliders.sheets
+        self._closed = static and all(
+            len(c.poses.sample_times) == 1 for c in self._colliders
+        )
         if spec.surface is not None:
             from animtool.systems.fluid.surface import check_surface
 
@@ -131,7 +133,7 @@ class Fluid:
         if not np.isfinite(pull).all():
             self._stop("SIM102", until, "a force is not finite", "weaker forces")
         wrenches: Sequence[Wrenches] = [
-            Wrenches.none(own.count) for own in self._colliders.bodies
+            Wrenches.none(system.count) for system in self._colliders.bodies
         ]
         if len(state.ids):
             state, wrenches = self._pressed(state, t, dt, pull, notices)
@@ -146,21 +148,21 @@ class Fluid:
 
     def _pull(self, state: FluidState, t: float) -> FloatArray:
         """Return what forces do ``(N, 3)`` [m/s²]."""
-        made: FloatArray = np.zeros_like(state.motion[0])
+        accelerations: FloatArray = np.zeros_like(state.motion[0])
         particles = self._particles(state)
         with np.errstate(all="ignore"):
             for force in self._forces:
-                made += force.force(t, *state.motion, particles) / self._mass
-        return made
+                accelerations += force.force(t, *state.motion, particles) / self._mass
+        return accelerations
 
     def _energy(self, state: FluidState) -> tuple[float, float, bool]:
         """Return energy, kinetic energy [J], and whether forces have potentials."""
         kinetic = 0.5 * self._mass * float((state.motion[1] ** 2).sum())
         particles, total, known = self._particles(state), kinetic, True
         for force in self._forces:
-            found = force.potential(state.motion[0], particles)
-            known &= found is not None
-            total += 0.0 if found is None else float(found.sum())
+            potentials = force.potential(state.motion[0], particles)
+            known &= potentials is not None
+            total += 0.0 if potentials is None else float(potentials.sum())
         if self._spec.tension:
             points = np.ascontiguousarray(state.motion[0])
             area = _kernels.fluid_area(points, self._spec.spacing)
@@ -183,22 +185,22 @@ class Fluid:
         max_pull = float(np.linalg.norm(pull, axis=1).max())
         fastest = float(speeds.max()) + max_pull * dt
         sound = self._substeps.sound(state.sound, state.pressures, speeds, max_pull, dt)
-        wanted = self._substeps.parts(dt, fastest, sound)
-        if wanted > self._substeps.most:
+        needed = self._substeps.parts(dt, fastest, sound)
+        if needed > self._substeps.most:
             most, spacing = self._substeps.most, self._spec.spacing
             message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m, a step of "
             message += f"{dt:g} s needs more than {most} substeps"
-            self._stop_long(state, t, dt, message, wanted / most, notices)
-        parts, allowed = int(wanted), self._spec.compression
-        found = self._kernel(state, t, dt, pull, sound, parts)
-        while found.compression > allowed and 2 * parts <= self._substeps.most:
+            self._stop_long(state, t, dt, message, needed / most, notices)
+        parts, allowed = int(needed), self._spec.compression
+        pressed = self._kernel(state, t, dt, pull, sound, parts)
+        while pressed.compression > allowed and 2 * parts <= self._substeps.most:
             again = self._kernel(state, t, dt, pull, 2 * sound, 2 * parts)
-            if again.compression > HELPS * found.compression:
+            if again.compression > HELPS * pressed.compression:
                 break
-            found, sound, parts = again, 2 * sound, 2 * parts
-        if not np.isfinite(found.motion).all():
+            pressed, sound, parts = again, 2 * sound, 2 * parts
+        if not np.isfinite(pressed.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "use shorter steps")
-        dense = found.compression
+        dense = pressed.compression
         if dense > max(COLLAPSED, TIMES * allowed):
             message = f"it is {dense:.1%} denser than at rest: there is too little room"
             hint = "enlarge its container, open a drain, or close an emitter earlier"
@@ -211,8 +213,8 @@ class Fluid:
             )
         after = replace(
             state,
-            motion=found.motion,
-            pressures=found.pressures,
+            motion=pressed.motion,
+            pressures=pressed.pressures,
             sound=sound,
             compression=dense,
             densest=max(state.densest, dense),
@@ -222,7 +224,7 @@ class Fluid:
             message = f"its energy changed to {self._energy(after)[0]:.3g} J, from "
             message += f"{state.energy:.3g} J"
             self._stop_long(state, t, dt, message, 1.0, notices)
-        return after, found.wrenches
+        return after, pressed.wrenches
 
     def _kernel(
         self,
@@ -237,7 +239,7 @@ class Fluid:
         around, motion = self._colliders, state.motion
         pieces = self._substeps.pieces(around, parts, dt)
         each, pressures, compression = dt / pieces, np.zeros(len(state.ids)), 0.0
-        wrenches = [Wrenches.none(own.count) for own in around.bodies]
+        wrenches = [Wrenches.none(system.count) for system in around.bodies]
         for k in range(pieces):
             t0 = t + k * each
             before = motion
@@ -265,8 +267,8 @@ class Fluid:
                 met = collide(x, v, before, sheets, t0, t0 + each, radius)
                 motion = np.stack([met.points, met.velocities])
             wrenches = [
-                Wrenches.sum([one.after(each), Wrenches(*own)])
-                for one, own in zip(
+                Wrenches.sum([one.after(each), Wrenches(*system)])
+                for one, system in zip(
                     wrenches, by_system(around.bodies, pushes), strict=True
                 )
             ]

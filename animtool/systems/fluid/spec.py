@@ -199,11 +199,11 @@ class FluidModel(SystemSpec):
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
         """Return which keys make no sense together, colours without a range too."""
-        found = list(super().faults(parts))
+        faults = list(super().faults(parts))
         if self.colour is not None and self.colour.range is None:
             why, hint = "colours need a range", "range: [0, 4]"
-            found.append(Fault(self.code, why, where="colour", hint=hint))
-        return found
+            faults.append(Fault(self.code, why, where="colour", hint=hint))
+        return faults
 
 
 ENDLESS = ("plane", "height_field")

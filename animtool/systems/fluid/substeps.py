@@ -93,13 +93,13 @@ class Substeps:
         if spec.tension:
             ripple = 2 * math.pi * spec.tension / (spec.density * spec.spacing**3)
             rates.append(math.sqrt(ripple) / RIPPLE)
-        whole = dt * max(rates)
-        return max(math.ceil(whole), 1) if whole < 2**31 else math.inf
+        count = dt * max(rates)
+        return max(math.ceil(count), 1) if count < 2**31 else math.inf
 
     def pieces(self, around: Colliders, parts: int, dt: float) -> int:
         """Return how often sheets are looked at in a step."""
         if not around.sheets:
             return 1
-        way = dt * max(around.surfaces.fastest, 1.0)
-        wanted = math.ceil(way / (PIECE * self._spec.spacing))
-        return max(1, min(wanted, parts, MAX_PIECES))
+        travel = dt * max(around.surfaces.fastest, 1.0)
+        pieces = math.ceil(travel / (PIECE * self._spec.spacing))
+        return max(1, min(pieces, parts, MAX_PIECES))

@@ -19,7 +19,7 @@ LEVEL = 0.35
 # Cells of which the side is not given, in spacings.
 CELL = 0.75
 # Integral of H. Wendland's C2 function over a ball of radius 1.
-WHOLE = 2 * np.pi / 21
+KERNEL_INTEGRAL = 2 * np.pi / 21
 
 
 def check_surface() -> None:
@@ -65,14 +65,16 @@ def surface_of(
     shape = tuple(int(size) for size in sizes)
     values = field(points, low, shape, cell, radius, spec.spacing)
     if not values.max() > LEVEL:
-        own = {name: one[:0] for name, one in primvars.items()}
-        return _mesh(points[:0], points[:0], np.zeros((0, 3), np.int64), own)
-    places, faces, _, _ = marching_cubes(values, LEVEL)
+        vertex_primvars = {name: one[:0] for name, one in primvars.items()}
+        return _mesh(
+            points[:0], points[:0], np.zeros((0, 3), np.int64), vertex_primvars
+        )
+    vertices, faces, _, _ = marching_cubes(values, LEVEL)
     # Wound so that the field falls outwards.
-    places, faces = places.astype(np.float64) * cell + low, faces[:, ::-1]
-    _, nearest = cKDTree(points).query(places)
-    own = {name: values[nearest] for name, values in primvars.items()}
-    return _mesh(places, velocities[nearest], faces.astype(np.int64), own)
+    vertices, faces = vertices.astype(np.float64) * cell + low, faces[:, ::-1]
+    _, nearest = cKDTree(points).query(vertices)
+    vertex_primvars = {name: values[nearest] for name, values in primvars.items()}
+    return _mesh(vertices, velocities[nearest], faces.astype(np.int64), vertex_primvars)
 
 
 def _mesh(
@@ -100,7 +102,7 @@ def field(
     reach = int(np.ceil(radius / cell))
     values = np.zeros(int(np.prod(shape)))
     steps = np.array([shape[1] * shape[2], shape[2], 1])
-    scale = (spacing / radius) ** 3 / WHOLE
+    scale = (spacing / radius) ** 3 / KERNEL_INTEGRAL
     for offset in product(range(-reach, reach + 2), repeat=3):
         corner = middle + offset
         q = np.linalg.norm(corner * cell + low - points, axis=1) / radius

@@ -28,7 +28,7 @@ _SPEEDS = 1000
 _FCC = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]) + 0.25
 
 
-class Box:
+class PeriodicBox:
     """Where the box is in the scene: nm and ps there, m and s here."""
 
     def __init__(self, spec: MoleculesModel) -> None:
@@ -56,7 +56,9 @@ class Atoms(Bodies):
     radii: FloatArray  # (N,) [m]
 
     @staticmethod
-    def of(spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], box: Box) -> Atoms:
+    def of(
+        spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], box: PeriodicBox
+    ) -> Atoms:
         """Return the atoms of a spec, refused where they make no sense (SIM071)."""
         read, refusals = [], Refusals()
         for model, part in zip(spec.species, parts, strict=True):
@@ -65,16 +67,16 @@ class Atoms(Bodies):
         refusals.check()
         free = [k for k, (points, _) in enumerate(read) if points is None]
         sites = _sites(spec, [spec.species[k].count for k in free])
-        for k, own in zip(free, sites, strict=True):
-            read[k] = own, read[k][1]
+        for k, site in zip(free, sites, strict=True):
+            read[k] = site, read[k][1]
         points = [np.zeros((0, 3)) if p is None else p for p, _ in read]
-        kinds = np.repeat(np.arange(len(points)), [len(own) for own in points])
+        kinds = np.repeat(np.arange(len(points)), [len(site) for site in points])
 
         def each(values: list[float]) -> FloatArray:
             return np.array(values, np.float64)[kinds]
 
         masses = each([one.mass for one in spec.species])
-        made = Atoms(
+        atoms = Atoms(
             np.concatenate(points),
             _velocities(spec, masses, kinds, [v for _, v in read]),
             masses,
@@ -82,17 +84,17 @@ class Atoms(Bodies):
             each([one.charge for one in spec.species]),
             each([one.radius or one.sigma / 2 * spec.scale for one in spec.species]),
         )
-        total = float(made.charges.sum())
+        total = float(atoms.charges.sum())
         if abs(total) > NEUTRAL:
             message = (
                 f"charges have a sum of {total:g} e, but a periodic box must be neutral"
             )
             refuse(spec.code, message, "species", "use as many of either sign")
-        return made
+        return atoms
 
 
 def _read(
-    model: Any, parts: Mapping[str, Any], box: Box
+    model: Any, parts: Mapping[str, Any], box: PeriodicBox
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """Return places [nm] and velocities [nm/ps] of files, None for those not given."""
     points, velocities = parts.get("points"), parts.get("velocities")
@@ -102,7 +104,7 @@ def _read(
             refuse(MoleculesModel.code, message, "species")
         return None, None
     kind = f"{model.name!r}, atom"
-    given = Bodies.read(parts, model.mass, kind, MoleculesModel.code, "species")
+    bodies = Bodies.read(parts, model.mass, kind, MoleculesModel.code, "species")
     x = box.inwards(points)
     slack = 1e-9 * box.size
     outside = ~((x >= -slack) & (x <= box.size + slack)).all(axis=1)
@@ -112,7 +114,7 @@ def _read(
         message = f"atom {i} of {model.name!r} is outside the box, at ({where}) m"
         hint = "a nanometre is `scale` metres; `at` is the centre"
         refuse(MoleculesModel.code, message, "species", hint)
-    return x, None if velocities is None else box.velocities_in(given.velocities)
+    return x, None if velocities is None else box.velocities_in(bodies.velocities)
 
 
 def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
@@ -142,8 +144,8 @@ def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
             uniforms(spec.seed, np.arange(total), 1)[:, 0], kind="stable"
         )
     elif len(counts) > 1:
-        odd = corners[kept].sum(axis=1) % 2
-        order = np.argsort(odd, kind="stable")
+        parity = corners[kept].sum(axis=1) % 2
+        order = np.argsort(parity, kind="stable")
     points = sites[kept][order] / cells * size + (np.array(spec.box) - size) / 2
     return np.split(points, np.cumsum(counts)[:-1])
 
@@ -152,24 +154,24 @@ def _velocities(
     spec: MoleculesModel,
     masses: FloatArray,
     kinds: npt.NDArray[np.int64],
-    given: list[FloatArray | None],
+    stated: list[FloatArray | None],
 ) -> FloatArray:
     """Return those of files, else by the temperature, at rest as a whole ``(N, 3)``."""
-    drawn = np.array([one is None for one in given])[kinds]
-    made = np.zeros((len(masses), 3))
-    for k, own in enumerate(given):
-        if own is not None:
-            made[kinds == k] = own
+    drawn = np.array([one is None for one in stated])[kinds]
+    velocities = np.zeros((len(masses), 3))
+    for k, values in enumerate(stated):
+        if values is not None:
+            velocities[kinds == k] = values
     count = int(drawn.sum())
     if count < 2 or not spec.temperature:
-        return made
+        return velocities
     u = uniforms(spec.seed + _SPEEDS, np.flatnonzero(drawn), 3)
     m = masses[drawn][:, None]
     v = normals(u) / np.sqrt(m)
     v -= (m * v).sum(axis=0) / m.sum()
     square = float((m * v * v).sum()) / (3 * count - 3)
-    made[drawn] = v * np.sqrt(BOLTZMANN * spec.temperature / square)
-    return made
+    velocities[drawn] = v * np.sqrt(BOLTZMANN * spec.temperature / square)
+    return velocities
 
 
 def mixed(spec: MoleculesModel) -> FloatArray:

@@ -17,7 +17,13 @@ from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
 from animtool.systems.framework.matter import normals
 from animtool.systems.framework.simulation import SimContext, StoppedError
-from animtool.systems.molecules.atoms import BOLTZMANN, COULOMB, Atoms, Box, mixed
+from animtool.systems.molecules.atoms import (
+    BOLTZMANN,
+    COULOMB,
+    Atoms,
+    PeriodicBox,
+    mixed,
+)
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel, TrapModel
 from animtool.systems.particles.emitter import uniforms
 
@@ -47,7 +53,7 @@ class Acting:
 class Interactions:
     """How atoms act on each other; the list that was made last is kept."""
 
-    def __init__(self, spec: MoleculesModel, atoms: Atoms, box: Box) -> None:
+    def __init__(self, spec: MoleculesModel, atoms: Atoms, box: PeriodicBox) -> None:
         self._atoms, self._box = atoms, box
         self._laws = mixed(spec)
         self._cutoff = min(spec.reach, box.size.min() / 2)
@@ -60,15 +66,15 @@ class Interactions:
         self._damping = spec.damping
         self._listed: tuple[FloatArray, Any] | None = None
 
-    def own_energy(self) -> float:
+    def self_energy(self) -> float:
         """Return what charges have by themselves and their images [kJ/mol]."""
         from scipy.special import erfc
 
         if self._charges is None:
             return 0.0
         screened = erfc(self._damping * self._cutoff) / (2 * self._cutoff)
-        share = screened + self._damping / np.sqrt(np.pi)
-        return -float(share * (self._charges**2).sum())
+        per_charge = screened + self._damping / np.sqrt(np.pi)
+        return -float(per_charge * (self._charges**2).sum())
 
     def reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
         """Return the places whose list holds at points: those before, or these."""
@@ -92,11 +98,11 @@ class Interactions:
                 raise ToleranceError(Fault("SIM102", message)) from error
             self._listed = reference, pairs
         order, starts, partners = self._listed[1]
-        found = _kernels.molecule_forces(
+        sums = _kernels.molecule_forces(
             x, order, starts, partners, self._box.size, self._atoms.kinds,
             self._laws, self._charges, self._cutoff, self._from, self._damping,
         )  # fmt: skip
-        return Acting(*found)
+        return Acting(*sums)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +136,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
     @np.errstate(all="ignore")
     def __init__(self, spec: MoleculesModel, context: SimContext) -> None:
         super().__init__(spec, context, "traps", spec.pace)
-        placing, parts = Box(spec), context.parts
+        placing, parts = PeriodicBox(spec), context.parts
         self.bodies = self.atoms = Atoms.of(spec, parts["species"], placing)
         self.radii, self.species = self.atoms.radii, self.atoms.kinds
         self.several = len(spec.species) > 1
@@ -146,7 +152,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
         with refusals.collect():
             self._check_numbers(start)
         with refusals.collect():
-            self._check_apart(start)
+            self._check_distinct(start)
         refusals.check()
         self.begin()
 
@@ -162,7 +168,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
             message = "atoms are so far away or fast in the scene that numbers overflow"
             refuse(spec.code, message, "scale")
 
-    def _check_apart(self, start: MoleculeState) -> None:
+    def _check_distinct(self, start: MoleculeState) -> None:
         """Refuse atoms that begin in each other (SIM071)."""
         depth = max(*(one.epsilon for one in self._spec.species), 1e-3)
         energies = start.acting.energies
@@ -220,10 +226,10 @@ class Molecules(Interacting[MoleculeState, Listed]):
             hint = f"use step: {self._advised(state):.2g}"
             faults = [replace(one, hint=hint) for one in error.faults]
             raise StoppedError(faults, error.stats) from None
-        ways = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
-        i = int(np.argmax(ways))
-        if not ways[i] <= FARTHEST * self._placing.size.min():
-            self._stop(state, t + dt, f"atom {i} moves {ways[i]:.3g} nm in a step")
+        travelled = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
+        i = int(np.argmax(travelled))
+        if not travelled[i] <= FARTHEST * self._placing.size.min():
+            self._stop(state, t + dt, f"atom {i} moves {travelled[i]:.3g} nm in a step")
         (acting, reference), heat = system.at(motion[0]), state.heat
         if spec.thermostat is not None:
             kinetic = self._kinetic(motion)
@@ -249,9 +255,9 @@ class Molecules(Interacting[MoleculeState, Listed]):
         return ADVISED / max(self._stiffest * self._pace, 1e-300)
 
     def _potential(self, state: MoleculeState, t: float) -> float:
-        own = float(state.acting.energies.sum()) + self._interactions.own_energy()
+        internal = float(state.acting.energies.sum()) + self._interactions.self_energy()
         outside = self.outside(t, state.motion[0])[1] if self.placed else np.zeros(1)
-        return own + float(outside.sum())
+        return internal + float(outside.sum())
 
     def _placed(self, motion: FloatArray) -> FloatArray:
         x, v = motion
@@ -311,7 +317,7 @@ def bath_factor(
     if not kinetic > 0 or freedom < 1:
         return 1.0
     times, temperatures = np.array(model.temperatures).T
-    usual = BOLTZMANN * float(np.interp(t, times, temperatures)) / 2
+    target = BOLTZMANN * float(np.interp(t, times, temperatures)) / 2
     (first, others) = np.clip(
         uniforms(seed + _BATH, np.array([step]), 2)[0], 2.0**-53, 1 - 2.0**-53
     )
@@ -319,7 +325,9 @@ def bath_factor(
     # The sum of the squares of all normal numbers but one.
     squares = 2 * float(gammaincinv((freedom - 1) / 2, others)) if freedom > 1 else 0.0
     kept = float(np.exp(-dt / model.relaxation))
-    share = usual / kinetic * (1 - kept)
-    square = kept + share * (normal**2 + squares) + 2 * normal * np.sqrt(kept * share)
+    exchange = target / kinetic * (1 - kept)
+    square = (
+        kept + exchange * (normal**2 + squares) + 2 * normal * np.sqrt(kept * exchange)
+    )
     factor = float(np.sqrt(max(square, 0.0)))
-    return -factor if normal * np.sqrt(share) + np.sqrt(kept) < 0 else factor
+    return -factor if normal * np.sqrt(exchange) + np.sqrt(kept) < 0 else factor

@@ -41,7 +41,7 @@ TOOMRE = 3.36
 WARMEST = 0.7
 
 
-class Profile:
+class MassProfile:
     """How the mass of a galaxy is distributed, at radii ``(R,)`` [m]."""
 
     def __init__(self, galaxy: GalaxyModel, constant: float, softening: float) -> None:
@@ -109,8 +109,8 @@ def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
 
 def disc_surface(disc: DiscModel, r: FloatArray | float) -> FloatArray:
     """Return surface densities of a disc [kg/m²]."""
-    whole = _WITHIN["exponential"](disc.cutoff)
-    central = disc.mass / (2 * np.pi * disc.radius**2 * whole)
+    enclosed_share = _WITHIN["exponential"](disc.cutoff)
+    central = disc.mass / (2 * np.pi * disc.radius**2 * enclosed_share)
     return np.asarray(central * np.exp(-r / disc.radius))
 
 
@@ -121,17 +121,19 @@ def built_galaxies(spec: NbodyModel) -> list[Bodies]:
     starts = [(np.array(one.at), np.array(one.velocity)) for one in spec.galaxies]
     if spec.encounter is not None:
         starts = on_orbit(spec.encounter, [g.masses.sum() for g in built], constant)
-    made = []
-    for galaxy, own, (at, v) in zip(spec.galaxies, built, starts, strict=True):
+    placed = []
+    for galaxy, bodies, (at, v) in zip(spec.galaxies, built, starts, strict=True):
         placing = matter.Placement(at, unit_quaternion(galaxy.rotate))
-        velocities = placing.velocities_out(own.velocities) + v
-        made.append(Bodies(placing.outwards(own.points), velocities, own.masses))
-    return made
+        velocities = placing.velocities_out(bodies.velocities) + v
+        placed.append(
+            Bodies(placing.outwards(bodies.points), velocities, bodies.masses)
+        )
+    return placed
 
 
 def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodies:
     """Return the bodies of a galaxy about its own centre, those of the halo last."""
-    profile = Profile(galaxy, constant, softening)
+    profile = MassProfile(galaxy, constant, softening)
     parts = []
     if galaxy.nucleus:
         none = np.zeros((1, 3))
@@ -141,14 +143,14 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodi
     for number, part in enumerate((galaxy.bulge, galaxy.halo)):
         if part is not None:
             parts.append(_spheroid(part, profile, galaxy.seed + 1000 * (number + 1)))
-    made = Bodies.joined(parts)
+    joined = Bodies.joined(parts)
     # Its centre of mass is where it is put, and as fast.
-    weights = made.masses / made.masses.sum()
-    x, v = (each + -weights @ each for each in (made.points, made.velocities))
-    return Bodies(x, v, made.masses)
+    weights = joined.masses / joined.masses.sum()
+    x, v = (each + -weights @ each for each in (joined.points, joined.velocities))
+    return Bodies(x, v, joined.masses)
 
 
-def _spheroid(part: SpheroidModel, profile: Profile, seed: int) -> Bodies:
+def _spheroid(part: SpheroidModel, profile: MassProfile, seed: int) -> Bodies:
     u = uniforms(seed, np.arange(part.count), 6)
     r = np.interp(u[:, 0] * part.mass, enclosed(part, profile.r), profile.r)
     sigma = np.interp(r, profile.r, profile.dispersion(part))
@@ -160,14 +162,14 @@ def _spheroid(part: SpheroidModel, profile: Profile, seed: int) -> Bodies:
     return Bodies(r[:, None] * matter.directions(u[:, 1:3]), velocities, masses)
 
 
-def _disc(disc: DiscModel, profile: Profile, seed: int) -> Bodies:
+def _disc(disc: DiscModel, profile: MassProfile, seed: int) -> Bodies:
     u = uniforms(seed, np.arange(disc.count), 6)
     r = np.interp(u[:, 0] * disc.mass, enclosed(disc, profile.r), profile.r)
     angles = 2 * np.pi * u[:, 1]
     height = disc.thickness * disc.radius
     up = height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
-    moments = disc_velocities(disc, profile)
-    radial, around, upward, mean = (np.interp(r, profile.r, one) for one in moments)
+    tables = disc_velocities(disc, profile)
+    radial, around, upward, mean = (np.interp(r, profile.r, one) for one in tables)
     normal = matter.normals(u[:, 3:6])
     out, along = radial * normal[:, 0], mean + around * normal[:, 1]
     cos, sin = np.cos(angles), np.sin(angles)
@@ -179,7 +181,7 @@ def _disc(disc: DiscModel, profile: Profile, seed: int) -> Bodies:
 
 
 def disc_velocities(
-    disc: DiscModel, profile: Profile
+    disc: DiscModel, profile: MassProfile
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return dispersions outwards, around and upwards, and mean rotation ``(R,)``."""
     r, circular = profile.r, profile.circular
@@ -208,9 +210,12 @@ def on_orbit(
     # Before the pericentre, so the true anomaly is below 0.
     anomaly = -np.arccos(cosine)
     speed = np.sqrt(constant * total / width)
-    place = r * np.array([np.sin(anomaly), 0.0, np.cos(anomaly)])
+    separation = r * np.array([np.sin(anomaly), 0.0, np.cos(anomaly)])
     velocity = speed * np.array([e + np.cos(anomaly), 0.0, -np.sin(anomaly)])
-    turn = unit_quaternion(orbit.rotate)
-    place, velocity = so3.rotate(turn, place), so3.rotate(turn, velocity)
+    tilt = unit_quaternion(orbit.rotate)
+    separation, velocity = so3.rotate(tilt, separation), so3.rotate(tilt, velocity)
     shares = -masses[1] / total, masses[0] / total
-    return [(np.array(orbit.at) + share * place, share * velocity) for share in shares]
+    return [
+        (np.array(orbit.at) + fraction * separation, fraction * velocity)
+        for fraction in shares
+    ]

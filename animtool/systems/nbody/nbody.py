@@ -86,9 +86,9 @@ class Nbody(Interacting[NbodyState, Pulls]):
         self._phase = PHASE if spec.softening else BARE_PHASE
         read = zip(spec.bodies, context.parts.get("bodies", ()), strict=True)
         parts, refusals = [], Refusals()
-        for body, own in read:
+        for body, part in read:
             with refusals.collect():
-                parts.append(Bodies.read(own, body.mass, "body", spec.code, "bodies"))
+                parts.append(Bodies.read(part, body.mass, "body", spec.code, "bodies"))
         refusals.check()
         parts += built_galaxies(spec)
         bodies = self.bodies = Bodies.joined(parts)
@@ -107,8 +107,8 @@ class Nbody(Interacting[NbodyState, Pulls]):
         if not np.isfinite([bodies.points, bodies.velocities]).all():
             message = "galaxies are so small, large or heavy that numbers overflow"
             refuse(spec.code, message, "bodies")
-        share = CROSSOVER_ACCURACY / max(spec.accuracy, FINEST_TREE)
-        many = len(bodies.masses) > CROSSOVER * share**CROSSOVER_POWER
+        opening = CROSSOVER_ACCURACY / max(spec.accuracy, FINEST_TREE)
+        many = len(bodies.masses) > CROSSOVER * opening**CROSSOVER_POWER
         self.tree = spec.accuracy >= FINEST_TREE and many
         self.begin()
 
@@ -206,10 +206,10 @@ class Nbody(Interacting[NbodyState, Pulls]):
 
     def _advised(self, state: NbodyState, t: float) -> float:
         x, masses = state.motion[0], self.bodies.masses
-        made = state.pulls.accelerations + self.outside(t, x)[0]
+        accelerations = state.pulls.accelerations + self.outside(t, x)[0]
         centre = masses @ x / masses.sum()
         reach = np.maximum(np.linalg.norm(x - centre, axis=1), self._spec.softening)
-        sizes = np.maximum(np.linalg.norm(made, axis=1), 1e-300)
+        sizes = np.maximum(np.linalg.norm(accelerations, axis=1), 1e-300)
         return ADVISED * float(np.sqrt(reach / sizes).min())
 
     def _potential(self, state: NbodyState, t: float) -> float:
@@ -225,11 +225,13 @@ class Nbody(Interacting[NbodyState, Pulls]):
 
     def _quantities(self, state: NbodyState, t: float) -> Quantities:
         (x, v), pulls = state.motion, state.pulls
-        made, potentials = self.outside(t, x) if self.placed else (0.0, 0.0)
+        outside, potentials = self.outside(t, x) if self.placed else (0.0, 0.0)
         return {
             **super()._quantities(state, t),
             "energy": lambda: (v * v).sum(axis=1) / 2 + pulls.potentials + potentials,
-            "acceleration": lambda: np.linalg.norm(pulls.accelerations + made, axis=1),
+            "acceleration": lambda: np.linalg.norm(
+                pulls.accelerations + outside, axis=1
+            ),
         }
 
     def _values(self, state: NbodyState, t: float) -> Mapping[str, float]:
@@ -240,9 +242,9 @@ class Nbody(Interacting[NbodyState, Pulls]):
         if not self.placed:
             values["energy_drift"] = self._drift(state, self._energy(state, t))
             sizes = self.bodies.masses * np.linalg.norm(v, axis=1)
-            usual = np.array([sizes.sum(), sizes @ np.linalg.norm(x, axis=1)])
+            scales = np.array([sizes.sum(), sizes @ np.linalg.norm(x, axis=1)])
             gained = self._momenta(state) - self._momenta(self.initial())
-            drifts = np.linalg.norm(gained, axis=1) / np.maximum(usual, 1e-300)
+            drifts = np.linalg.norm(gained, axis=1) / np.maximum(scales, 1e-300)
             values["momentum_drift"], values["angular_momentum_drift"] = drifts.tolist()
         if self.tree:
             values["force_error"] = self._force_error(x, state.pulls)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.sim.colliders.bodies import Wrenches, share_impulses
+from animtool.sim.colliders.bodies import Wrenches, exchange_impulses
 from animtool.sim.colliders.colliding import (
     Collided,
     Colliders,
@@ -33,7 +33,7 @@ class _Living:
         self.settles = colliders.active
         self.contacts: Contacts | None = None
         # What bodies were pushed by so far, those of each system.
-        self.wrenches = [Wrenches.none(own.count) for own in colliders.bodies]
+        self.wrenches = [Wrenches.none(system.count) for system in colliders.bodies]
         self._colliders = colliders
         self._state = state
 
@@ -66,14 +66,14 @@ class ParticleForces(_Living, SecondOrder):
     ) -> FloatArray:
         """Return the end of a step where bodies that can be pushed took their share."""
         state, first = np.stack([done.points, done.velocities]), len(self._colliders)
-        for i, own in enumerate(self._colliders.bodies):
+        for i, system in enumerate(self._colliders.bodies):
             shapes = done.contacts.colliders - first
-            shapes[shapes >= len(own.colliders)] = -1
-            first += len(own.colliders)
-            if not own.count:
+            shapes[shapes >= len(system.colliders)] = -1
+            first += len(system.colliders)
+            if not system.count:
                 continue
             masses = self.particles.masses
-            state, taken = share_impulses(own, t, shapes, free, state, masses)
+            state, taken = exchange_impulses(system, t, shapes, free, state, masses)
             before = self.wrenches[i].after(h)
             self.wrenches[i] = Wrenches.sum([before, taken])
         return state
@@ -82,10 +82,10 @@ class ParticleForces(_Living, SecondOrder):
         """Return kinetic and potential energy, None where a force has none."""
         # A state that is resumed may hold masses whose energies are beyond numbers.
         with np.errstate(over="ignore", invalid="ignore"):
-            found, known = energies(self.setup, self.particles, state)
+            sums, known = energies(self.setup, self.particles, state)
             if not known:
                 return None
-            kinetic, potential = found.sum(axis=1).tolist()
+            kinetic, potential = sums.sum(axis=1).tolist()
             supply = float(self.particles.masses.sum()) * self._colliders.fastest**2
         return Energy(kinetic, potential, supply)
 
@@ -157,7 +157,7 @@ def energies(
     x, v = state
     kinetic = 0.5 * particles.masses * (v * v).sum(axis=1)
     potentials = [force.potential(x, particles) for force in setup.forces]
-    known = [found for found in potentials if found is not None]
+    known = [values for values in potentials if values is not None]
     potential = np.sum(known, axis=0) if known else np.zeros(len(particles))
     return np.stack([kinetic, potential]), len(known) == len(potentials)
 
@@ -170,10 +170,10 @@ def accelerations(
     v: FloatArray,
 ) -> FloatArray:
     """Return what all forces do ``(N, 3)`` [m/s²]; times may be one each."""
-    whole = np.zeros_like(x)
+    total = np.zeros_like(x)
     for force in setup.forces:
-        whole += force.force(t, x, v, particles)
-    return whole / particles.masses[:, None]
+        total += force.force(t, x, v, particles)
+    return total / particles.masses[:, None]
 
 
 def spawned(
@@ -195,10 +195,10 @@ def spawned(
     done = _moved_classically(setup, particles, born, t1 - particles.births)
     if not colliders.active:
         return done
-    found = collide(
+    collided = collide(
         done[0], done[1], born, colliders, t0, t1, particles.radii, particles.births
     )
-    return np.stack([found.points, found.velocities])
+    return np.stack([collided.points, collided.velocities])
 
 
 def _moved_classically(
@@ -206,8 +206,8 @@ def _moved_classically(
 ) -> FloatArray:
     h = spans[:, None]
 
-    def rate(share: float, state: FloatArray) -> FloatArray:
-        times = particles.births + share * spans
+    def rate(fraction: float, state: FloatArray) -> FloatArray:
+        times = particles.births + fraction * spans
         if setup.velocity is not None:
             speed = setup.velocity.velocity(times, state[0], particles)
             return np.stack([speed, np.zeros_like(speed)])
@@ -242,13 +242,13 @@ class DivergenceCheck:
         """Look at particles in a state ``(2, N, 3)`` from now on."""
         if particles is self._particles or self._setup.velocity is not None:
             return
-        places = np.searchsorted(self._ids, particles.ids)
-        places = np.minimum(places, max(len(self._ids) - 1, 0))
+        rows = np.searchsorted(self._ids, particles.ids)
+        rows = np.minimum(rows, max(len(self._ids) - 1, 0))
         known = np.zeros(len(particles), bool)
         if len(self._ids):
-            known = self._ids[places] == particles.ids
+            known = self._ids[rows] == particles.ids
         first = np.zeros((2, len(particles)))
-        first[:, known] = self._first[:, places[known]]
+        first[:, known] = self._first[:, rows[known]]
         new = ~known
         first[:, new] = energies(self._setup, particles.select(new), state[:, new])[0]
         self._particles, self._ids, self._first = particles, particles.ids, first
@@ -272,13 +272,13 @@ class DivergenceCheck:
         kinetic, potential = self._first.sum(axis=1).tolist()
         now_kinetic, now_potential = now_energies.sum(axis=1).tolist()
         now, first = now_kinetic + now_potential, kinetic + potential
-        usual = max(
+        typical = max(
             abs(first),
             kinetic,
             abs(potential),
             potential - now_potential,
             float(self._particles.masses.sum()) * self._colliders.fastest**2,
         )
-        if usual > 0 and not now - first <= self._setup.options.growth * usual:
+        if typical > 0 and not now - first <= self._setup.options.growth * typical:
             return f"its energy rose from {first:.3g} J to {now:.3g} J"
         return ""

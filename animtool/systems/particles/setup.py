@@ -39,8 +39,8 @@ class KillRegion:
 
     def kills(self, points: FloatArray, t: float) -> BoolArray:
         """Return which of points ``(N, 3)`` are in it."""
-        found = Colliders([self.region.volume()]).sample(points, t).distances[0]
-        return np.asarray(found < 0, np.bool_)
+        distances = Colliders([self.region.volume()]).sample(points, t).distances[0]
+        return np.asarray(distances < 0, np.bool_)
 
 
 @dataclass(frozen=True)
@@ -85,38 +85,38 @@ class Particles:
             raise OptionError(faults)
 
     def _options(self) -> list[Fault]:
-        found: list[Fault] = []
+        faults: list[Fault] = []
         try:
             check_options(self.options)
         except AnimtoolError as error:
-            found += error.faults
+            faults += error.faults
         if self.options.step is None:
             message = "particles need a step: they are emitted during a step"
-            found.append(Fault("SIM024", message, where="step"))
-        found += range_faults(self)
+            faults.append(Fault("SIM024", message, where="step"))
+        faults += range_faults(self)
         if not self.emitters:
             message = "it has no emitter, so there are no particles"
-            found.append(Fault("SIM024", message, where="emitters"))
+            faults.append(Fault("SIM024", message, where="emitters"))
         if self.velocity is not None and self.forces:
             message = "a velocity field moves particles whatever the forces are"
             hint = (
                 "remove one of them, or use a force that acts by drag: wind, turbulence"
             )
-            found.append(Fault("SIM024", message, where="velocity", hint=hint))
-        return found
+            faults.append(Fault("SIM024", message, where="velocity", hint=hint))
+        return faults
 
     def _parts(self) -> list[Fault]:
-        found = _faults("emitters", self.emitters)
+        faults = _faults("emitters", self.emitters)
         for i, force in enumerate(self.forces):
-            found += [
+            faults += [
                 Fault("SIM022", f"its {option} {why}", where=f"{_named(force)}[{i}]")
                 for option, why in force.faults()
             ]
         if self.velocity is not None:
-            found += self.velocity.faults("velocity")
-        found += _faults("colliders", self.colliders)
-        found += _faults("kills", [kill.region for kill in self.kills])
-        return found + _faults("sheets", self.sheets)
+            faults += self.velocity.faults("velocity")
+        faults += _faults("colliders", self.colliders)
+        faults += _faults("kills", [kill.region for kill in self.kills])
+        return faults + _faults("sheets", self.sheets)
 
 
 def _faults(what: str, records: Sequence[Emitter | Collider | Sheet]) -> list[Fault]:

@@ -153,7 +153,7 @@ class ParticleSimulation:
             # Of colliders that change their shape nobody knows how fast they are.
             driven = met.colliders >= len(self.colliders)
             self._watch.restart(driven | (met.touches == Touch.UNRESOLVED), end)
-            notices += self._held(state.particles, met, until)
+            notices += self._stuck_notices(state.particles, met, until)
         after = checkpoint_of(run, status, until, run.state)
         state = replace(state, state=end, memory=after.memory, trial=after.trial)
         return state, system.wrenches
@@ -182,11 +182,11 @@ class ParticleSimulation:
         self._watch.too_long = bool(self._too_long)
 
     def _stop(
-        self, run: Run, status: Status, places: list[tuple[float, FloatArray]]
+        self, run: Run, status: Status, samples: list[tuple[float, FloatArray]]
     ) -> None:
         # A force that is no number at once is no blow-up.
-        check_start(run.equations, *places[0])
-        stats = stats_of(run, status, places)
+        check_start(run.equations, *samples[0])
+        stats = stats_of(run, status, samples)
         why = [*self._too_long, ending(self._integrator, self.setup.options, stats)]
         raise StoppedError(
             [replace(each, severity=Severity.ERROR) for each in why], stats
@@ -203,8 +203,8 @@ class ParticleSimulation:
         """Return a state with those who are born in a step, at its end."""
         room = max(self.setup.max_particles - len(state.particles), 0)
         particles, born, beyond = self._born(after, until, state.born, room)
-        made = len(particles) + beyond
-        missed = max(made - room, 0)
+        wanted_count = len(particles) + beyond
+        missed = max(wanted_count - room, 0)
         if missed and not state.missed:
             most = self.setup.max_particles
             message = (
@@ -214,7 +214,9 @@ class ParticleSimulation:
             notices.append(
                 warning("SIM121", f"{message}no more", hint, self.setup.name)
             )
-        state = replace(state, born=state.born + made, missed=state.missed + missed)
+        state = replace(
+            state, born=state.born + wanted_count, missed=state.missed + missed
+        )
         kept = np.arange(len(particles))[:room]
         particles, born = particles.select(kept), born[:, kept]
         if not len(particles):
@@ -266,18 +268,18 @@ class ParticleSimulation:
         ids = first + np.arange(len(particles), dtype=np.int64)
         return replace(particles, ids=ids), state, beyond
 
-    def _held(
+    def _stuck_notices(
         self, particles: ParticleState, met: Contacts, t: float
     ) -> Iterator[Fault]:
         """Yield that particles stay inside colliders, where they do (SIM123)."""
-        (held,) = np.nonzero(met.touches == Touch.UNRESOLVED)
-        if not len(held):
+        (stuck,) = np.nonzero(met.touches == Touch.UNRESOLVED)
+        if not len(stuck):
             return
-        who = f"particle {int(particles.ids[held[0]])}"
-        which, solid = int(met.colliders[held[0]]), self.setup.colliders
+        who = f"particle {int(particles.ids[stuck[0]])}"
+        which, solid = int(met.colliders[stuck[0]]), self.setup.colliders
         what = [
             *(one.name or f"colliders[{i}]" for i, one in enumerate(solid)),
-            *(one.name for own in self.setup.bodies for one in own.colliders),
+            *(one.name for system in self.setup.bodies for one in system.colliders),
             *(one.name or f"sheets[{i}]" for i, one in enumerate(self.setup.sheets)),
         ][which]
         message = f"{who} is inside {what!r} at {t:g} s, and cannot be pushed out at "

@@ -16,7 +16,7 @@ from animtool.systems.particles.state import ParticleState
 
 # What expressions of fields may name: place [m], velocity [m/s], time and age [s].
 VARIABLES = ("x", "y", "z", "vx", "vy", "vz", "t", "age", "mass", "charge")
-_OF_PLACE = ("x", "y", "z", "t", "age")
+_VARIABLES = ("x", "y", "z", "t", "age")
 
 
 class Expressions:
@@ -47,7 +47,7 @@ class VelocityField(Velocity, Expressions, Checked):
 
     def problems(self) -> list[tuple[str, str]]:
         """Return which of the three makes no sense, and why."""
-        faults = expression_faults(self, _OF_PLACE)
+        faults = expression_faults(self, _VARIABLES)
         return [(axis, f"its {axis} {why}") for axis, why in faults]
 
 
@@ -69,24 +69,24 @@ def evaluated(
         particles.charges,
     ]
     values = dict(zip(VARIABLES, columns, strict=True))
-    found = [np.broadcast_to(one.evaluate(values), len(x)) for one in expressions]
-    return np.stack(found, axis=1)
+    components = [np.broadcast_to(one.evaluate(values), len(x)) for one in expressions]
+    return np.stack(components, axis=1)
 
 
-def expression_faults(given: object, names: tuple[str, ...]) -> list[tuple[str, str]]:
+def expression_faults(options: object, names: tuple[str, ...]) -> list[tuple[str, str]]:
     """Return which of the expressions x, y and z makes no sense, and why."""
     from animtool.core.names import nearest
 
-    found = []
+    faults = []
     for axis in "xyz":
         try:
-            expression = parse_expression(getattr(given, axis))
+            expression = parse_expression(getattr(options, axis))
         except ValueError as error:
-            found.append((axis, str(error)))
+            faults.append((axis, str(error)))
             continue
-        found += [
+        faults += [
             (axis, f"unknown variable {name!r}: {nearest(name, list(names))}")
             for name in expression.names
             if name not in names
         ]
-    return found
+    return faults

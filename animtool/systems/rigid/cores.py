@@ -38,21 +38,23 @@ class Core:
 
 
 @dataclass(frozen=True, slots=True)
-class Solid:
+class SolidProperties:
     """Volume, centre and moments of a body of density 1."""
 
     volume: float  # [m³]
     centre: FloatArray  # (3,) [m]
     inertia: FloatArray  # about the centre (3, 3) [m⁵]
 
-    def placed(self, at: FloatArray, rotation: FloatArray) -> Solid:
+    def placed(self, at: FloatArray, rotation: FloatArray) -> SolidProperties:
         """Return it in another frame."""
-        turn = so3.to_matrix(rotation)
+        matrix = so3.to_matrix(rotation)
         centre = at + so3.rotate(rotation, self.centre)
-        return Solid(self.volume, centre, turn @ self.inertia @ turn.T)
+        return SolidProperties(self.volume, centre, matrix @ self.inertia @ matrix.T)
 
 
-def together(solids: Sequence[Solid], densities: Sequence[float]) -> Solid:
+def together(
+    solids: Sequence[SolidProperties], densities: Sequence[float]
+) -> SolidProperties:
     """Return several as one; its volume is their mass [kg], its moments [kg m²]."""
     masses = np.array([s.volume * d for s, d in zip(solids, densities, strict=True)])
     centres = np.array([s.centre for s in solids])
@@ -62,7 +64,7 @@ def together(solids: Sequence[Solid], densities: Sequence[float]) -> Solid:
         off = solid.centre - centre
         inertia += density * solid.inertia
         inertia += mass * (off @ off * np.eye(3) - np.outer(off, off))
-    return Solid(float(masses.sum()), centre, inertia)
+    return SolidProperties(float(masses.sum()), centre, inertia)
 
 
 def core_of(shape: Shape) -> Core:
@@ -98,9 +100,9 @@ def _hull(points: FloatArray) -> Core:
     rest = list(range(len(normals)))
     while rest:
         first = rest[0]
-        alike = np.linalg.norm(normals[rest] - normals[first], axis=1) < FLAT
-        planes.append((normals[first], np.array(rest)[alike]))
-        rest = np.array(rest)[~alike].tolist()
+        coplanar = np.linalg.norm(normals[rest] - normals[first], axis=1) < FLAT
+        planes.append((normals[first], np.array(rest)[coplanar]))
+        rest = np.array(rest)[~coplanar].tolist()
     corners = np.unique(hull.simplices)
     number = np.full(len(points), -1)
     number[corners] = np.arange(len(corners))
@@ -114,18 +116,20 @@ def _hull(points: FloatArray) -> Core:
     return Core(points[corners], faces)
 
 
-def solid_of(shape: Shape, core: Core) -> Solid:
+def solid_of(shape: Shape, core: Core) -> SolidProperties:
     """Return what a shape is like with density 1; a mesh is filled, as its hull."""
     match shape:
         case Sphere(radius=r):
             volume = 4 / 3 * np.pi * r**3
-            return Solid(volume, core.points[0], 0.4 * volume * r * r * np.eye(3))
+            return SolidProperties(
+                volume, core.points[0], 0.4 * volume * r * r * np.eye(3)
+            )
         case Capsule():
             return _capsule(shape)
         case Box():
             volume = float(np.prod(shape.size))
             squares = np.square(np.asarray(shape.size, np.float64))
-            return Solid(
+            return SolidProperties(
                 volume, np.zeros(3), np.diag(squares.sum() - squares) * volume / 12
             )
     triangles = [
@@ -136,7 +140,7 @@ def solid_of(shape: Shape, core: Core) -> Solid:
     return filled(np.array(triangles))
 
 
-def _capsule(shape: Capsule) -> Solid:
+def _capsule(shape: Capsule) -> SolidProperties:
     r, length = shape.radius, shape.length
     middle, ends = np.pi * r * r * length, 4 / 3 * np.pi * r**3
     # Two half-balls, whose centres are 3/8 of the radius off the ends of the segment.
@@ -145,10 +149,10 @@ def _capsule(shape: Capsule) -> Solid:
     across += ends * (0.4 * r * r + length**2 / 4 + 3 / 8 * length * r)
     axis = np.asarray(shape.axis, np.float64) / np.linalg.norm(shape.axis)
     inertia = across * np.eye(3) + (along - across) * np.outer(axis, axis)
-    return Solid(middle + ends, np.asarray(shape.centre, np.float64), inertia)
+    return SolidProperties(middle + ends, np.asarray(shape.centre, np.float64), inertia)
 
 
-def filled(triangles: FloatArray) -> Solid:
+def filled(triangles: FloatArray) -> SolidProperties:
     """Return what is inside of closed triangles ``(T, 3, 3)``, by its tetrahedra.
 
     Eberly (2002), "Polyhedral mass properties (revisited)", in the sums of Blow and
@@ -162,10 +166,10 @@ def filled(triangles: FloatArray) -> Solid:
     centre = volumes @ corners / 4 / volume
     products = sum(np.einsum("t,ti,tj->ij", volumes, p, p) for p in (a, b, c, corners))
     second = np.asarray(products) / 20 - volume * np.outer(centre, centre)
-    return Solid(volume, base + centre, np.trace(second) * np.eye(3) - second)
+    return SolidProperties(volume, base + centre, np.trace(second) * np.eye(3) - second)
 
 
-def convex(mesh: Mesh, hull: Solid) -> bool:
+def convex(mesh: Mesh, hull: SolidProperties) -> bool:
     """Return whether a closed mesh is its own hull, by its volume."""
     points, triangles = mesh.welded()
     inside = abs(filled(points[triangles]).volume)

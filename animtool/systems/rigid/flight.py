@@ -101,14 +101,14 @@ def _part(
 
     Both are one vector for each, of positions and of velocities times the part.
     """
-    by_place, by_speed = h * h * grown[0], h * grown[1]
+    by_position, by_speed = h * h * grown[0], h * grown[1]
     matrices = np.zeros((len(x), 6, 6))
     matrices[:, :3, 3:] = np.eye(3)
-    matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_place, by_speed
+    matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_position, by_speed
     one, two = phi_functions(matrices)
     first = _times(one, np.concatenate([h * v, h * h * pull], axis=1))
     change = h * h * (rate(t + h, x + first[:, :3], v + first[:, 3:] / h) - pull)
-    change -= _times(by_place, first[:, :3]) + _times(by_speed, first[:, 3:])
+    change -= _times(by_position, first[:, :3]) + _times(by_speed, first[:, 3:])
     second = _times(two[:, :, 3:], change)
     moved = first + second
     size = np.linalg.norm(moved[:, :3], axis=1) + np.linalg.norm(h * v, axis=1)
@@ -130,9 +130,9 @@ def _inertias(
     """Return how much less velocities change than by the force at the beginning."""
     # Of drag that is linear both are the same.
     z = np.maximum(-np.trace(grown, axis1=1, axis2=2) / 3 * dt, 0.0)
-    found = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)
+    ratios = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)
     squared, along = (begin * begin).sum(axis=1), (begin * change).sum(axis=1)
     some = np.sqrt(squared) * dt > 1e-6 * np.linalg.norm(v, axis=1)
     some &= along > 0
-    np.divide(squared * dt, along, out=found, where=some)
-    return np.asarray(np.maximum(found, 1.0))
+    np.divide(squared * dt, along, out=ratios, where=some)
+    return np.asarray(np.maximum(ratios, 1.0))

@@ -26,7 +26,7 @@ from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Mesh, Shape
 from animtool.systems.rigid.cores import (
     Core,
-    Solid,
+    SolidProperties,
     convex,
     core_of,
     shown,
@@ -48,13 +48,13 @@ ROUNDING = 1e-9
 LIGHTEST = 1e-30  # [kg]
 LEAST_MOMENT = 1e-100  # [kg m²]
 # What is beside the diagonal and less than this share of the sum is rounding.
-ALIKE = 1e-12
+DIAGONAL_TOLERANCE = 1e-12
 # Bodies of a system; more take gigabytes.
 MAX_BODIES = 1_000_000
 
 
 @dataclass(frozen=True)
-class Kind:
+class BodyKind:
     """What copies of one body have in common, in the frame of the body."""
 
     model: BodyModel
@@ -81,7 +81,7 @@ class Kind:
         return core.placed(-so3.rotate(back, self.centre), back)
 
 
-def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
+def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
     """Return what a model says, its own faults raised (SIM061)."""
     refusals = Refusals()
     with refusals.collect():
@@ -92,7 +92,7 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
     hulls = [bool(part.get("hull")) for part in parts.get("shapes", ())] or [False]
     cores, solids, notices, met = [], [], [], []
     drawn: list[tuple[Mesh | None, Core, FloatArray, FloatArray]] = []
-    for k, (shape, at, turn) in enumerate(shapes):
+    for k, (shape, at, rotation) in enumerate(shapes):
         key = "shape" if model.shape is not None else f"shapes[{k}]"
         if "height_field" in (model.shape or model.shapes[k].shape):
             message = f"a shape of {model.name!r}: a height field has no inside"
@@ -105,22 +105,22 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
         pieces: Sequence[tuple[Shape, Core]] = [(shape, core)]
         if isinstance(shape, Mesh) and not convex(shape, solid):
             moved = not model.kinematic or model.release is not None
-            found = [] if hulls[k] or not moved else _pieces(shape)
-            fault = _concave(model.name, shape, found)
+            split_pieces = [] if hulls[k] or not moved else _pieces(shape)
+            fault = _concave(model.name, shape, split_pieces)
             notices.append(replace(fault, where=key))
-            if found:
-                pieces, solid = found, solid_of_mesh(shape)
-        cores += [core.placed(at, turn) for _, core in pieces]
-        met += [(one, at, turn) for one, _ in pieces]
-        whole = len(pieces) > 1
-        mesh = shape if whole and isinstance(shape, Mesh) else None
-        drawn.append((mesh, core.placed(at, turn), at, turn))
-        solids.append(solid.placed(at, turn))
+            if split_pieces:
+                pieces, solid = split_pieces, solid_of_mesh(shape)
+        cores += [core.placed(at, rotation) for _, core in pieces]
+        met += [(one, at, rotation) for one, _ in pieces]
+        split = len(pieces) > 1
+        mesh = shape if split and isinstance(shape, Mesh) else None
+        drawn.append((mesh, core.placed(at, rotation), at, rotation))
+        solids.append(solid.placed(at, rotation))
     mass, centre, inertia = _weighed(model, solids)
     moments, axes = principal(inertia)
     shows = parts.get("shows")
     meshes = tuple(shows()) if shows is not None else (_mesh(drawn),)
-    return Kind(model, met, cores, mass, centre, moments, axes, meshes[:1], notices)
+    return BodyKind(model, met, cores, mass, centre, moments, axes, meshes[:1], notices)
 
 
 def _weight_problems(model: BodyModel) -> Iterator[Problem]:
@@ -145,10 +145,10 @@ def _shapes(
     shapes = [
         (
             part["shape"],
-            np.array(own.at, np.float64),
-            _turn(own.rotate, model.name, f"shapes[{k}].rotate"),
+            np.array(shape.at, np.float64),
+            _rotation(shape.rotate, model.name, f"shapes[{k}].rotate"),
         )
-        for k, (own, part) in enumerate(several)
+        for k, (shape, part) in enumerate(several)
     ]
     if model.shape is not None:
         if shapes:
@@ -173,12 +173,12 @@ def _pieces(mesh: Mesh) -> list[tuple[Shape, Core]]:
     return list(pieces_of(mesh)) if installed() else []
 
 
-def _concave(name: str, mesh: Mesh, found: Sequence[tuple[Shape, Core]]) -> Fault:
+def _concave(name: str, mesh: Mesh, pieces: Sequence[tuple[Shape, Core]]) -> Fault:
     """Return how a mesh is met that is not convex."""
-    if found:
-        more = beyond(mesh, [core for _, core in found])
+    if pieces:
+        more = beyond(mesh, [core for _, core in pieces])
         message = (
-            f"a mesh of {name!r} collides as {counted(len(found), 'convex piece')}"
+            f"a mesh of {name!r} collides as {counted(len(pieces), 'convex piece')}"
         )
         message += f", {more:+.1%} of its volume"
         return Fault("SIM198", message, severity=Severity.NOTE)
@@ -190,28 +190,30 @@ def _concave(name: str, mesh: Mesh, found: Sequence[tuple[Shape, Core]]) -> Faul
 
 
 def _weighed(
-    model: BodyModel, solids: Sequence[Solid]
+    model: BodyModel, solids: Sequence[SolidProperties]
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return mass [kg], centre [m] and inertia about it ``(3, 3)`` [kg m²]."""
-    own = [each.density or model.density for each in model.shapes] or [model.density]
+    densities = [each.density or model.density for each in model.shapes] or [
+        model.density
+    ]
     weight = sum(
-        each.volume * density for each, density in zip(solids, own, strict=True)
+        each.volume * density for each, density in zip(solids, densities, strict=True)
     )
     if min(weight, weight if model.mass is None else model.mass) < LIGHTEST:
         message = f"{model.name!r} must weigh {LIGHTEST:g} kg or more"
         refuse("SIM061", message, hint="are its lengths in metres?")
-    whole = together(solids, own)
-    mass = whole.volume if model.mass is None else model.mass
-    inertia = whole.inertia * (mass / whole.volume)
-    centre = whole.centre
+    joined = together(solids, densities)
+    mass = joined.volume if model.mass is None else model.mass
+    inertia = joined.inertia * (mass / joined.volume)
+    centre = joined.centre
     if model.centre is not None:
         centre = np.array(model.centre, np.float64)
-        off = whole.centre - centre
+        off = joined.centre - centre
         inertia = inertia + mass * (off @ off * np.eye(3) - np.outer(off, off))
     if model.inertia is not None:
         moments = np.array(model.inertia, np.float64)
-        turn = so3.to_matrix(_turn(model.inertia_axes, model.name, "inertia_axes"))
-        inertia = turn @ np.diag(moments) @ turn.T
+        axes = so3.to_matrix(_rotation(model.inertia_axes, model.name, "inertia_axes"))
+        inertia = axes @ np.diag(moments) @ axes.T
     if np.trace(inertia) < LEAST_MOMENT:
         message = f"{model.name!r} must have moments of {LEAST_MOMENT:g} kg m² or more"
         refuse("SIM061", message, hint="are its lengths in metres?")
@@ -224,7 +226,7 @@ def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     Axes that are those of the frame but for rounding stay so.
     """
     size = float(np.trace(inertia))
-    if np.abs(inertia - np.diag(np.diag(inertia))).max() <= ALIKE * size:
+    if np.abs(inertia - np.diag(np.diag(inertia))).max() <= DIAGONAL_TOLERANCE * size:
         return np.diag(inertia).copy(), so3.IDENTITY.copy()
     moments, axes = np.linalg.eigh(inertia)
     # The axis nearest to x comes first and so on, so that small changes change little.
@@ -243,21 +245,21 @@ def _mesh(
 ) -> MeshFrame:
     """Return the mesh that shows shapes: of what is in pieces its own."""
     points, counts, corners, base = [], [], [], 0
-    for mesh, core, at, turn in drawn:
-        own, count, corner = shown(core)
+    for mesh, core, at, rotation in drawn:
+        part_vertices, count, corner = shown(core)
         if mesh is not None:
             welded, triangles = mesh.welded()
-            own = at + so3.rotate(turn, welded)
+            part_vertices = at + so3.rotate(rotation, welded)
             count = np.full(len(triangles), 3)
             corner = triangles.ravel().astype(np.int64)
-        points.append(own)
+        points.append(part_vertices)
         counts.append(count)
         corners.append(corner + base)
-        base += len(own)
-    places = np.concatenate(points)
+        base += len(part_vertices)
+    vertices = np.concatenate(points)
     return MeshFrame(
-        places,
-        np.zeros_like(places),
+        vertices,
+        np.zeros_like(vertices),
         np.concatenate(counts),
         np.concatenate(corners),
         closed=True,
@@ -315,24 +317,24 @@ def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, Floa
             refuse("SIM061", "rotations need points", "rotations")
         return np.zeros((1, 3)), so3.IDENTITY[None]
     count = len(points)
-    turns = np.tile(so3.IDENTITY, (count, 1))
+    quaternions = np.tile(so3.IDENTITY, (count, 1))
     if rotations is not None:
-        turns = np.asarray(rotations, np.float64)
-        if turns.shape == (count, 4):
-            turns = turns[:, [1, 2, 3, 0]]
-    for name, array, width in (("points", points, 3), ("rotations", turns, 4)):
+        quaternions = np.asarray(rotations, np.float64)
+        if quaternions.shape == (count, 4):
+            quaternions = quaternions[:, [1, 2, 3, 0]]
+    for name, array, width in (("points", points, 3), ("rotations", quaternions, 4)):
         if array.shape != (count, width) or not np.isfinite(array).all():
             message = f"{name} of {model.name!r} have shape {array.shape} or are not "
             refuse("SIM061", f"{message}finite: they must be {(count, width)}", name)
-    if not turns.any(axis=1).all():
+    if not quaternions.any(axis=1).all():
         refuse(
             "SIM061", f"a rotation of {model.name!r} is a zero quaternion", "rotations"
         )
-    return np.asarray(points, np.float64), so3.normalize(turns)
+    return np.asarray(points, np.float64), so3.normalize(quaternions)
 
 
-def _turn(wxyz: Sequence[float], name: str, key: str) -> FloatArray:
-    turn = np.array(wxyz, np.float64)[[1, 2, 3, 0]]
-    if not turn.any():
+def _rotation(wxyz: Sequence[float], name: str, key: str) -> FloatArray:
+    rotation = np.array(wxyz, np.float64)[[1, 2, 3, 0]]
+    if not rotation.any():
         refuse("SIM061", f"a rotation of {name!r} is a zero quaternion", key)
-    return so3.normalize(turn)
+    return so3.normalize(rotation)

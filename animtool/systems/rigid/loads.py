@@ -10,7 +10,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, ToleranceError, excerpt
 from animtool.core.quantities import floored, plain
 from animtool.core.record import dataclass
-from animtool.systems.rigid.bodies import Bodies
+from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.flight import Flight, fly
 from animtool.systems.rigid.surroundings import BodyForces
 
@@ -19,7 +19,7 @@ ANGLE = 0.5
 MAX_PARTS = 256
 # Whom drag makes heavier than this takes shorter parts where something holds him, so
 # that he bounces as he is, and is not too heavy for his moments of inertia.
-HELD, MAX_HELD = 2.0, 64
+MAX_INERTIA_RATIO, MAX_CONSTRAINED_PARTS = 2.0, 64
 # Heavier ones in the most parts do not stay where contacts hold them.
 HEAVIEST = 64.0
 # Masses that forces change by less stay as they are, as a share.
@@ -31,7 +31,7 @@ OFF = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Loads:
+class StepForces:
     """Forces on bodies through a step, and what they act on.
 
     Attributes:
@@ -46,37 +46,42 @@ class Loads:
     inertias: FloatArray | None = None
     flight: Flight | None = None
 
-    def missed(self, velocities: FloatArray, held: BoolArray) -> BoolArray:
+    def missed(self, velocities: FloatArray, constrained: BoolArray) -> BoolArray:
         """Return who met something that it was not known to be held by ``(N,)``.
 
         As far as that counts: of those that drag makes much heavier.
         """
         flight = self.flight
         if flight is None:
-            return np.zeros(len(held), np.bool_)
+            return np.zeros(len(constrained), np.bool_)
         off = np.linalg.norm(velocities - flight.velocities, axis=1)
         begun = velocities if self.velocities is None else self.velocities
         size = np.linalg.norm(flight.velocities, axis=1) + np.linalg.norm(begun, axis=1)
-        return np.asarray(~held & (flight.inertias >= HEAVY) & (off > OFF * size))
+        return np.asarray(
+            ~constrained & (flight.inertias >= HEAVY) & (off > OFF * size)
+        )
 
-    def parts(self, parts: int, held: BoolArray) -> int:
+    def parts(self, parts: int, constrained: BoolArray) -> int:
         """Return in how many parts a step in parts is to be taken again."""
         assert self.flight is not None
-        return divided(parts, self.flight.inertias[held])
+        return divided(parts, self.flight.inertias[constrained])
 
 
 def divided(parts: int, inertias: FloatArray) -> int:
     """Return how many parts a step has, from what some in parts are heavier by."""
     heaviest = float(inertias.max(initial=1.0))
-    if not heaviest > HELD:
+    if not heaviest > MAX_INERTIA_RATIO:
         return parts
-    return max(parts, math.ceil(min(parts * heaviest / HELD, MAX_HELD)))
+    return max(
+        parts,
+        math.ceil(min(parts * heaviest / MAX_INERTIA_RATIO, MAX_CONSTRAINED_PARTS)),
+    )
 
 
 class BodyLoads:
     """Makes loads of the forces on the bodies of a system."""
 
-    def __init__(self, name: str, bodies: Bodies, forces: BodyForces) -> None:
+    def __init__(self, name: str, bodies: RigidBodies, forces: BodyForces) -> None:
         self._name, self._bodies, self._forces = name, bodies, forces
 
     def fly(self, t: float, dt: float, motion: FloatArray) -> Flight | None:
@@ -98,9 +103,9 @@ class BodyLoads:
         t: float,
         dt: float,
         motion: FloatArray,
-        held: BoolArray,
+        constrained: BoolArray,
         flight: Flight | None,
-    ) -> Loads:
+    ) -> StepForces:
         """Return the loads of a step.
 
         Bodies that are ``held`` ``(N,)``, by contacts or joints, feel the force that
@@ -112,9 +117,9 @@ class BodyLoads:
         """
         if flight is None:
             with np.errstate(all="ignore"):
-                loads = Loads(self._forces.over(t, dt, motion))
+                loads = StepForces(self._forces.over(t, dt, motion))
         else:
-            loads = self._flown(t, dt, motion, held, flight)
+            loads = self._flown(t, dt, motion, constrained, flight)
         self._check(loads, t)
         return loads
 
@@ -123,22 +128,22 @@ class BodyLoads:
         t: float,
         dt: float,
         motion: FloatArray,
-        held: BoolArray,
+        constrained: BoolArray,
         flight: Flight,
-    ) -> Loads:
+    ) -> StepForces:
         x, v = motion[:, :3], motion[:, 7:10]
-        heavy = held & (flight.inertias > 1 + LIGHT)
+        heavy = constrained & (flight.inertias > 1 + LIGHT)
         inertias = np.where(heavy, flight.inertias, 1.0)
         forces = self._forces.pushes_over(t, dt, motion)
         with np.errstate(all="ignore"):
             # The kernel goes as far as the mean of the velocities at both ends.
             begin = 2 * (flight.points - x) / dt - flight.velocities
-            begin = np.where(held[:, None], v, begin)
+            begin = np.where(constrained[:, None], v, begin)
             masses = (self._bodies.masses * inertias)[:, None]
             forces[:, :3] = masses * (flight.velocities - begin) / dt
-        return Loads(forces, begin, inertias if heavy.any() else None, flight)
+        return StepForces(forces, begin, inertias if heavy.any() else None, flight)
 
-    def _check(self, loads: Loads, t: float) -> None:
+    def _check(self, loads: StepForces, t: float) -> None:
         finite = np.isfinite(loads.forces).all(axis=1)
         if loads.velocities is not None:
             finite &= np.isfinite(loads.velocities).all(axis=1)
@@ -174,25 +179,30 @@ class BodyLoads:
         turned = float(spins.max(initial=0.0)) * dt / ANGLE
         return max(1, math.ceil(fastest), min(math.ceil(turned), MAX_PARTS))
 
-    def parts_of_held(
-        self, t: float, dt: float, parts: int, motion: FloatArray, held: BoolArray
+    def parts_of_constrained(
+        self,
+        t: float,
+        dt: float,
+        parts: int,
+        motion: FloatArray,
+        constrained: BoolArray,
     ) -> int:
         """Return how many parts a step of some has, as bodies ``(N,)`` are held.
 
         Raises:
             ToleranceError: They are too many (SIM102).
         """
-        if not held.any():
+        if not constrained.any():
             return parts
         each = dt / parts
         flight = self.fly(t, each, motion)
         assert flight is not None
-        inertias = np.where(held, flight.inertias, 1.0)
+        inertias = np.where(constrained, flight.inertias, 1.0)
         heaviest = float(inertias.max()) * parts
-        if heaviest > HEAVIEST * MAX_HELD:
+        if heaviest > HEAVIEST * MAX_CONSTRAINED_PARTS:
             message = f"drag on {self._body(int(np.argmax(inertias)))}, which is in "
             message += f"contact, is too strong for a step of {plain(dt)} s"
-            step = floored(dt * HEAVIEST * MAX_HELD / heaviest)
+            step = floored(dt * HEAVIEST * MAX_CONSTRAINED_PARTS / heaviest)
             self._stop(
                 t, message, f"use step: {plain(step)}, or less drag, or more mass"
             )
@@ -201,12 +211,12 @@ class BodyLoads:
     def _rates(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
         """Return how fast bodies swing, and spin with what pushes them ``(2, N)``."""
         with np.errstate(all="ignore"):
-            found = self._forces.turning(t, dt, motion)
+            rates = self._forces.turning(t, dt, motion)
             if self._forces.vary:
                 x, v = motion[:, :3], motion[:, 7:10]
                 swings = _swings(*self._forces.slopes(t, x, v), dt)
-                found[0] = np.maximum(found[0], swings)
-        return found
+                rates[0] = np.maximum(rates[0], swings)
+        return rates
 
     def _body(self, number: int) -> str:
         return excerpt(self._bodies.names[self._bodies.dynamic[number]])
@@ -216,19 +226,19 @@ class BodyLoads:
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 
-def _swings(by_place: FloatArray, by_speed: FloatArray, dt: float) -> FloatArray:
+def _swings(by_position: FloatArray, by_speed: FloatArray, dt: float) -> FloatArray:
     """Return how fast what slopes ``(N, 3, 3)`` bring about swings ``(N,)`` [rad/s]."""
     # An upper bound, so that few are looked at.
-    bound = np.sqrt(np.linalg.norm(by_place, axis=(1, 2)))
+    bound = np.sqrt(np.linalg.norm(by_position, axis=(1, 2)))
     bound += np.linalg.norm(by_speed - by_speed.swapaxes(1, 2), axis=(1, 2)) / 2
-    found = np.zeros(len(by_place))
+    swings = np.zeros(len(by_position))
     look = bound * dt > ANGLE
     if look.any():
         matrices = np.zeros((int(look.sum()), 6, 6))
         matrices[:, :3, 3:] = np.eye(3)
-        matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_place[look], by_speed[look]
+        matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_position[look], by_speed[look]
         finite = np.isfinite(matrices).all(axis=(1, 2))
         rates = np.full(len(matrices), np.inf)
         rates[finite] = np.abs(np.linalg.eigvals(matrices[finite]).imag).max(axis=1)
-        found[look] = rates
-    return found
+        swings[look] = rates
+    return swings

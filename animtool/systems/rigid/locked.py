@@ -19,7 +19,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, counted, excerpt, warning
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.systems.rigid.bodies import Bodies
+from animtool.systems.rigid.bodies import RigidBodies
 
 # Motion of a joint that is less than this, over what it could be, is none.
 NONE = 1e-6
@@ -29,8 +29,13 @@ RANK = 1e-9
 MOST = 64
 # Equations of a joint in its first frame by kind, of the way and the turn: those of
 # the others are left free.
-_WAYS = {0: (0, 1, 2), 1: (0, 1, 2), 2: (0, 1, 2), 3: (1, 2)}
-_TURNS: dict[int, tuple[int, ...]] = {0: (0, 1, 2), 1: (1, 2), 2: (), 3: (0, 1, 2)}
+_LOCKED_TRANSLATIONS = {0: (0, 1, 2), 1: (0, 1, 2), 2: (0, 1, 2), 3: (1, 2)}
+_LOCKED_ROTATIONS: dict[int, tuple[int, ...]] = {
+    0: (0, 1, 2),
+    1: (1, 2),
+    2: (),
+    3: (0, 1, 2),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,39 +63,41 @@ def locked_joints(
         frames: Of each the first frame in the world ``(K, 7)`` [m].
         centres: Of N bodies ``(N, 3)`` [m].
     """
-    found = []
+    locked = []
     for loop in _loops(rows, len(centres)):
-        own_bodies = np.setdiff1d(rows[loop, 1:], [-1])
-        own_rows, count = rows[loop], len(own_bodies)
-        places = np.searchsorted(own_bodies, own_rows[:, 1:])
-        own_rows[:, 1:] = np.where(own_rows[:, 1:] < 0, -1, places)
-        around = centres[own_bodies]
+        loop_bodies = np.setdiff1d(rows[loop, 1:], [-1])
+        loop_rows, count = rows[loop], len(loop_bodies)
+        numbers = np.searchsorted(loop_bodies, loop_rows[:, 1:])
+        loop_rows[:, 1:] = np.where(loop_rows[:, 1:] < 0, -1, numbers)
+        around = centres[loop_bodies]
         size = float(np.ptp(np.concatenate([around, frames[loop, :3]]), axis=0).max())
         ones = [
             _equations(row, frames[k], around, size or 1.0)
-            for row, k in zip(own_rows, loop, strict=True)
+            for row, k in zip(loop_rows, loop, strict=True)
         ]
-        free = _null_space([held for held, _ in ones], count)
-        for k, (_, own) in zip(loop, ones, strict=True):
-            left = _left(own, free)
-            if not len(own) or left > NONE:
+        free = _null_space([constraints for constraints, _ in ones], count)
+        for k, (_, motions) in zip(loop, ones, strict=True):
+            left = _left(motions, free)
+            if not len(motions) or left > NONE:
                 continue
             by = []
             for i, other in enumerate(loop):
                 if other != k:
-                    rest = [held for j, (held, _) in enumerate(ones) if j != i]
-                    if _left(own, _null_space(rest, count)) > NONE:
+                    rest = [
+                        constraints for j, (constraints, _) in enumerate(ones) if j != i
+                    ]
+                    if _left(motions, _null_space(rest, count)) > NONE:
                         by.append(other)
-            found.append(Locked(k, tuple(by), left))
-    return found
+            locked.append(Locked(k, tuple(by), left))
+    return locked
 
 
 def locked_notices(
-    rows: IntArray, numbers: FloatArray, names: Sequence[str], bodies: Bodies
+    rows: IntArray, numbers: FloatArray, names: Sequence[str], bodies: RigidBodies
 ) -> list[Fault]:
     """Return a warning for each joint that others keep from moving (SIM172)."""
     start = bodies.start
-    frames = np.array([_frame(start[row[2]], own[7:14]) for row, own in zip(
+    frames = np.array([_frame(start[row[2]], entry[7:14]) for row, entry in zip(
         rows.tolist(), numbers, strict=True)]).reshape(-1, 7)  # fmt: skip
     notices = []
     for one in locked_joints(rows, frames, start[:, :3]):
@@ -108,10 +115,10 @@ def locked_notices(
     return notices
 
 
-def _frame(body: FloatArray, own: FloatArray) -> FloatArray:
+def _frame(body: FloatArray, local: FloatArray) -> FloatArray:
     """Return where a frame of a body is in the world ``(7,)``."""
-    at = body[:3] + so3.rotate(body[3:7], own[:3])
-    return np.concatenate([at, so3.multiply(body[3:7], own[3:])])
+    at = body[:3] + so3.rotate(body[3:7], local[:3])
+    return np.concatenate([at, so3.multiply(body[3:7], local[3:])])
 
 
 def _loops(rows: IntArray, count: int) -> list[list[int]]:
@@ -129,13 +136,15 @@ def _loops(rows: IntArray, count: int) -> list[list[int]]:
     groups: list[tuple[set[int], list[int]]] = []
     for k in sorted(left):
         # What does not move joins nothing.
-        own, joints = {i for i in ends[k] if i < count}, [k]
-        for group in [one for one in groups if one[0] & own]:
+        members, joints = {i for i in ends[k] if i < count}, [k]
+        for group in [one for one in groups if one[0] & members]:
             groups.remove(group)
-            own |= group[0]
+            members |= group[0]
             joints = group[1] + joints
-        groups.append((own, sorted(joints)))
-    return [joints for own, joints in groups if len(joints) > 1 and len(own) <= MOST]
+        groups.append((members, sorted(joints)))
+    return [
+        joints for members, joints in groups if len(joints) > 1 and len(members) <= MOST
+    ]
 
 
 def _equations(
@@ -149,39 +158,43 @@ def _equations(
     kind, first, second = row.tolist()
     axes = so3.to_matrix(frame[3:]).T
 
-    def line(axis: FloatArray, turns: bool) -> tuple[int, int, FloatArray]:
+    def line(axis: FloatArray, rotates: bool) -> tuple[int, int, FloatArray]:
         factors = np.zeros((2, 6))
         for k, (body, sign) in enumerate(((second, 1.0), (first, -1.0))):
             if body < 0:
                 continue
-            if turns:
+            if rotates:
                 factors[k, 3:] = sign * axis
             else:
                 arm = (frame[:3] - centres[body]) / size
                 factors[k, :3], factors[k, 3:] = sign * axis, sign * np.cross(arm, axis)
         return second, first, factors
 
-    held = [line(axes[i], False) for i in _WAYS[kind]]
-    held += [line(axes[i], True) for i in _TURNS[kind]]
-    own = [line(axes[i], False) for i in range(3) if i not in _WAYS[kind]]
-    own += [line(axes[i], True) for i in range(3) if i not in _TURNS[kind]]
-    return held, own
+    constraints = [line(axes[i], False) for i in _LOCKED_TRANSLATIONS[kind]]
+    constraints += [line(axes[i], True) for i in _LOCKED_ROTATIONS[kind]]
+    motions = [
+        line(axes[i], False) for i in range(3) if i not in _LOCKED_TRANSLATIONS[kind]
+    ]
+    motions += [
+        line(axes[i], True) for i in range(3) if i not in _LOCKED_ROTATIONS[kind]
+    ]
+    return constraints, motions
 
 
 def _matrix(lines: Sequence[tuple[int, int, FloatArray]], count: int) -> FloatArray:
-    made = np.zeros((len(lines), 6 * count))
+    matrix = np.zeros((len(lines), 6 * count))
     for k, (second, first, factors) in enumerate(lines):
-        made[k, 6 * second : 6 * second + 6] = factors[0]
+        matrix[k, 6 * second : 6 * second + 6] = factors[0]
         if first >= 0:
-            made[k, 6 * first : 6 * first + 6] = factors[1]
-    return made
+            matrix[k, 6 * first : 6 * first + 6] = factors[1]
+    return matrix
 
 
 def _null_space(
     several: Sequence[Sequence[tuple[int, int, FloatArray]]], count: int
 ) -> FloatArray:
     """Return velocities that all equations leave ``(6N, …)``."""
-    lines = [one for own in several for one in own]
+    lines = [one for joint_lines in several for one in joint_lines]
     if not lines:
         return np.eye(6 * count)
     _, sizes, turned = np.linalg.svd(_matrix(lines, count))
@@ -189,7 +202,9 @@ def _null_space(
     return np.asarray(turned[rank:].T)
 
 
-def _left(own: Sequence[tuple[int, int, FloatArray]], free: FloatArray) -> float:
+def _left(motions: Sequence[tuple[int, int, FloatArray]], free: FloatArray) -> float:
     """Return the most motion of its own that a joint has left."""
     count = len(free) // 6
-    return float(np.linalg.norm(_matrix(own, count) @ free, axis=1).max(initial=0.0))
+    return float(
+        np.linalg.norm(_matrix(motions, count) @ free, axis=1).max(initial=0.0)
+    )

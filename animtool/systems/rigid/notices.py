@@ -14,7 +14,7 @@ from animtool.systems.rigid.shared import RigidState
 # Bodies that begin deeper in each other than this share of their size are a warning.
 DEEP = 0.02
 # What is that deep, over its size, is held from several sides.
-HELD = 0.25
+KEPT_OVERLAP = 0.25
 
 
 def swing_notices(state: RigidState, joints: Joints, step: float) -> Iterator[Fault]:
@@ -55,7 +55,7 @@ def depth_notices(
         message = f"{pair(1)} start {begin:g} m inside each other: "
         message += "they are separated at up to 2 m/s"
         yield warning("SIM126", message, "leave a small gap between them at the start")
-    elif ever > HELD * size:
+    elif ever > KEPT_OVERLAP * size:
         message = f"{pair(0)} penetrated each other by up to {ever:g} m: from "
         message += "several sides, or faster than they separate"
         hint = "leave room between closing bodies, or use shorter steps"

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Mesh
-from animtool.systems.rigid.cores import Core, Solid, core_of, filled
+from animtool.systems.rigid.cores import Core, SolidProperties, core_of, filled
 
 # How much pieces may differ from the mesh, over its size: the usual of coacd.
 THRESHOLD = 0.05
@@ -33,36 +33,36 @@ def pieces_of(mesh: Mesh) -> list[tuple[Mesh, Core]]:
     if not mesh.watertight:
         return []
     points, triangles = mesh.welded()
-    return _taken_apart(points.tobytes(), triangles.tobytes())
+    return _decomposed(points.tobytes(), triangles.tobytes())
 
 
 @lru_cache(maxsize=64)
-def _taken_apart(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Core]]:
+def _decomposed(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Core]]:
     """Return the pieces of points and triangles; one mesh may be asked for often."""
     import coacd
 
     points = np.frombuffer(point_bytes, np.float64).reshape(-1, 3)
     triangles = np.frombuffer(corner_bytes, np.int32).reshape(-1, 3)
     coacd.set_log_level("off")
-    found = coacd.run_coacd(
+    parts = coacd.run_coacd(
         coacd.Mesh(points, triangles),
         threshold=THRESHOLD,
         preprocess_mode="off",
         resolution=SAMPLES,
         seed=0,
     )
-    made = []
-    for own, faces in found:
-        piece = Mesh(np.asarray(own, np.float64), np.asarray(faces), closed=True)
+    pieces = []
+    for vertices, faces in parts:
+        piece = Mesh(np.asarray(vertices, np.float64), np.asarray(faces), closed=True)
         try:
-            made.append((piece, core_of(piece)))
+            pieces.append((piece, core_of(piece)))
         except ValueError:
             # A piece so thin that it has no volume holds nothing up.
             continue
-    return made
+    return pieces
 
 
-def solid_of_mesh(mesh: Mesh) -> Solid:
+def solid_of_mesh(mesh: Mesh) -> SolidProperties:
     """Return what is inside of a watertight mesh, with density 1."""
     points, triangles = mesh.welded()
     inside = filled(points[triangles])
@@ -73,8 +73,8 @@ def solid_of_mesh(mesh: Mesh) -> Solid:
 
 def beyond(mesh: Mesh, cores: Sequence[Core]) -> float:
     """Return how much more volume pieces have than the mesh, over its own [1]."""
-    whole = solid_of_mesh(mesh).volume
-    return sum(_volume(core) for core in cores) / whole - 1
+    volume = solid_of_mesh(mesh).volume
+    return sum(_volume(core) for core in cores) / volume - 1
 
 
 def _volume(core: Core) -> float:

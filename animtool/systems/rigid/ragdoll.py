@@ -25,9 +25,9 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Capsule, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.framework.fields import ColliderEntries
-from animtool.systems.rigid.bodies import Bodies
-from animtool.systems.rigid.joints import NUMBERS, SWING, Joints, seen_by
-from animtool.systems.rigid.kind import Kind, kind_of
+from animtool.systems.rigid.bodies import RigidBodies
+from animtool.systems.rigid.joints import NUMBERS, SWING, Joints, in_principal_axes
+from animtool.systems.rigid.kind import BodyKind, kind_of
 from animtool.systems.rigid.masses import weighed
 from animtool.systems.rigid.spec import BodyModel
 from animtool.systems.rigid.tone import passive, with_digits
@@ -84,9 +84,9 @@ class Ragdoll:
     rig: Rig
     joints: IntArray
     above: IntArray
-    bodies: Bodies
+    bodies: RigidBodies
     frames: FloatArray
-    turns: FloatArray
+    axes: FloatArray
 
 
 def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> Ragdoll:
@@ -100,14 +100,14 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
         capsules = with_digits(rig, world, capsules)
     joints = np.unique(capsules.joints)
     kinds = _kinds(rig, world, capsules, joints, options)
-    turns = so3.split_scale(world.linear[0])[0]
-    poses = [Poses.fixed(world.positions[0, j], turns[j]) for j in joints]
+    rotations = so3.split_scale(world.linear[0])[0]
+    poses = [Poses.fixed(world.positions[0, j], rotations[j]) for j in joints]
     count = len(joints)
-    bodies = Bodies(
+    bodies = RigidBodies(
         kinds, rig.names, np.arange(count), np.ones(count, np.bool_), poses, 0.0
     )
-    frames, own = _frames(rig, world.positions[0], turns, joints)
-    return Ragdoll(rig, joints, _above(rig, joints), bodies, frames, own)
+    frames, axes = _frames(rig, world.positions[0], rotations, joints)
+    return Ragdoll(rig, joints, _above(rig, joints), bodies, frames, axes)
 
 
 def _kinds(
@@ -116,11 +116,11 @@ def _kinds(
     capsules: Capsules,
     joints: IntArray,
     options: RagdollOptions,
-) -> list[Kind]:
+) -> list[BodyKind]:
     """Return what the colliders of each joint weigh, as a body (SIM062)."""
     _, ends = capsules.turned(world)
     sizes = capsules.sizes(world)
-    kinds: list[Kind] = []
+    kinds: list[BodyKind] = []
     for j in joints.tolist():
         shapes = []
         for c in np.flatnonzero(capsules.joints == j).tolist():
@@ -147,20 +147,20 @@ def _kinds(
         kinds = weighed(rig, world, joints, kinds)
     if options.mass is None:
         return kinds
-    share = options.mass / sum(kind.mass for kind in kinds)
+    factor = options.mass / sum(kind.mass for kind in kinds)
     return [
-        replace(kind, mass=kind.mass * share, moments=kind.moments * share)
+        replace(kind, mass=kind.mass * factor, moments=kind.moments * factor)
         for kind in kinds
     ]
 
 
 def _above(rig: Rig, joints: IntArray) -> IntArray:
     """Return the body that each hangs on, -1 for none ``(N,)``."""
-    place = {int(j): i for i, j in enumerate(joints)}
+    numbers = {int(j): i for i, j in enumerate(joints)}
     above = np.full(len(joints), -1)
     tops: dict[int, int] = {}
     for i, j in enumerate(joints.tolist()):
-        over = [place[k] for k in rig.upwards(j)[1:] if k in place]
+        over = [numbers[k] for k in rig.upwards(j)[1:] if k in numbers]
         # Branches below a joint that is no body hang on the first of them.
         above[i] = over[0] if over else tops.setdefault(movable(rig, j), i)
         if above[i] == i:
@@ -169,25 +169,25 @@ def _above(rig: Rig, joints: IntArray) -> IntArray:
 
 
 def _frames(
-    rig: Rig, positions: FloatArray, turns: FloatArray, joints: IntArray
+    rig: Rig, positions: FloatArray, rotations: FloatArray, joints: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return frames of joints at rest ``(N, 7)``, and their own axes there ``(N, 4)``.
 
     Where all joints are: ``(J, 3)`` [m] and ``(J, 4)``.
     """
-    frames, own = np.zeros((len(joints), 7)), np.zeros((len(joints), 4))
+    frames, axes = np.zeros((len(joints), 7)), np.zeros((len(joints), 4))
     for i, j in enumerate(joints.tolist()):
         joint = rig.joints[j]
-        own[i] = _axes(joint)
-        at, turn = np.zeros(3), so3.IDENTITY
+        axes[i] = _axes(joint)
+        at, rotation = np.zeros(3), so3.IDENTITY
         if joint.parent >= 0:
-            at, turn = positions[joint.parent], turns[joint.parent]
-        rest = so3.multiply(turn, np.array(joint.rotation))
+            at, rotation = positions[joint.parent], rotations[joint.parent]
+        rest = so3.multiply(rotation, np.array(joint.rotation))
         frames[i, :3] = positions[j]
         if joint.type is JointType.PRISMATIC:
-            frames[i, :3] = at + so3.rotate(turn, np.array(joint.translation))
-        frames[i, 3:] = so3.multiply(rest, own[i])
-    return frames, own
+            frames[i, :3] = at + so3.rotate(rotation, np.array(joint.translation))
+        frames[i, 3:] = so3.multiply(rest, axes[i])
+    return frames, axes
 
 
 def movable(rig: Rig, joint: int) -> int:
@@ -215,31 +215,36 @@ def joints_of_rig(
     """Return the joints between bodies; ``targets`` are numbers of drives at a time."""
     rig, bodies = ragdoll.rig, ragdoll.bodies
     hung = np.flatnonzero(ragdoll.above >= 0)
-    own = _passive(ragdoll, options)
+    tone = _passive(ragdoll, options)
     aims = targets(0.0) if options.tone else None
     rows, numbers = [], []
     for i in hung.tolist():
         joint = rig.joints[ragdoll.joints[i]]
         pose = bodies.poses[i].at(0.0)
-        frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.turns[i])])
+        frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.axes[i])])
         above = int(ragdoll.above[i])
         rows.append((_TYPES[joint.type], above, i))
-        drive = [options.stiffness + own[i, 0], options.damping + own[i, 1], -1.0, 0.0]
+        drive = [
+            options.stiffness + tone[i, 0],
+            options.damping + tone[i, 1],
+            -1.0,
+            0.0,
+        ]
         aim = [0.0, *so3.IDENTITY] if aims is None else aims[i]
-        on_a = seen_by(bodies, above, ragdoll.frames[i])
-        on_b = seen_by(bodies, i, frame)
+        on_a = in_principal_axes(bodies, above, ragdoll.frames[i])
+        on_b = in_principal_axes(bodies, i, frame)
         numbers.append([*on_a, *on_b, *_limits(joint), *aim, *drive])
-    made = np.array(numbers, np.float64).reshape(-1, NUMBERS)
+    table = np.array(numbers, np.float64).reshape(-1, NUMBERS)
 
     def driven(t: float) -> FloatArray:
-        now: FloatArray = made.copy()
+        now: FloatArray = table.copy()
         now[:, 18:23] = targets(t)[hung]
         return now
 
     joined = np.array([row[1:] for row in rows], np.int64).reshape(-1, 2)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
-        made,
+        table,
         [Poses()] * len(hung),
         pairs=joined,
         others=_overlapping(ragdoll),
@@ -253,12 +258,12 @@ def _passive(ragdoll: Ragdoll, options: RagdollOptions) -> FloatArray:
     bodies, rig = ragdoll.bodies, ragdoll.rig
     if not options.tone:
         return np.zeros((len(ragdoll.joints), 2))
-    own = passive(
+    tone = passive(
         ragdoll.above, bodies.masses, bodies.start[:, :3], ragdoll.frames[:, :3]
     )
     turning = [rig.joints[j].type is not JointType.PRISMATIC for j in ragdoll.joints]
     shares = np.array([options.tone, np.sqrt(options.tone)])
-    return np.asarray(own * shares * np.array(turning)[:, None])
+    return np.asarray(tone * shares * np.array(turning)[:, None])
 
 
 def _limits(joint: Joint) -> list[float]:
@@ -278,13 +283,13 @@ def _overlapping(ragdoll: Ragdoll) -> IntArray:
     for kind, poses in zip(ragdoll.bodies.kinds, ragdoll.bodies.poses, strict=True):
         pose = poses.at(0.0)
         placed.append([core.placed(pose[:3], pose[3:]) for core in kind.cores])
-    share = np.linspace(0, 1, 9)[:, None]
+    fraction = np.linspace(0, 1, 9)[:, None]
 
     def line(points: FloatArray) -> FloatArray:
-        way: FloatArray = points[0] + share * (points[-1] - points[0])
-        return way
+        samples: FloatArray = points[0] + fraction * (points[-1] - points[0])
+        return samples
 
-    found = []
+    pairs = []
     for i, j in combinations(range(len(placed)), 2):
         gaps = [
             np.linalg.norm(line(a.points)[:, None] - line(b.points), axis=2).min()
@@ -294,5 +299,5 @@ def _overlapping(ragdoll: Ragdoll) -> IntArray:
             for b in placed[j]
         ]
         if min(gaps) < 0:
-            found.append((i, j))
-    return np.array(found, np.int64).reshape(-1, 2)
+            pairs.append((i, j))
+    return np.array(pairs, np.int64).reshape(-1, 2)

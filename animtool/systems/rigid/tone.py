@@ -14,7 +14,7 @@ from animtool.sim.colliders.on_joints import Capsules
 
 # Of the torque that the weight of what hangs on a joint has on it when it is level, the
 # share that tone has a radian away from the pose; and the damping ratio of that spring.
-SHARE, RATIO = 0.15, 0.35
+STIFFNESS_FRACTION, DAMPING_RATIO = 0.15, 0.35
 GRAVITY = 9.81  # [m/s²]
 # Radius of a finger over the mean length of its bones; how much longer the last one is
 # than the bone above, where no joint ends it.
@@ -97,6 +97,6 @@ def passive(
             weights[above[i]] += weights[i]
             firsts[above[i]] += firsts[i]
     arms = np.linalg.norm(firsts / weights[:, None] - pivots, axis=1)
-    stiffness = SHARE * weights * GRAVITY * arms
-    damping = 2 * RATIO * np.sqrt(stiffness * weights) * arms
+    stiffness = STIFFNESS_FRACTION * weights * GRAVITY * arms
+    damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * weights) * arms
     return np.stack([stiffness, damping], axis=1)

@@ -15,7 +15,12 @@ from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.rules import rules_of, wrapping
 from animtool.systems.flocks.spacing import Spacing
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
-from animtool.systems.flocks.steering import avoidance, kept_speeds, own_ways, steered
+from animtool.systems.flocks.steering import (
+    avoidance,
+    kept_speeds,
+    goal_accelerations,
+    steered,
+)
 
 
 def members(*species: dict[str, Any], count: int = 1, goals: int = 0) -> Members:
@@ -32,7 +37,7 @@ def members(*species: dict[str, Any], count: int = 1, goals: int = 0) -> Members
 
 def ways(x: list[float], v: list[float], goals: int = 0, **keys: Any) -> np.ndarray:
     own = members(keys, goals=goals)
-    return own_ways(own, 0.0, np.array([x], float), np.array([v], float))[0]
+    return goal_accelerations(own, 0.0, np.array([x], float), np.array([v], float))[0]
 
 
 @pytest.mark.parametrize(("speed", "gain"), [(2.0, 3.0), (3.0, 0.0), (5.0, -24.0)])
@@ -59,7 +64,7 @@ def test_a_goal_pulls_by_what_is_beyond_its_radius(
 ) -> None:
     quiet = {"weight": 0}
     own = members({"speed": quiet, "goals": [{"at": [1, 0, 0], **goal}]}, goals=1)
-    found = own_ways(own, 0.0, np.array([[x, 0.0, 0.0]]), np.zeros((1, 3)))
+    found = goal_accelerations(own, 0.0, np.array([[x, 0.0, 0.0]]), np.zeros((1, 3)))
     assert_allclose(found, [[pull, 0, 0]], atol=1e-12)
 
 

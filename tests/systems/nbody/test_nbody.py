@@ -19,7 +19,7 @@ from animtool.sim.colliders import Poses
 from animtool.systems.framework.matter import Bodies
 from animtool.systems.framework.run import Reached, SimulationRun
 from animtool.systems.nbody.galaxies import (
-    Profile,
+    MassProfile,
     build_galaxy,
     disc_velocities,
     enclosed,
@@ -77,7 +77,7 @@ def test_the_rotation_curve_is_that_of_its_mass() -> None:
         | {"halo": {**HALO, "count": 8000}, "bulge": {**BULGE, "count": 2000}}
     )
     made = build_galaxy(galaxy, 2.0, 0.05)
-    profile = Profile(galaxy, 2.0, 0.05)
+    profile = MassProfile(galaxy, 2.0, 0.05)
     from animtool import _kernels
 
     pulls = _kernels.gravity(made.points, made.masses, 2.0, 0.05, 1e-3)[0]
@@ -263,9 +263,9 @@ def test_a_galaxy_is_where_its_centre_of_mass_is() -> None:
         assert np.abs(each[0]).max() > 1e-3
 
 
-def profile_of(softening: float = 0.0, **parts: Any) -> Profile:
+def profile_of(softening: float = 0.0, **parts: Any) -> MassProfile:
     galaxy = GalaxyModel.model_validate({"name": "it", "nucleus": 0, **parts})
-    return Profile(galaxy, 2.0, softening)
+    return MassProfile(galaxy, 2.0, softening)
 
 
 def test_spheroids_have_the_mass_and_the_dispersion_of_their_profile() -> None:

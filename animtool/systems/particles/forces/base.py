@@ -56,18 +56,18 @@ class Force(ABC):
         ``(N, 3, 3)`` [N/m] and [kg/s]; here by differences, and 0 of pairs. They need
         not be exact: methods are stable where they are as steep as the force.
         """
-        by_place, by_speed = np.zeros((2, len(x), 3, 3))
+        by_position, by_speed = np.zeros((2, len(x), 3, 3))
         if self.pairs:
-            return by_place, by_speed
+            return by_position, by_speed
         for k in range(3):
             off = np.zeros_like(x)
             off[:, k] = DIFFERENCE * np.maximum(np.abs(x).max(axis=1), 1.0)
             far, near = (self.force(t, x + s * off, v, particles) for s in (1, -1))
-            by_place[:, :, k] = (far - near) / (2 * off[:, k, None])
+            by_position[:, :, k] = (far - near) / (2 * off[:, k, None])
             off[:, k] = DIFFERENCE * np.maximum(np.abs(v).max(axis=1), 1.0)
             far, near = (self.force(t, x, v + s * off, particles) for s in (1, -1))
             by_speed[:, :, k] = (far - near) / (2 * off[:, k, None])
-        return by_place, by_speed
+        return by_position, by_speed
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
         """Return energies ``(N,)`` [J], None of a force that has none."""

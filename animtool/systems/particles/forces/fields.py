@@ -66,14 +66,14 @@ class Turbulence(Force):
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        found = np.zeros_like(x)
+        noise = np.zeros_like(x)
         for octave in range(self.octaves):
             finer = 2.0**octave
-            places = x * (finer / self.size)
+            lattice = x * (finer / self.size)
             times = np.broadcast_to(np.asarray(t, np.float64), len(x)) * self.change
             seed = (self.seed + octave) % 2**64
-            found += _kernels.curl_noise(places, times * finer, seed) / finer
-        return found * (self.strength * particles.masses[:, None])
+            noise += _kernels.curl_noise(lattice, times * finer, seed) / finer
+        return noise * (self.strength * particles.masses[:, None])
 
     def slopes(
         self,
@@ -130,11 +130,11 @@ class Charges(Force):
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        found = np.zeros_like(x)
+        fields = np.zeros_like(x)
         for first in range(0, len(x), _ROWS):
             rows = slice(first, first + _ROWS)
             off = x[rows, None] - x
             squared = (off * off).sum(axis=2) + self.softening**2
             weights = particles.charges / squared**1.5
-            found[rows] = (off * weights[:, :, None]).sum(axis=1)
-        return found * (self.constant * particles.charges[:, None])
+            fields[rows] = (off * weights[:, :, None]).sum(axis=1)
+        return fields * (self.constant * particles.charges[:, None])

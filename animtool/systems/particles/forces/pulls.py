@@ -98,10 +98,10 @@ class Central(Force):
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""
-        found = super().faults()
+        faults = super().faults()
         if self.power < 1 and not self.softening > 0:
-            found.append(("softening", "must be above 0 if the power is below 1"))
-        return found
+            faults.append(("softening", "must be above 0 if the power is below 1"))
+        return faults
 
 
 @dataclass(frozen=True)
@@ -131,17 +131,17 @@ class Spring(Force):
         """Return how it grows with positions and velocities: see `Force`."""
         unit = np.eye(3)
         off = x - self._anchors(particles)
-        whole = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
+        stiffness = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
         if self.rest == 0 and self.kd == 0:
-            return whole, np.zeros_like(whole)
+            return stiffness, np.zeros_like(stiffness)
         length = np.linalg.norm(off, axis=1)[:, None]
         along = np.divide(off, length, out=np.zeros_like(off), where=length > 0)
         outer = along[:, :, None] * along[:, None]
         short = np.divide(
             self.rest, length, out=np.zeros_like(length), where=length > 0
         )
-        by_place = whole + self.k * short[:, :, None] * (unit - outer)
-        return by_place, -self.kd * outer
+        by_position = stiffness + self.k * short[:, :, None] * (unit - outer)
+        return by_position, -self.kd * outer
 
     def _anchors(self, particles: ParticleState) -> FloatArray:
         return particles.origins if self.anchor is None else np.asarray(self.anchor)
@@ -173,11 +173,11 @@ class Propulsion(Force):
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        way = v
+        heading = v
         if self.direction is not None:
-            way = np.broadcast_to(np.asarray(self.direction, np.float64), x.shape)
-        length = np.linalg.norm(way, axis=1)[:, None]
-        along = np.divide(way, length, out=np.zeros_like(x), where=length > 0)
+            heading = np.broadcast_to(np.asarray(self.direction, np.float64), x.shape)
+        length = np.linalg.norm(heading, axis=1)[:, None]
+        along = np.divide(heading, length, out=np.zeros_like(x), where=length > 0)
         burns = (t - particles.births <= self.duration)[:, None]
         return np.asarray(self.thrust * along * burns)
 
@@ -194,7 +194,7 @@ class Propulsion(Force):
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""
-        found = super().faults()
+        faults = super().faults()
         if self.direction is not None and not any(self.direction):
-            found.append(("direction", "must not be all 0"))
-        return found
+            faults.append(("direction", "must not be all 0"))
+        return faults

@@ -58,7 +58,7 @@ class Disc(_Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class SpherePlace(_Checked):
+class SphereShape(_Checked):
     """A ball.
 
     Attributes:
@@ -83,7 +83,7 @@ class SpherePlace(_Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class BoxPlace(_Checked):
+class BoxShape(_Checked):
     """A box about the origin.
 
     Attributes:
@@ -112,8 +112,8 @@ class MeshSurface:
 
     def points(self, chances: FloatArray) -> Placed:
         """Return points, evenly by area."""
-        places, corners = self.mesh.welded()
-        a, b, c = places[corners].swapaxes(0, 1)
+        welded, corners = self.mesh.welded()
+        a, b, c = welded[corners].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
         areas = np.linalg.norm(normals, axis=1)
         ends = np.cumsum(areas)
@@ -131,14 +131,14 @@ class MeshSurface:
         return self.mesh.faults()
 
 
-Place: TypeAlias = Point | Disc | SpherePlace | BoxPlace | MeshSurface
+EmitterShape: TypeAlias = Point | Disc | SphereShape | BoxShape | MeshSurface
 
 
 # What entries of places name; a mesh becomes its surface.
-PLACES: dict[str, type[Any]] = {
-    "box": BoxPlace,
+EMITTER_SHAPES: dict[str, type[Any]] = {
+    "box": BoxShape,
     "disc": Disc,
     "mesh": Mesh,
     "point": Point,
-    "sphere": SpherePlace,
+    "sphere": SphereShape,
 }
