@@ -29,10 +29,10 @@ from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (
     FINER,
     Figure,
-    TrialOutcome,
     Setting,
     Snapshot,
     Trial,
+    TrialOutcome,
     ladder,
     stepwise,
 )

@@ -19,10 +19,10 @@ from animtool.scene.solves.ik import IkJob, open_ik
 from animtool.sim.trials.trial import (
     ErrorMeasure,
     Figure,
-    TrialOutcome,
     Setting,
     Snapshot,
     Trial,
+    TrialOutcome,
 )
 
 # Shares of the chains' length, and radians.

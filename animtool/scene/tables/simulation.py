@@ -34,10 +34,10 @@ from animtool.sim.trials.trial import (
     COARSER,
     FINER,
     Figure,
-    TrialOutcome,
     Setting,
     Snapshot,
     Trial,
+    TrialOutcome,
 )
 from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
 from animtool.systems.attach.settings import SimulateOptions

@@ -34,12 +34,12 @@ from animtool.scene.bake.reading import Source, source_file
 from animtool.scene.sources.open import OpenTake, source_stem
 from animtool.sim.trials.trial import (
     CostMeasure,
-    PointDistances,
     ErrorMeasure,
-    TrialOutcome,
+    PointDistances,
     Setting,
     Snapshot,
     Trial,
+    TrialOutcome,
     extent_of,
 )
 from animtool.usd.rigs.skinned import played_world

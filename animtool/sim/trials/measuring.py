@@ -17,12 +17,12 @@ from animtool.sim.trajectory import Status
 from animtool.sim.trials.costs import Cost, best_of, cheapest_of, recommended_of
 from animtool.sim.trials.trial import (
     CostMeasure,
-    PointDistances,
     ErrorMeasure,
     Figure,
-    TrialOutcome,
+    PointDistances,
     Setting,
     Trial,
+    TrialOutcome,
     distances,
     extent_of,
     observed_order,

@@ -1,4 +1,4 @@
-"""Who is in a crowd: where agents begin, what they like, and where they go."""
+"""Agents of a crowd: start positions, preferred speeds and routes."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ ENOUGH = 0.004
 
 @dataclass(frozen=True)
 class Agents:
-    """N agents of some populations, in the frame of the ground.
+    """N agents of several populations, in the frame of the ground.
 
     Attributes:
         starts: x and z that they begin at ``(N, 2)`` [m].
@@ -76,31 +76,31 @@ class Agents:
     chances: FloatArray
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of agents."""
         return len(self.starts)
 
     @cached_property
     def kinds(self) -> IntArray:
-        """Return the number of each one's population ``(N,)``."""
+        """Return each agent's population index ``(N,)``."""
         counts = np.diff([0, *self.ends])
         return np.repeat(np.arange(len(self.populations)), counts)
 
     def each(self, values: Sequence[float]) -> FloatArray:
-        """Return a value of each one's population ``(N,)``."""
+        """Return a per-population value for each agent ``(N,)``."""
         return np.asarray(values, np.float64)[self.kinds]
 
     @cached_property
     def radii(self) -> FloatArray:
-        """Return the radius of each ``(N,)`` [m]."""
+        """Return each agent's radius ``(N,)`` [m]."""
         return self.each([one.radius for one in self.populations])
 
     @cached_property
     def heights(self) -> FloatArray:
-        """Return how tall each is ``(N,)`` [m]."""
+        """Return each agent's height ``(N,)`` [m]."""
         return self.each([one.height for one in self.populations])
 
     def named(self, i: int) -> str:
-        """Return an agent, for messages."""
+        """Return an agent's name, for messages."""
         kind = int(self.kinds[i])
         first = [0, *self.ends][kind]
         return f"agent {i - first} of {self.populations[kind].name!r}"
@@ -108,7 +108,7 @@ class Agents:
 
 @dataclass(frozen=True, slots=True)
 class AgentMotion:
-    """How N agents go at a time."""
+    """Positions, velocities and headings of N agents at a time."""
 
     points: FloatArray  # x and z (N, 2) [m]
     velocities: FloatArray  # (N, 2) [m/s]
@@ -118,7 +118,7 @@ class AgentMotion:
 def agents_of(
     spec: CrowdsModel, parts: Sequence[Mapping[str, Any]], begin: float, frame: Frame
 ) -> tuple[Agents, list[Fault]]:
-    """Return the agents of a spec; who begins in another is moved (SIM147)."""
+    """Return the agents of a spec; overlapping ones are separated (SIM147)."""
     _check(spec)
     drawn = [
         _drawn(one, part, begin, frame)
@@ -154,7 +154,7 @@ def agents_of(
 
 
 def _separated(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]:
-    """Return agents none of which begins in another.
+    """Return agents moved until none overlap at the start.
 
     Those whose places a file gives are named.
     """
@@ -191,7 +191,7 @@ def _separated(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fau
 def separated(
     agents: Agents, x: FloatArray, starts: npt.NDArray[np.int32], walls: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return agents at x and z ``(N, 2)`` moved apart, and the overlap left [m].
+    """Return x and z ``(N, 2)`` without overlaps, and the overlap that remains [m].
 
     ``walls`` are as the kernel has them, those of each agent behind its start.
     """
@@ -211,7 +211,7 @@ def separated(
 def _drawn(
     population: PopulationModel, parts: Mapping[str, Any], begin: float, frame: Frame
 ) -> tuple[Any, ...]:
-    """Return starts and what else `Agents` has of a population, its groups last."""
+    """Return start positions and other sampled fields of a population, groups last."""
     points = parts.get("points")
     if points is not None and (
         points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all()
@@ -268,7 +268,7 @@ def _circle(angles: FloatArray) -> FloatArray:
 
 
 def _check(spec: CrowdsModel) -> None:
-    """Refuse keys that do not fit together (SIM145)."""
+    """Refuse invalid combinations of keys (SIM145)."""
     refuse_all("SIM145", _problems(spec))
 
 

@@ -1,4 +1,4 @@
-"""Where a crowd begins: its ground, agents out of obstacles, goals that they reach."""
+"""Initial state of a crowd: its ground, clear start positions, reachable goals."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOVES = 20
 def outside(
     agents: Agents, grid: NavGrid | None, obstacles: Obstacles, begin: float
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return where agents begin out of obstacles, and who was moved (SIM148)."""
+    """Return start positions clear of obstacles, and who was moved (SIM148)."""
     x, notices = agents.starts, list[Fault]()
     count = len(agents)
     if grid is not None and count and grid.free.any():
@@ -52,7 +52,7 @@ def outside(
 def unreachable(
     spec: CrowdsModel, agents: Agents, steering: Steering, start: FloatArray
 ) -> list[Fault]:
-    """Return warnings of goals that no way leads to (SIM146)."""
+    """Return warnings of goals that no path leads to (SIM146)."""
     grid, faults = steering.grid, list[Fault]()
     if grid is None or not grid.free.any():
         return []
@@ -77,7 +77,7 @@ def unreachable(
 
 
 def along_ground(frame: Frame, direction: Sequence[float]) -> FloatArray:
-    """Return a direction of the world along the ground ``(2,)``, of length 1."""
+    """Return a world direction projected on the ground ``(2,)``, normalised."""
     flat = frame.turned_back(np.array(direction, float))[[0, 2]]
     size = float(np.linalg.norm(flat))
     if not size > 0:
@@ -87,7 +87,7 @@ def along_ground(frame: Frame, direction: Sequence[float]) -> FloatArray:
 
 
 def ground_of(context: SimContext) -> tuple[Frame, Terrain]:
-    """Return where the ground is, and what it is."""
+    """Return the frame of the ground, and its terrain."""
     parts = context.parts["ground"]
     poses, shape, mesh = parts["poses"], parts.get("shape"), parts.get("mesh")
     if len(poses.sample_times) > 1:

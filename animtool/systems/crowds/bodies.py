@@ -1,4 +1,4 @@
-"""Bodies of agents in steps: what gaits they are in, feet that stay where they stand.
+"""Locomotion of agents' bodies: gait blending and planted feet.
 
 All is in the frame of the ground; a body has x to its left and z ahead.
 """
@@ -51,11 +51,11 @@ SPUN = 0.8
 
 @dataclass(frozen=True)
 class AgentBodies(Footing):
-    """What moves the bodies of N agents."""
+    """Steps the bodies of N agents."""
 
     @cached_property
     def moves(self) -> IntArray:
-        """Return the joints that clips and legs turn, ascending ``(M,)``."""
+        """Return the joints that gaits or leg IK rotate, ascending ``(M,)``."""
         gaits = self.gaits
         rest = gaits.walker.rig.rest_rotations
         tables = [
@@ -68,19 +68,19 @@ class AgentBodies(Footing):
 
     @cached_property
     def trunk(self) -> Trunk:
-        """Return what turns shoulders."""
+        """Return the joints that rotate the shoulders."""
         return Trunk.of(self.gaits.walker.person)
 
     @cached_property
     def tables(self) -> tuple[list[FloatArray], FloatArray]:
-        """Return the turns of `moves` of who walks, by gait, and of who stands."""
+        """Return rotations of `moves` by gait, and of the idle."""
         gaits = self.gaits
         return [
             one.rotations[:, self.moves] for one in gaits.moving
         ], gaits.idle.rotations[:, self.moves]
 
     def first(self, going: AgentMotion, chances: FloatArray) -> BodyState:
-        """Return bodies that stand ``(N,)``, as random numbers ``(N,)`` have it."""
+        """Return bodies standing at the start, from random numbers ``(N,)``."""
         count = len(chances)
         paces = np.zeros((count, 3))
         blend = self.blend(paces)
@@ -102,7 +102,7 @@ class AgentBodies(Footing):
         )
 
     def blend(self, paces: FloatArray) -> Blend:
-        """Return what agents play that go and turn as fast ``(N, 3)``."""
+        """Return gait weights at the agents' speeds and yaw rates ``(N, 3)``."""
         moving, leg = self.gaits.moving, self.gaits.walker.leg
         speeds, around, leftward = (
             paces[:, 0] / self.scales,
@@ -144,7 +144,7 @@ class AgentBodies(Footing):
         dt: float,
         hit: BoolArray | None = None,
     ) -> BodyState:
-        """Return bodies a step [s] later; feet land and lift at their moments in it.
+        """Return bodies after a step [s]; feet land and lift within it.
 
         ``hit``: whom something hit ``(N,)``.
         """
@@ -219,7 +219,7 @@ class AgentBodies(Footing):
         blend: Blend,
         dt: float,
     ) -> BodyState:
-        """Return bodies whose feet landed where legs reach, and hips lowered for it."""
+        """Return bodies with feet moved into reach, and hips lowered for them."""
         stances = self._stances(state, going, state.phases, blend)
         footholds = state.places.copy()
         leg = self.gaits.walker.leg
@@ -242,13 +242,13 @@ class AgentBodies(Footing):
 
     @cached_property
     def reach(self) -> Reach:
-        """Return how far legs reach."""
+        """Return the reach of the legs."""
         return Reach.of(self.gaits)
 
     def pitches(
         self, k: int, begins: FloatArray, blend: Blend, standing: FloatArray
     ) -> FloatArray:
-        """Return how far heels of feet that stand are up ``(N,)`` [rad]."""
+        """Return heel pitches of planted feet ``(N,)`` [rad]."""
         stood = np.clip(begins / blend.stands[:, k], 0.0, 1.0) * (PHASES - 1)
         pitch = np.zeros(len(begins))
         for weight, one in zip(blend.weights.T, self.gaits.moving, strict=True):
@@ -258,7 +258,7 @@ class AgentBodies(Footing):
     def _stances(
         self, state: BodyState, going: AgentMotion, phases: FloatArray, blend: Blend
     ) -> Stances:
-        """Return how feet stand of bodies in phases."""
+        """Return the stance of feet at given phases."""
         feet = np.zeros((len(phases), 2, 4))
         off = turned(
             state.places[..., :2] - going.points[:, None], -going.headings[:, None]
@@ -283,7 +283,7 @@ class AgentBodies(Footing):
     def _reacting(
         self, reacts: FloatArray, dt: float, hit: BoolArray | None
     ) -> FloatArray:
-        """Return since when bodies react a step later ``(N,)`` [s]."""
+        """Return the time since each reaction began, after a step ``(N,)`` [s]."""
         if not self.gaits.reactions:
             return reacts
         period = self.gaits.reactions[0].period
@@ -299,7 +299,7 @@ class AgentBodies(Footing):
         off: BoolArray,
         going: AgentMotion,
     ) -> FloatArray:
-        """Return phases ``(N,)``: who begins lifts the foot that is farther behind."""
+        """Return phases ``(N,)``; starters lift the foot that is farther back."""
         back = self.stands(going, blend) - state.places
         along = turned(back[..., :2], -going.headings[:, None])[..., 1]
         score = along + np.where(off, 10.0, 0.0)
@@ -317,7 +317,7 @@ class AgentBodies(Footing):
         footholds: FloatArray,
         swings: FloatArray,
     ) -> None:
-        """Let a foot of each body lift, swing and land in a step, in place."""
+        """Lift, swing and land a foot of each body in a step, in place."""
         begin = (phases - 0.5 * k) % 1.0
         end = begin + change
         stands = blend.stands[:, k]
@@ -337,7 +337,7 @@ class AgentBodies(Footing):
 
 
 def _weights(points: FloatArray, known: FloatArray) -> FloatArray:
-    """Return parts of gaits ``(N, G)`` by gradient bands (Johansen, 2009).
+    """Return gait weights ``(N, G)`` by gradient-band interpolation (Johansen, 2009).
 
     ``points`` ``(N, 2)`` are among those of the gaits ``(G, 2)``.
     """

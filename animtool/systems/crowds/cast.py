@@ -1,4 +1,4 @@
-"""Agents with bodies: which has which rig, and the characters that they show."""
+"""Characters of a crowd: agents grouped by rig, and the poses they show."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.motion.frames import Cast, CharactersFrame
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.crowds.agents import Agents, AgentMotion
+from animtool.systems.crowds.agents import AgentMotion, Agents
 from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.footing import BodyState, Heights
 from animtool.systems.crowds.gaits import Gaits
@@ -30,7 +30,7 @@ LIFTED, LANDING = 0.08, 0.78
 
 @dataclass(frozen=True)
 class CastGroup:
-    """Agents of one rig, and what they show."""
+    """Agents that share a rig, and their character."""
 
     agents: IntArray  # which agents (n,)
     bodies: AgentBodies
@@ -39,7 +39,7 @@ class CastGroup:
 
 @dataclass(frozen=True)
 class Casting:
-    """The bodies of N agents, by rig."""
+    """The bodies of N agents, grouped by rig."""
 
     groups: Sequence[CastGroup]
     order: IntArray  # of the agents, those of one rig after those of another (N,)
@@ -52,7 +52,7 @@ class Casting:
         *,
         falls: bool,
     ) -> Casting:
-        """Return bodies of agents, of the gaits of each population; some may fall."""
+        """Return bodies for agents, from their populations' gaits; some may fall."""
         distinct = list(dict.fromkeys(sources))
         which = np.array([distinct.index(one) for one in sources])[agents.kinds]
         groups = []
@@ -64,7 +64,7 @@ class Casting:
         return Casting(groups, order)
 
     def first(self, going: AgentMotion, chances: FloatArray) -> BodyState:
-        """Return the bodies of agents at the beginning."""
+        """Return the initial bodies of all agents."""
         return self._joined(
             [
                 g.bodies.first(part(going, g.agents), chances[g.agents])
@@ -80,7 +80,7 @@ class Casting:
         dt: float,
         hit: BoolArray,
     ) -> BodyState:
-        """Return the bodies of agents a step [s] later; some were hit ``(N,)``."""
+        """Return the bodies after a step [s]; some were hit ``(N,)``."""
         return self._joined(
             [
                 g.bodies.next(
@@ -95,7 +95,7 @@ class Casting:
         )
 
     def _joined(self, states: Sequence[BodyState]) -> BodyState:
-        """Return states of all rigs as one, in the order of the agents."""
+        """Return the states of all rigs joined, in agent order."""
         back = np.argsort(self.order)
         return BodyState(
             *(
@@ -106,7 +106,7 @@ class Casting:
 
     @property
     def rigs(self) -> list[Rig]:
-        """Return the rig of each agent."""
+        """Return each agent's rig."""
         rigs = [self.groups[0].cast.rig] * len(self.order)
         for group in self.groups:
             for i in group.agents.tolist():
@@ -121,7 +121,7 @@ class Casting:
         ground: Heights,
         i: int,
     ) -> WorldTransforms:
-        """Return where the joints of an agent are in the world, one frame."""
+        """Return an agent's joints in the world, one frame."""
         group = next(one for one in self.groups if i in one.agents)
         row, rig = np.array([i]), group.cast.rig
         bodies = replace(
@@ -152,7 +152,7 @@ class Casting:
         primvars: Mapping[str, Any],
         fallen: Mapping[int, tuple[FloatArray, FloatArray]],
     ) -> CharactersFrame:
-        """Return what agents show.
+        """Return the characters at a time.
 
         Args:
             state: Of their bodies.
@@ -215,7 +215,7 @@ def part(record: Any, rows: IntArray) -> Any:
 
 
 def _cast(bodies: AgentBodies, *, falls: bool) -> Cast:
-    """Return the rig of bodies, and what those do alike who stand on level ground."""
+    """Return the character of a group, with the pose that idle agents share."""
     gaits = bodies.gaits
     period = 2 * gaits.idle.period if len(gaits.idle.rotations) > 1 else 0.0
     count = max(round(period * STANDING_RATE), 1)
@@ -239,5 +239,5 @@ def _cast(bodies: AgentBodies, *, falls: bool) -> Cast:
 
 
 def _level(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return level ground."""
+    """Return flat ground."""
     return np.zeros(len(points)), np.tile([0.0, 1.0, 0.0], (len(points), 1))

@@ -1,4 +1,4 @@
-"""A crowd as a simulation: steps of agents, looked at as points or meshes."""
+"""Crowd simulation: agents stepped over time, shown as points or meshes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from animtool.systems.framework.simulation import Diagnostics, SimContext
 if TYPE_CHECKING:
     from animtool.rig.kinematics import WorldTransforms
     from animtool.systems.crowds.cast import Casting
-    from animtool.systems.crowds.falls import FallSimulator, Falls
+    from animtool.systems.crowds.falls import Falls, FallSimulator
     from animtool.systems.crowds.footing import BodyState
 
 # Rounds in which agents that overlap in a step are moved apart.
@@ -58,7 +58,7 @@ MAX_YAW_RATE = 4.0
 
 @dataclass(frozen=True, slots=True)
 class CrowdState:
-    """Where N agents are, on the ground."""
+    """The state of N agents on the ground."""
 
     points: FloatArray  # x and z (N, 2) [m]
     velocities: FloatArray  # of these (N, 2) [m/s]
@@ -70,7 +70,7 @@ class CrowdState:
 
 
 class Crowd:
-    """Agents that walk, in steps.
+    """Walking agents, in steps.
 
     Attributes:
         checked: Its steps see to it that numbers stay finite.
@@ -110,7 +110,7 @@ class Crowd:
         self._shown = np.array([order.index(s) if s else 0 for s in shows], np.int64)
 
     def _navigation(self, context: SimContext) -> tuple[Steering, Obstacles]:
-        """Return what leads agents to their goals, and what is in their way."""
+        """Return the steering towards goals, and the obstacles."""
         spec, agents, frame = self._spec, self._agents, self._frame
         goals = self._on_ground([goal.at for goal in spec.goals])
         grid, edge = grids(
@@ -152,7 +152,7 @@ class Crowd:
         return steering, obstacles
 
     def _cast(self, context: SimContext) -> None:
-        """Give agents bodies, if populations have gaits for them."""
+        """Return bodies for the agents, if populations have gaits."""
         sources = [parts.get("gaits") for parts in context.parts["populations"]]
         gaits = [source for source in sources if source is not None]
         if not gaits:
@@ -168,7 +168,7 @@ class Crowd:
             self._notices += group.bodies.gaits.notices
 
     def _fallers(self, context: SimContext) -> FallSimulator | None:
-        """Return what moves those who fall; None where a rig has no bodies for it."""
+        """Return the ragdolls of falling agents; None if a rig has no bodies."""
         from animtool.systems.crowds.falls import FallSimulator
 
         assert self._casting is not None
@@ -187,11 +187,11 @@ class Crowd:
         )
 
     def _on_ground(self, points: Sequence[Sequence[float]]) -> FloatArray:
-        """Return x and z of points of the world on the ground ``(K, 2)``."""
+        """Project world points on the ground: x and z ``(K, 2)``."""
         return self._frame.to_local(np.array(points, float).reshape(-1, 3))[:, [0, 2]]
 
     def initial(self) -> CrowdState:
-        """Return where all begin, looking to where they go first."""
+        """Return the initial state, headings along the first directions."""
         x, progress = self._start, self._steering.first()
         at_rest = np.zeros_like(x)
         preferred = self._steering.preferred(np.inf, self._begin, progress, x)
@@ -204,7 +204,7 @@ class Crowd:
         return CrowdState(x, at_rest, headings, progress, 0.0, bodies, falls)
 
     def step(self, state: CrowdState, t: float, dt: float) -> CrowdState:
-        """Return where agents are a step [s] later.
+        """Return the state after a step [s].
 
         Raises:
             ToleranceError: Numbers do not stay finite (SIM102).
@@ -262,7 +262,7 @@ class Crowd:
     def _begun(
         self, state: CrowdState, falls: Falls, fell: IntArray, dt: float
     ) -> Falls:
-        """Return falls with more agents ``(K,)``, from the beginning of a step on.
+        """Return falls with more agents ``(K,)``, from the start of a step.
 
         They were about to walk on: what hits them moves their bodies, not their legs.
         """
@@ -280,7 +280,7 @@ class Crowd:
         return self._falling.begun(falls, fell, now, soon, dt)
 
     def _shoulders(self, state: CrowdState, down: BoolArray) -> FloatArray:
-        """Return how far shoulders of agents are turned ``(N,)`` [rad].
+        """Return shoulder yaws ``(N,)`` [rad].
 
         Those who are shown as points or meshes have none, and who fell keeps its room.
         """
@@ -289,7 +289,7 @@ class Crowd:
         return np.where(down, 0.0, state.bodies.shoulders)
 
     def _struck(self, walls: Walls, dt: float) -> FloatArray:
-        """Return how fast what touches each in a step comes to it ``(N,)`` [m/s]."""
+        """Return the highest closing speed at each agent ``(N,)`` [m/s]."""
         closing = np.zeros(len(self._agents))
         touch = walls.gaps < np.maximum(walls.closing, 0.0) * dt
         np.maximum.at(closing, walls.whose[touch], walls.closing[touch])
@@ -298,7 +298,7 @@ class Crowd:
     def _world(
         self, bodies: BodyState | None, going: AgentMotion, i: int
     ) -> WorldTransforms:
-        """Return where the joints of an agent are."""
+        """Return an agent's joints in the world."""
         assert self._casting is not None
         assert bodies is not None
         return self._casting.world(bodies, going, self._frame, self._ground, i)
@@ -306,7 +306,7 @@ class Crowd:
     def _turned(
         self, headings: FloatArray, preferred: FloatArray, v: FloatArray, dt: float
     ) -> FloatArray:
-        """Return headings ``(N,)`` of agents that turn to where they go, if they do."""
+        """Return headings ``(N,)`` after agents turn towards their motion."""
         facing = v + FACING * preferred
         fast = np.linalg.norm(facing, axis=1) / (SLOW * self._agents.speeds)
         yaw = np.arctan2(facing[:, 0], facing[:, 1]) - headings
@@ -320,7 +320,7 @@ class Crowd:
         state: CrowdState,
         t: float,  # noqa: ARG002
     ) -> PointsFrame | TransformsFrame | CharactersFrame:
-        """Return what agents show."""
+        """Return points, meshes and characters at a time."""
         agents = self._agents
         here = state.progress.stages != GONE
         ids = np.flatnonzero(here) if state.bodies is None else np.arange(len(here))
@@ -360,7 +360,7 @@ class Crowd:
         )
 
     def _fallen(self, falls: Falls | None) -> dict[int, tuple[FloatArray, FloatArray]]:
-        """Return local places and turns of the joints of who fell, by number."""
+        """Return local translations and rotations of fallen agents, by number."""
         if falls is None or self._falling is None:
             return {}
         return {
@@ -369,7 +369,7 @@ class Crowd:
         }
 
     def diagnostics(self, state: CrowdState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return how fast agents are, how far on their routes, and how close."""
+        """Return speeds, progress and distances of agents."""
         gone = state.progress.stages == GONE
         speeds = np.linalg.norm(state.velocities[~gone], axis=1)
         values = {"agents": float(len(speeds)), "overlap": state.overlap}
@@ -387,5 +387,5 @@ def _moving(colliders: Colliders) -> list[Collider]:
 
 
 def _going(state: CrowdState) -> AgentMotion:
-    """Return how agents go."""
+    """Return the motion of agents at a state."""
     return AgentMotion(state.points, state.velocities, state.headings)

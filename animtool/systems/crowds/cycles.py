@@ -1,4 +1,4 @@
-"""Takes on a rig as gaits: a cycle that goes somewhere is cut into its steps."""
+"""Gaits from takes: walk cycles are cut into steps."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ REPEATS = 3
 
 
 def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
-    """Return takes on a rig, by name, as gaits.
+    """Return takes on a rig as gaits, by name.
 
     Raises:
         OptionError: The rig has no legs, or none of the takes goes anywhere (SIM149).
@@ -80,12 +80,12 @@ RUNS = 0.7
 
 
 def heading_of(rotations: FloatArray) -> FloatArray:
-    """Return how far turns ``(…, 4)`` go about y [rad]."""
+    """Return headings of rotations ``(…, 4)``: yaw about y [rad]."""
     return np.asarray(2 * np.arctan2(rotations[..., 1], rotations[..., 3]))
 
 
 def _gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
-    """Return whether a take moves, stands or reacts, and it as a gait."""
+    """Return the kind of a take (moves, stands, reacts), and its gait."""
     world = take.motion.world(walker.rig)
     hips = middle_of_hips(walker.person, world.positions)
     fps = float(take.clock.rate)
@@ -115,7 +115,7 @@ def _gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
 
 @dataclass(frozen=True)
 class CyclePath:
-    """How a body goes: evenly along an arc, in the frames of a cycle.
+    """The path of a body over a cycle: an arc at constant speed.
 
     Attributes:
         begin: Frame of the begin.
@@ -134,7 +134,7 @@ class CyclePath:
     turning: float
 
     def headings(self, frames: FloatArray) -> FloatArray:
-        """Return where it looks ``(K,)`` [rad]."""
+        """Return headings ``(K,)`` [rad]."""
         return self.heading + self.turning * (frames - self.begin)
 
     def positions(self, frames: FloatArray) -> FloatArray:
@@ -146,7 +146,7 @@ class CyclePath:
 
     @staticmethod
     def of(hips: FloatArray, headings: FloatArray, length: int) -> CyclePath:
-        """Return that of the second cycle of three ``(3 L, …)``."""
+        """Return the path of the second of three cycles ``(3 L, …)``."""
         within = np.arange(length, 2 * length)
         turning = float(headings[2 * length] - headings[length]) / length
         heading = float((headings[within] - turning * (within - length)).mean())
@@ -159,7 +159,7 @@ class CyclePath:
 
 
 def _arc(heading: float, turning: float, t: FloatArray) -> FloatArray:
-    """Return how velocities in a frame that turns add up ``(K, 2, 2)``, of x and z."""
+    """Return integrals of velocity in a rotating frame, as matrices ``(K, 2, 2)``."""
     end = heading + turning * t
     if abs(turning) < 1e-9:
         cosine, sine = np.cos(heading) * t, np.sin(heading) * t
@@ -172,7 +172,7 @@ def _arc(heading: float, turning: float, t: FloatArray) -> FloatArray:
 
 
 def _cycle(walker: Walker, name: str, take: Take) -> Gait | None:
-    """Return the second of three cycles of a take; None where it is not two steps."""
+    """Return the second of three cycles as a gait; None without exactly two steps."""
     translations, rotations, _ = take.motion.dense()
     world = forward(walker.rig, translations, rotations)
     length, fps = take.clock.count // REPEATS, float(take.clock.rate)
@@ -215,7 +215,7 @@ def _cycle(walker: Walker, name: str, take: Take) -> Gait | None:
 
 @dataclass(frozen=True)
 class FootStance:
-    """From when to when a foot stands [frames], and where it is flat."""
+    """The frames in which a foot is planted, and is flat."""
 
     lands: int
     lifts: int
@@ -225,7 +225,7 @@ class FootStance:
 def _stance(
     walker: Walker, world: WorldTransforms, k: int, length: int, fps: float
 ) -> FootStance | None:
-    """Return the stance of a foot that begins in the second cycle, if it is one."""
+    """Return a foot's single stance that begins in the second cycle, or None."""
     _, _, foot, toe = walker.legs[k]
     tip = None if toe < 0 else world.positions[:, toe]
     contacts: FootContacts = find_contacts(
@@ -245,7 +245,7 @@ def _step(
     k: int,
     stance: FootStance,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return where a foot lands, its pitches, and its turns and lifts as it swings."""
+    """Return a step's landing, pitches, and swing rotations and lifts."""
     _, _, foot, toe = walker.legs[k]
     level, ball = walker.level[k], walker.ball[k]
     within = np.arange(stance.lands, stance.lifts)
@@ -292,13 +292,13 @@ def _step(
 
 
 def _between(rotations: FloatArray, frames: FloatArray) -> FloatArray:
-    """Return turns ``(F, …, 4)`` between frames ``(K,)``."""
+    """Return rotations ``(F, …, 4)`` interpolated at frames ``(K,)``."""
     blended = rows(rotations, frames)
     return np.asarray(blended / np.linalg.norm(blended, axis=-1, keepdims=True))
 
 
 def _uncut(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:
-    """Return a take that is played as it is, about where its hips begin."""
+    """Return an uncut take as a gait, relative to its first hip position."""
     _, rotations, _ = take.motion.dense()
     heading = _headings(walker, world)[0]
     back = about_up(np.array(-heading))
@@ -312,7 +312,7 @@ def _uncut(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gai
 
 
 def _headings(walker: Walker, world: WorldTransforms) -> FloatArray:
-    """Return where the hips look over time ``(F,)`` [rad]."""
+    """Return the heading of the hips over time ``(F,)`` [rad]."""
     hips = max(walker.person.first("hips"), 0)
     rest = walker.person.turns[hips]
     turned = so3.multiply(world.rotations[:, hips], so3.conjugate(rest))
@@ -320,7 +320,7 @@ def _headings(walker: Walker, world: WorldTransforms) -> FloatArray:
 
 
 def _ground(walker: Walker, world: WorldTransforms) -> float:
-    """Return how high the ground is: below feet that stand [m]."""
+    """Return the height of the ground below planted feet [m]."""
     feet = [leg[2] for leg in walker.legs]
     heights = world.positions[:, feet, 1] - walker.ankle
     return float(np.quantile(heights.min(axis=1), 0.1))

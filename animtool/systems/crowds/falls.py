@@ -1,4 +1,4 @@
-"""Agents that are knocked down: from then on their rigs are rigid bodies on joints."""
+"""Falling agents: rigs that become ragdolls when hit."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ GRAVITY = 9.81  # [m/s²]
 
 @dataclass(frozen=True, slots=True)
 class Falls:
-    """K agents that fell, in the order in which they did.
+    """K fallen agents, in the order of their falls.
 
     Attributes:
         agents: Which ``(K,)``.
@@ -61,7 +61,7 @@ class Falls:
 
     @staticmethod
     def none(joints: int, bodies: int) -> Falls:
-        """Return that nobody fell, of rigs with so many joints and bodies at most."""
+        """Return an empty record, for rigs with up to so many joints and bodies."""
         return Falls(
             np.zeros(0, np.int64),
             np.zeros((0, joints, 3)),
@@ -76,7 +76,7 @@ _Pose = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class FallingRagdoll:
-    """The bodies of one who falls."""
+    """The ragdoll of a falling agent."""
 
     rig: Rig  # of that one's size, with limits that hold the pose he fell in
     ragdoll: Ragdoll
@@ -84,7 +84,7 @@ class FallingRagdoll:
 
 
 class FallSimulator:
-    """What moves those who fall, among colliders and on the ground.
+    """Steps the ragdolls of falling agents, among colliders and on the ground.
 
     Args:
         rigs: Of each agent.
@@ -125,11 +125,11 @@ class FallSimulator:
 
     @staticmethod
     def possible(rig: Rig) -> bool:
-        """Return whether a rig has bodies to fall with."""
+        """Return whether a rig has bodies for a ragdoll."""
         return bool(len(Capsules.of(rig)))
 
     def none(self) -> Falls:
-        """Return that nobody fell."""
+        """Return an empty record of falls."""
         rigs = {id(rig): rig for rig in self._rigs}.values()
         joints = max(len(rig.joints) for rig in rigs)
         return Falls.none(
@@ -144,7 +144,7 @@ class FallSimulator:
         soon: Sequence[WorldTransforms],
         dt: float,
     ) -> Falls:
-        """Return falls with more agents, who would be there `soon`, a step [s] on."""
+        """Return falls with more agents; ``soon`` is their pose after a step [s]."""
         for agent, first, last in zip(agents.tolist(), now, soon, strict=True):
             rig = self._rigs[agent]
             positions = np.zeros((1, *falls.positions.shape[1:]))
@@ -173,7 +173,7 @@ class FallSimulator:
         return falls
 
     def step(self, falls: Falls, t: float, dt: float) -> Falls:
-        """Return falls a step [s] later; who rests stays."""
+        """Return falls after a step [s]; resting bodies stay."""
         motion, slow = falls.motion.copy(), falls.slow.copy()
         for k, agent in enumerate(falls.agents.tolist()):
             if slow[k] >= REST_TIME:
@@ -187,7 +187,7 @@ class FallSimulator:
         return replace(falls, motion=motion, slow=slow)
 
     def poses(self, falls: Falls, k: int) -> _Pose:
-        """Return local places ``(J, 3)`` [m] and turns ``(J, 4)`` of one who fell.
+        """Return a fallen agent's local translations and rotations (cached).
 
         Those of the first joint are in the world. Who rests has the pose before.
         """
@@ -198,7 +198,7 @@ class FallSimulator:
         return self._posed[agent][1]
 
     def _pose(self, falls: Falls, k: int) -> _Pose:
-        """Return what `poses` does, from the bodies that fall."""
+        """Compute `poses` from the ragdoll."""
         agent = int(falls.agents[k])
         falling = self._falling(agent, falls.positions[k], falls.turns[k])
         rig, bodies = falling.rig, falling.ragdoll.bodies
@@ -226,7 +226,7 @@ class FallSimulator:
     def _falling(
         self, agent: int, positions: FloatArray, rotations: FloatArray
     ) -> FallingRagdoll:
-        """Return the bodies of one who fell in a pose."""
+        """Return the ragdoll of a fallen agent in a pose."""
         key = agent, positions.tobytes()
         if key not in self._known:
             size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], self._sizes[[agent]])
@@ -256,7 +256,7 @@ class FallSimulator:
 def _moved(
     simulation: RigidSimulation, motion: FloatArray, t: float, dt: float
 ) -> FloatArray:
-    """Return the motion of bodies ``(B, 14)`` a step [s] later, in parts if it must."""
+    """Return body states ``(B, 14)`` after a step [s], in substeps if needed."""
     begun = simulation.initial()
     for parts in (1, PARTS):
         moved, each = motion, dt / parts
@@ -274,7 +274,7 @@ def _moved(
 
 
 def _local(rig: Rig, rotations: FloatArray) -> FloatArray:
-    """Return local rotations ``(J, 4)`` of joints that are turned so in the world."""
+    """Return local rotations ``(J, 4)`` from world rotations."""
     local: FloatArray = rotations.copy()
     below = rig.parents >= 0
     above = rotations[rig.parents[below]]
@@ -283,5 +283,5 @@ def _local(rig: Rig, rotations: FloatArray) -> FloatArray:
 
 
 def resting(falls: Falls) -> BoolArray:
-    """Return who has come to rest ``(K,)``."""
+    """Return which falls have come to rest ``(K,)``."""
     return np.asarray(falls.slow >= REST_TIME)

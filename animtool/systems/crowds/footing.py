@@ -1,4 +1,4 @@
-"""Feet of bodies: where they stand, where they land, and how they pass each other.
+"""Foot placement: planted feet, landings, and feet that avoid each other.
 
 All is in the frame of the ground; a body has x to its left and z ahead.
 """
@@ -29,7 +29,7 @@ SWERVES, SWIVELS = 2.5, 6.0
 
 
 class Heights(Protocol):
-    """The ground, as bodies see it."""
+    """The ground as a height field."""
 
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``."""
@@ -37,7 +37,7 @@ class Heights(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BodyState:
-    """Which phase N bodies are in, and where their feet are."""
+    """Gait phases and feet of N bodies."""
 
     phases: FloatArray  # of the cycle, the left foot lands at 0 (N,)
     places: FloatArray  # where each foot stands or stood: x, z, heading (N, 2, 3)
@@ -57,7 +57,7 @@ class BodyState:
 
 @dataclass(frozen=True)
 class Blend:
-    """What N agents play: parts of each gait, and how its steps are made."""
+    """Gait weights of N agents, and their blended steps."""
 
     weights: FloatArray  # (N, G)
     rate: FloatArray  # cycles a second (N,)
@@ -69,7 +69,7 @@ class Blend:
 
 @dataclass(frozen=True)
 class Footing:
-    """Where the feet of N bodies stand and land.
+    """Foot placement of N bodies.
 
     Attributes:
         scales: Of each, over its rig ``(N,)``.
@@ -87,7 +87,7 @@ class Footing:
         fractions: FloatArray,
         footholds: FloatArray,
     ) -> FloatArray:
-        """Return where feet land ``(N, 3)``, shares of the step from now."""
+        """Return landings ``(N, 3)``, at fractions of the step from now."""
         before, after = goings
         points = before.points + fractions[:, None] * (after.points - before.points)
         change = wrapped(after.headings - before.headings)
@@ -102,7 +102,7 @@ class Footing:
         headings: FloatArray,
         footholds: FloatArray,
     ) -> FloatArray:
-        """Return where a foot of each lands whose body is there ``(N, 3)``.
+        """Return a foot's landing for bodies at given positions ``(N, 3)``.
 
         On its own side of the other foot.
         """
@@ -120,7 +120,7 @@ class Footing:
         return np.column_stack([points + flat, headings + step[:, 2]])
 
     def stands(self, going: AgentMotion, blend: Blend) -> FloatArray:
-        """Return where feet of bodies that stand are to be ``(N, 2, 3)``."""
+        """Return foot targets of standing bodies ``(N, 2, 3)``."""
         steps = (
             blend.steps
             * np.stack([self.scales, 0 * self.scales, 0 * self.scales + 1], 1)[:, None]
@@ -130,7 +130,7 @@ class Footing:
         return np.concatenate([going.points[:, None] + flat, yaws[..., None]], axis=2)
 
     def off(self, state: BodyState, going: AgentMotion, blend: Blend) -> BoolArray:
-        """Return which feet are not where they are to stand ``(N, 2)``."""
+        """Return which feet are away from their standing targets ``(N, 2)``."""
         away = state.places - self.stands(going, blend)
         far = np.linalg.norm(away[..., :2], axis=2)
         leg = self.gaits.walker.leg * self.scales[:, None]
@@ -140,7 +140,7 @@ class Footing:
     def feet(
         self, state: BodyState, going: AgentMotion
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return ground below feet in the frame of bodies ``(N, 2, 4)``, and normals.
+        """Return feet in the frame of bodies ``(N, 2, 4)``, and ground normals.
 
         x, y, z and how far each is turned; in lengths of the rig. And how far each is
         from where it stood or will stand, whichever is nearer ``(N, 2)``.
@@ -182,7 +182,7 @@ class Footing:
     def _pass(
         self, state: BodyState, going: AgentMotion, footholds: FloatArray
     ) -> FloatArray:
-        """Let feet that swing go around those that stand, in place.
+        """Move swinging feet around planted ones, in place.
 
         Returns how far they do ``(N, 2)`` [m].
         """
@@ -205,7 +205,7 @@ class Footing:
         return around
 
     def heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return heights and normals of the ground; where there is none it is at 0."""
+        """Return heights and normals of the ground; 0 beyond its edge."""
         heights, normals = self.ground(points)
         return np.where(np.isfinite(heights), heights, 0.0), normals
 
@@ -219,7 +219,7 @@ def followed(
     dt: float,
     k: int,
 ) -> FloatArray:
-    """Return where foot ``k`` of each is to land ``(N, 3)``, as fast as it can follow.
+    """Return landings of foot ``k`` ``(N, 3)``, limited to the speed of a foot.
 
     ``new``: whose foot stood before ``(N,)``.
     """

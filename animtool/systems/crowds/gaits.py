@@ -1,4 +1,4 @@
-"""Gaits of a rig that walks: one cycle each, by phase, with its steps."""
+"""Gaits of a biped: one cycle each by phase, with its steps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ UP = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class Walker:
-    """A rig that walks.
+    """A biped rig with its leg measures.
 
     Attributes:
         rig: With y up.
@@ -51,7 +51,7 @@ class Walker:
 
     @staticmethod
     def of(rig: Rig) -> Walker:
-        """Return a rig that stands at rest (SIM149 where it has no two legs)."""
+        """Return a biped from its rest pose (SIM149 if it lacks two legs)."""
         person = Person.of(rig, anatomy(rig).roles)
         left, right, facing = person.leg("l"), person.leg("r"), person.facing
         if left is None or right is None or facing is None:
@@ -79,7 +79,7 @@ class Walker:
 
 
 def _ground(person: Person) -> float:
-    """Return how high the ground is that a rig stands on at rest [m].
+    """Return the height of the ground below a rig at rest [m].
 
     Below its lowest joint, or where the bone of one ends, such as that of a toe.
     """
@@ -128,13 +128,13 @@ class Gait:
 
     @property
     def speed(self) -> float:
-        """Return how fast it goes ahead [m/s]."""
+        """Return its forward speed [m/s]."""
         return float(self.velocity[1])
 
 
 @dataclass(frozen=True)
 class Gaits:
-    """What agents of a rig play.
+    """The clips of a rig's agents: moving, idle, reactions.
 
     Attributes:
         moving: Cycles that go somewhere, the slowest first; never none.
@@ -151,19 +151,19 @@ class Gaits:
 
 
 def eased(fraction: FloatArray) -> FloatArray:
-    """Return how far a foot is on its way to its next place, of its swing."""
+    """Return the eased progress of a foot over its swing."""
     return fraction**3 * (10 - 15 * fraction + 6 * fraction * fraction)
 
 
 def about_side(angles: FloatArray) -> FloatArray:
-    """Return turns about x ``(…, 4)`` by angles [rad]."""
+    """Return rotations about x ``(…, 4)`` by angles [rad]."""
     rotations = np.zeros((*angles.shape, 4))
     rotations[..., 0], rotations[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
     return rotations
 
 
 def standing_ankle(walker: Walker, k: int, pitched: FloatArray) -> FloatArray:
-    """Return ankles over the places of feet that stand ``(K, 3)`` [m].
+    """Return ankles above planted feet ``(K, 3)`` [m].
 
     They turn by ``pitched`` ``(K, 4)`` about the ball where the heel is up, else about
     the heel.
@@ -175,7 +175,7 @@ def standing_ankle(walker: Walker, k: int, pitched: FloatArray) -> FloatArray:
 
 
 def rows(table: FloatArray, at: FloatArray, *, again: bool = False) -> FloatArray:
-    """Return rows of a table ``(P, …)``; `again`: its first is behind its last."""
+    """Sample a table ``(P, …)`` at fractional rows; ``again`` wraps around."""
     count = len(table)
     low = np.clip(at.astype(np.int64), 0, count - 1)
     high = (low + 1) % count if again else np.minimum(low + 1, count - 1)

@@ -1,4 +1,4 @@
-"""What agents walk on: a plane, or the highest faces of a mesh."""
+"""Terrain of a crowd: a plane, or the topmost faces of a mesh."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ EDGE = 1e-9
 
 
 def about_up(angles: FloatArray) -> FloatArray:
-    """Return turns about y ``(…, 4)`` by angles [rad]."""
+    """Return rotations about y ``(…, 4)`` by angles [rad]."""
     rotations = np.zeros((*angles.shape, 4))
     rotations[..., 1], rotations[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
     return rotations
 
 
 def turned(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
-    """Return x and z ``(…, 2)`` turned about y by an angle [rad]."""
+    """Return x and z ``(…, 2)`` rotated about y by an angle [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, z = vectors[..., 0], vectors[..., 1]
     return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=-1)
 
 
 def wrapped(angles: FloatArray) -> FloatArray:
-    """Return angles from -π to π [rad]."""
+    """Return angles wrapped to [-π, π] [rad]."""
     return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Where the ground is: agents know its x and z, and its y is up.
+    """The frame of the ground: agents use its x and z; y is up.
 
     Attributes:
         origin: In the world ``(3,)`` [m].
@@ -49,19 +49,19 @@ class Frame:
     rotation: FloatArray
 
     def to_local(self, points: FloatArray) -> FloatArray:
-        """Return points of the world ``(…, 3)`` as the ground sees them."""
+        """Transform world points ``(…, 3)`` to the ground's frame."""
         return self.turned_back(points - self.origin)
 
     def to_world(self, points: FloatArray) -> FloatArray:
-        """Return points of the ground ``(…, 3)`` in the world."""
+        """Transform ground points ``(…, 3)`` to the world."""
         return self.turned(points) + self.origin
 
     def turned(self, vectors: FloatArray) -> FloatArray:
-        """Return vectors of the ground ``(…, 3)`` in the world."""
+        """Rotate ground vectors ``(…, 3)`` to the world."""
         return so3.rotate(self.rotation, vectors)
 
     def turned_back(self, vectors: FloatArray) -> FloatArray:
-        """Return vectors of the world ``(…, 3)`` as the ground sees them."""
+        """Rotate world vectors ``(…, 3)`` to the ground's frame."""
         return so3.rotate(so3.conjugate(self.rotation), vectors)
 
 
@@ -112,13 +112,13 @@ class Terrain:
 
     @cached_property
     def bounds(self) -> FloatArray:
-        """Return least and largest x and z ``(2, 2)`` [m]."""
+        """Return lower and upper x and z ``(2, 2)`` [m]."""
         flat = self.triangles[..., [0, 2]].reshape(-1, 2)
         return np.stack([flat.min(axis=0), flat.max(axis=0)])
 
     @cached_property
     def _planes(self) -> tuple[tuple[FloatArray, ...], FloatArray, FloatArray]:
-        """Return first corners and both edges from them, 1 / area, and normals."""
+        """Return first corners, both edges from them, 1 / area, and normals."""
         a, b, c = self._upward.swapaxes(0, 1)
         to_b, to_c = b - a, c - a
         area = to_b[:, 0] * to_c[:, 2] - to_b[:, 2] * to_c[:, 0]
@@ -128,7 +128,7 @@ class Terrain:
 
     @cached_property
     def _upward(self) -> FloatArray:
-        """Return triangles that are not seen from the side alone ``(S, 3, 3)``."""
+        """Return triangles that are not vertical ``(S, 3, 3)``."""
         a, b, c = self.triangles[..., [0, 2]].swapaxes(0, 1)
         to_b, to_c = b - a, c - a
         area = np.abs(to_b[:, 0] * to_c[:, 1] - to_b[:, 1] * to_c[:, 0])
@@ -137,7 +137,7 @@ class Terrain:
 
     @cached_property
     def _grid(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
-        """Return low corner, cell sizes and counts, and triangles cell by cell."""
+        """Return the low corner, cell sizes and counts, and triangles by cell."""
         flat = self._upward[..., [0, 2]]
         low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
         side = max(1, min(MAX_CELLS, int(np.sqrt(len(flat)))))
@@ -160,7 +160,7 @@ class Terrain:
         return low, size, counts, which[order], starts
 
     def _candidates(self, points: FloatArray) -> tuple[IntArray, IntArray]:
-        """Return pairs of points and triangles that may be over each other."""
+        """Return pairs of points and triangles that may lie above each other."""
         low, size, counts, which, starts = self._grid
         at = (points - low) / size
         within = np.all((at >= -EDGE) & (at <= counts + EDGE), axis=1)
@@ -181,7 +181,7 @@ def walkable(
     cell: float,
     slope: float,
 ) -> tuple[FloatArray, BoolArray]:
-    """Return heights of nodes of a grid, and where agents may walk ``(R, C)``.
+    """Return heights at grid nodes, and which are walkable ``(R, C)``.
 
     Not where there is no ground, or it rises more than a slope [rad] to a neighbour.
     """

@@ -1,4 +1,4 @@
-"""What agents may not walk into: colliders, shut doors and the edge of the ground."""
+"""Obstacles of agents: colliders, closed doors and the edge of the ground."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LEAVING = 0.8
 
 @dataclass(frozen=True)
 class Walls:
-    """What is near N agents, agent by agent.
+    """Obstacles near N agents, sorted by agent.
 
     Attributes:
         starts: Where those of each agent begin ``(N + 1,)``.
@@ -52,7 +52,7 @@ class Walls:
 
 @dataclass(frozen=True)
 class Obstacles:
-    """All that is in the way of agents.
+    """All obstacles of a crowd.
 
     Attributes:
         edge: The grid whose nodes are on the ground; None where that has no end.
@@ -68,7 +68,7 @@ class Obstacles:
     ends: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # of doors
 
     def walls(self, t: float, dt: float, x: FloatArray) -> Walls:
-        """Return what is near agents at x and z ``(N, 2)`` from a time on [s]."""
+        """Return obstacles near agents at x and z ``(N, 2)``, from a time on [s]."""
         obstacles = [*self._colliders(t, dt, x), *self._doors(t, x), *self._edges(x)]
         count = len(x)
         if not obstacles:
@@ -102,7 +102,7 @@ class Obstacles:
     def _colliders(
         self, t: float, dt: float, x: FloatArray
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return gaps, ways off and how fast each collider comes, of all agents."""
+        """Return gaps, directions away and closing speeds of each collider."""
         if not self.colliders.rigid:
             return []
         radii, tall = self.agents.radii, self.agents.heights
@@ -118,7 +118,7 @@ class Obstacles:
     def _doors(
         self, t: float, x: FloatArray
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return the same of doors that are shut at a time [s]."""
+        """Return the same for doors that are closed at a time [s]."""
         doors = []
         for door, (a, b) in zip(self.doors, self.ends, strict=True):
             if any(first <= t < last for first, last in door.opens):
@@ -132,7 +132,7 @@ class Obstacles:
         return doors
 
     def _edges(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return the same of where the ground ends."""
+        """Return the same for the edge of the ground."""
         if self.edge is None:
             return []
         gaps, directions = self.edge.edges(x)
@@ -149,7 +149,7 @@ def upright(
     t: float,
     dt: float,
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Return how far colliders are from upright capsules, along the ground.
+    """Return horizontal distances of colliders from upright capsules.
 
     Of each collider distances ``(K,)`` from the axes [m], infinite where it is a floor,
     unit vectors off ``(K, 2)`` and speeds along them ``(K,)`` [m/s]. Capsules of some
@@ -187,7 +187,7 @@ def grids(
     goals: FloatArray,
     t: float,
 ) -> tuple[NavGrid | None, NavGrid | None]:
-    """Return grids of where agents may walk and of where ground is.
+    """Return navigation grids of walkable nodes and of the ground.
 
     None where nothing is in the way, and where the ground has no end. Where agents are
     too far apart for one grid, it is what is near obstacles.
@@ -246,7 +246,7 @@ def _about(
     high: FloatArray,
     margin: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what is near obstacles of least and largest x and z ``(2,)`` [m].
+    """Return the area around obstacles within x and z bounds ``(2,)`` [m].
 
     Elsewhere nothing is in the way. Walls without an end are near everything; floors
     are in nobody's way.
@@ -270,6 +270,6 @@ def _about(
 
 
 def lost(grid: NavGrid, x: FloatArray) -> BoolArray:
-    """Return which of x and z ``(K, 2)`` are not where agents may walk."""
+    """Return which of x and z ``(K, 2)`` are not walkable."""
     row, column = grid.at(x).T
     return np.asarray(~grid.free[row, column])

@@ -1,4 +1,4 @@
-"""BodyPoses of bodies: what their gaits play, with legs that reach where feet stand."""
+"""Poses of bodies: blended gaits, with leg IK to planted feet."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ STEEP, CLEAR = 2.0, 0.02
 
 @dataclass(frozen=True, slots=True)
 class BodyPoses:
-    """N bodies, each in the frame of its own."""
+    """Poses of N bodies, each in its own frame."""
 
     rotations: FloatArray  # local rotations of joints (N, J, 4)
     roots: FloatArray  # of the first joint (N, 3) [m]
@@ -78,7 +78,7 @@ def _reach(
     soles: FloatArray,
     state: BodyState,
 ) -> tuple[FloatArray, FloatArray]:
-    """Turn legs so that ankles are at goals ``(N, 2, 3)``, and feet as soles, in place.
+    """Solve leg IK for ankle goals ``(N, 2, 3)`` and sole rotations, in place.
 
     Returns how far hips are lowered for it ``(N,)``, and by how much ankles miss their
     goals all the same ``(N, 2)`` [m].
@@ -126,7 +126,7 @@ def _reach(
 def _lowered(
     walker: Walker, joints: FloatArray, goals: FloatArray, state: BodyState
 ) -> FloatArray:
-    """Return how far hips are lowered so that legs reach their goals ``(N,)`` [m].
+    """Return how far hips are lowered for the legs to reach ``(N,)`` [m].
 
     Halfway of a swing they need not.
     """
@@ -148,7 +148,7 @@ def _lowered(
 def _reached(
     walker: Walker, joints: FloatArray, goals: FloatArray, up: BoolArray
 ) -> FloatArray:
-    """Return goals ``(N, 2, 3)``; feet in the air stay as near as their legs have it.
+    """Return goals ``(N, 2, 3)``, with airborne feet moved into reach.
 
     As they go along below the hips, they are over the ground.
     """
@@ -165,7 +165,7 @@ def _reached(
 
 
 def cleared(away: FloatArray) -> FloatArray:
-    """Return how high soles are at least that are so far from where they stand [m]."""
+    """Return the minimum sole height at a distance from its foothold [m]."""
     return np.minimum(STEEP * away, CLEAR)
 
 
@@ -177,7 +177,7 @@ def _ankles(
     normals: FloatArray,
     away: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where ankles are to be ``(N, 2, 3)``, and how feet are turned."""
+    """Return ankle targets ``(N, 2, 3)``, and foot rotations."""
     gaits = bodies.gaits
     goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
     for k in range(2):
@@ -198,7 +198,7 @@ def _ankles(
 def _low(
     walker: Walker, k: int, pitched: FloatArray, lifts: FloatArray, away: FloatArray
 ) -> FloatArray:
-    """Return by how much soles in the air are too low ``(K,)`` [m].
+    """Return how far airborne soles are below their clearance ``(K,)`` [m].
 
     ``away``: how far their places are from where they stand ``(K,)`` [m].
     """
@@ -214,7 +214,7 @@ def _low(
 def _swung(
     gaits: Gaits, state: BodyState, blend: Blend, k: int, up: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns and ankles of feet that swing ``(K, 4)``, ``(K, 3)``, as on the way.
+    """Return rotations ``(K, 4)`` and ankles ``(K, 3)`` of swinging feet.
 
     They begin as their feet were, which may lift sooner than the gait has it.
     ``up``: of which bodies foot ``k`` does ``(N,)``.
@@ -238,7 +238,7 @@ def _in_swing(
     up: BoolArray,
     swings: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns and ankles of feet on their swings as their gaits have them."""
+    """Return rotations and ankles of swinging feet from their gaits."""
     moving = gaits.moving
     at = swings * (PHASES - 1)
     weights = blend.weights[up]
@@ -279,7 +279,7 @@ def _in_swing(
 def _played(
     bodies: AgentBodies, state: BodyState, blend: Blend
 ) -> tuple[FloatArray, FloatArray]:
-    """Return local rotations of `moves` ``(N, M, 4)``, and places of the root."""
+    """Return local rotations of `moves` ``(N, M, 4)``, and root translations."""
     gaits, at = bodies.gaits, state.phases * PHASES
     tables, standing = bodies.tables
     walked = _mixed([rows(one, at, again=True) for one in tables], blend.weights)
@@ -310,7 +310,7 @@ def _played(
 
 
 def idle_rows(idle: Gait, clocks: FloatArray) -> FloatArray:
-    """Return where in what agents do as they stand they are: there and back again."""
+    """Return fractional rows of the idle, played back and forth."""
     last = len(idle.rotations) - 1
     if not last:
         return np.zeros(len(clocks))
@@ -319,7 +319,7 @@ def idle_rows(idle: Gait, clocks: FloatArray) -> FloatArray:
 
 
 def _mixed(rotations: list[FloatArray], weights: FloatArray) -> FloatArray:
-    """Return turns ``(N, …, 4)`` mixed by weights ``(N, K)``, of length 1."""
+    """Return rotations ``(N, …, 4)`` blended by weights ``(N, K)``, normalised."""
     first = rotations[0]
     wide = (-1, *[1] * (first.ndim - 1))
     mixed = first * weights[:, 0].reshape(wide)
@@ -330,7 +330,7 @@ def _mixed(rotations: list[FloatArray], weights: FloatArray) -> FloatArray:
 
 
 def _tilts(normals: FloatArray) -> FloatArray:
-    """Return turns from upright to normals ``(N, 3)``, no farther than `TILT`."""
+    """Return rotations from upright to normals ``(N, 3)``, up to `TILT`."""
     axis = np.cross(UP, normals)
     size = np.linalg.norm(axis, axis=1)
     angle = np.minimum(np.arctan2(size, normals[:, 1]), TILT)

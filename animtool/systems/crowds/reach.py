@@ -1,4 +1,4 @@
-"""How far legs reach: where a foot's lock ends, and how fast who is pushed must step.
+"""Reach of legs: when a planted foot must lift, and when a pushed body must step.
 
 All is in the frame of bodies, in lengths of the rig.
 """
@@ -39,7 +39,7 @@ MAX_RATE = 2.5
 
 @dataclass(frozen=True)
 class Reach:
-    """Where the legs of a rig begin as it walks and stands.
+    """Thigh positions of a rig as it walks and stands.
 
     Attributes:
         gaits: Of the rig.
@@ -53,14 +53,14 @@ class Reach:
 
     @staticmethod
     def of(gaits: Gaits) -> Reach:
-        """Return that of gaits."""
+        """Return the reach of a rig with some gaits."""
         walking = tuple(_thighs(gaits, one) for one in gaits.moving)
         return Reach(gaits, walking, _thighs(gaits, gaits.idle).mean(axis=0))
 
     def thighs(
         self, phases: FloatArray, weights: FloatArray, standing: FloatArray
     ) -> FloatArray:
-        """Return where the thighs of bodies are over level ground ``(N, 2, 3)``."""
+        """Return thighs of bodies above level ground ``(N, 2, 3)``."""
         at = phases * PHASES
         thighs = np.zeros((len(phases), 2, 3))
         for weight, table in zip(weights.T, self.walking, strict=True):
@@ -70,7 +70,7 @@ class Reach:
     def room(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how much farther a foot that stands may be ``(N,)``, and which way.
+        """Return the remaining reach of a planted foot ``(N,)``, and the direction.
 
         Level, from the thigh to the ankle ``(N, 2)``.
 
@@ -91,7 +91,7 @@ class Reach:
     def lowered(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
-        """Return how far hips are lowered for a foot that stands ``(N,)``."""
+        """Return how far hips are lowered for a planted foot ``(N,)``."""
         leg = self.gaits.walker.leg
         to_ankle = self._legs(k, thighs, feet, pitches)
         across = (to_ankle[:, [0, 2]] ** 2).sum(axis=1)
@@ -101,7 +101,7 @@ class Reach:
     def _legs(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
-        """Return ways from thighs to ankles of feet that stand ``(N, 3)``."""
+        """Return vectors from thighs to ankles of planted feet ``(N, 3)``."""
         lifts = standing_ankle(self.gaits.walker, k, about_side(pitches))
         ankles = feet[:, :3] + so3.rotate(about_up(feet[:, 3]), lifts)
         return np.asarray(ankles - thighs)
@@ -109,7 +109,7 @@ class Reach:
 
 @dataclass(frozen=True)
 class Stances:
-    """Feet of N bodies, as they are hurried.
+    """Planted feet of N bodies at two phases.
 
     Attributes:
         begins: Phases of each foot since it landed ``(N, 2)``.
@@ -133,7 +133,7 @@ class Stances:
 def hurried(
     reach: Reach, stances: Stances, went: FloatArray, turning: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return rates of cycles ``(N,)`` [1/s], and which feet no leg reaches ``(N, 2)``.
+    """Return cycle rates ``(N,)`` [1/s], and which feet are out of reach ``(N, 2)``.
 
     A foot lifts before its leg ends: at how fast the hips go from it ``went``
     ``(N, 2)`` [1/s], and at how fast they turn over it ``(N,)`` [rad/s], its stance has
@@ -164,12 +164,12 @@ def hurried(
 
 
 def _hurry(room: FloatArray, least: float, speed: FloatArray) -> FloatArray:
-    """Return one over how long rooms last that shrink at speeds ``(N,)`` [1/s]."""
+    """Return 1 / (time until a margin is used up) at given speeds ``(N,)`` [1/s]."""
     return np.asarray(np.maximum(speed, 0.0) / np.maximum(room, least))
 
 
 def _thighs(gaits: Gaits, gait: Gait) -> FloatArray:
-    """Return where the legs of a gait begin ``(P, 2, 3)``."""
+    """Return the thighs over a gait ``(P, 2, 3)``."""
     rig = gaits.walker.rig
     translations = np.repeat(rig.rest_translations[None], len(gait.rotations), axis=0)
     translations[:, 0] = gait.hips

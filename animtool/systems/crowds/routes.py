@@ -1,4 +1,4 @@
-"""Ways around obstacles: fields of the distance to each goal, on a grid."""
+"""Navigation: distance fields to each goal, on a grid."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TINY = 1e-300
 
 @dataclass(frozen=True)
 class NavGrid:
-    """Nodes on the ground, and which of them agents may stand on.
+    """Nodes on the ground, and which of them are walkable.
 
     Attributes:
         low: x and z of the first ``(2,)`` [m].
@@ -43,14 +43,14 @@ class NavGrid:
 
     @cached_property
     def parts(self) -> IntArray:
-        """Return which connected part each node is of ``(R, C)``, 0 for none."""
+        """Return the connected component of each node ``(R, C)``, 0 for none."""
         from scipy.ndimage import label
 
         return np.asarray(label(self.free)[0], np.int64)
 
     @cached_property
     def nearest(self) -> tuple[FloatArray, IntArray]:
-        """Return how far the nearest free node is ``(R, C)`` [m], and which."""
+        """Return the distance to the nearest free node ``(R, C)`` [m], and which."""
         from scipy.ndimage import distance_transform_edt
 
         far, which = distance_transform_edt(~self.free, self.cell, return_indices=True)
@@ -64,16 +64,16 @@ class NavGrid:
 
     @property
     def high(self) -> FloatArray:
-        """Where the last node is: x and z ``(2,)`` [m]."""
+        """The last node: x and z ``(2,)`` [m]."""
         return np.asarray(self.low + self.cell * (np.array(self.free.shape) - 1))
 
     def depth(self, points: FloatArray) -> FloatArray:
-        """Return how far x and z ``(K, 2)`` are from its sides, below 0 outside [m]."""
+        """Return the distance of x and z ``(K, 2)`` to its border, negative outside."""
         sides = np.minimum(points - self.low, self.high - points)
         return np.asarray(sides.min(axis=1), np.float64)
 
     def facing(self, point: FloatArray) -> IntArray:
-        """Return numbers of the nodes on the sides that x and z ``(2,)`` are beyond."""
+        """Return the border nodes on the sides that x and z ``(2,)`` lie beyond."""
         numbers = np.arange(self.free.size).reshape(self.free.shape)
         sides = [np.zeros(0, np.int64)]
         for axis, edges in enumerate((numbers, numbers.T)):
@@ -84,25 +84,25 @@ class NavGrid:
         return np.unique(np.concatenate(sides))
 
     def free_at(self, points: FloatArray) -> IntArray:
-        """Return numbers of the free nodes nearest to x and z ``(K, 2)``."""
+        """Return the free nodes nearest to x and z ``(K, 2)``."""
         row, column = self.at(points).T
         return np.asarray(self.nearest[1][row, column])
 
     def positions_of(self, numbers: IntArray) -> FloatArray:
-        """Return x and z of nodes by their numbers ``(K, 2)`` [m]."""
+        """Return x and z of nodes by number ``(K, 2)`` [m]."""
         index = np.stack(np.divmod(numbers, self.free.shape[1]), axis=-1)
         return np.asarray(self.low + self.cell * index)
 
     @cached_property
     def _clearances(self) -> FloatArray:
-        """Return how far each node is from those that are not free ``(R, C)`` [m]."""
+        """Return the distance of each node to blocked ones ``(R, C)`` [m]."""
         from scipy.ndimage import distance_transform_edt
 
         far = distance_transform_edt(np.pad(self.free, 1), self.cell)
         return np.asarray(far)[1:-1, 1:-1]
 
     def corners(self, points: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return rows and columns of the nodes about x and z, and shares ``(K, 2, 2)``.
+        """Return cells around x and z, and bilinear weights ``(K, 2, 2)``.
 
         They are those of a bilinear interpolation: rows ``(K, 2, 1)``, columns
         ``(K, 1, 2)``.
@@ -117,7 +117,7 @@ class NavGrid:
         return ends[:, :, None, 0], ends[:, None, :, 1], shares
 
     def edges(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return how far from x and z ``(K, 2)`` agents may not stand, and the way off.
+        """Return distances of x and z ``(K, 2)`` to blocked nodes, and directions.
 
         That is half a cell from the nodes that are not free: ``(K,)`` [m], ``(K, 2)``.
         """
@@ -135,7 +135,7 @@ class NavGrid:
 
 @dataclass(frozen=True)
 class FlowField:
-    """The way to one goal from everywhere.
+    """The shortest paths to one goal from everywhere.
 
     Attributes:
         distances: Of each node, infinite where no way leads ``(R, C)`` [m].
@@ -147,7 +147,7 @@ class FlowField:
 
     @cached_property
     def gradient(self) -> FloatArray:
-        """Return unit vectors along the shortest way from each node ``(R, C, 2)``."""
+        """Return unit vectors along the shortest path by node ``(R, C, 2)``."""
         padded = np.pad(self.distances, 1, constant_values=np.inf)
         here = self.distances
         descent = np.zeros((*here.shape, 2))
@@ -167,7 +167,7 @@ class FlowField:
         return descent / np.where(size > 0, size, 1.0)
 
     def directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
-        """Return unit vectors ``(K, 2)`` along the way from x and z ``(K, 2)``.
+        """Return unit vectors ``(K, 2)`` along the path from x and z ``(K, 2)``.
 
         To ``targets`` near the goal, where nothing is between. Who stands where nobody
         may goes back first.
@@ -196,7 +196,7 @@ class FlowField:
         return np.asarray(along / np.where(size > 0, size, 1.0))
 
     def _sees(self, points: FloatArray, targets: FloatArray) -> BoolArray:
-        """Return whether nothing is between x and z and targets ``(K, 2)`` nearby."""
+        """Return whether nearby targets ``(K, 2)`` are in line of sight."""
         grid = self.grid
         off = targets - points
         far = np.linalg.norm(off, axis=1)
@@ -208,13 +208,13 @@ class FlowField:
         return np.asarray(free.all(axis=0), np.bool_)
 
     def goal(self, points: FloatArray) -> FloatArray:
-        """Return where the ways from x and z ``(K, 2)`` end ``(K, 2)`` [m]."""
+        """Return the ends ``(K, 2)`` of paths from x and z ``(K, 2)`` [m]."""
         part = self.grid.parts.ravel()[self.grid.free_at(points)]
         return self.goals[part]
 
 
 def route_to(grid: NavGrid, goal: FloatArray) -> FlowField:
-    """Return the ways to a goal at x and z ``(2,)``.
+    """Return the flow field to a goal at x and z ``(2,)``.
 
     From a part of the grid that it is not in they lead to the node there that is
     nearest to it.
@@ -245,5 +245,5 @@ def route_to(grid: NavGrid, goal: FloatArray) -> FlowField:
 
 
 def routes_to(grid: NavGrid, goals: Iterable[FloatArray]) -> list[FlowField]:
-    """Return the ways to each of some goals."""
+    """Return the flow fields to several goals."""
     return [route_to(grid, goal) for goal in goals]

@@ -1,4 +1,4 @@
-"""Shoulders that agents turn in a jam, so that they slip past each other.
+"""Shoulder yaw of agents, to slip past each other in a jam.
 
 Angles are of the line of the shoulders about up, from straight ahead: more than 0 is to
 the left, as headings are.
@@ -29,7 +29,7 @@ LEAST = 0.02
 
 
 def lines(headings: FloatArray, shoulders: FloatArray) -> FloatArray:
-    """Return along shoulders, as long as they are turned, 1 at most ``(N, 2)``.
+    """Return vectors along the shoulders, longer with more yaw, 1 at most ``(N, 2)``.
 
     ``headings`` and ``shoulders`` ``(N,)`` [rad].
     """
@@ -41,7 +41,7 @@ def lines(headings: FloatArray, shoulders: FloatArray) -> FloatArray:
 def turned_shoulders(
     shoulders: FloatArray, pressed: FloatArray, dt: float
 ) -> FloatArray:
-    """Return how far shoulders are turned a step later ``(N,)`` [rad].
+    """Return shoulder yaws after a step ``(N,)`` [rad].
 
     ``pressed`` ``(N,)``: how far they are to be, of the most; below 0 for who turns
     to its right. Whoever turned to a side stays turned to that side.
@@ -56,14 +56,14 @@ def turned_shoulders(
 
 @dataclass(frozen=True)
 class Trunk:
-    """What turns the shoulders of a rig: its spine; neck and head turn back."""
+    """Joints that rotate the shoulders: the spine; neck and head counter-rotate."""
 
     spine: tuple[int, ...]
     neck: tuple[int, ...]  # and head
 
     @staticmethod
     def of(person: Person) -> Trunk:
-        """Return that of a skeleton; of one without a spine nothing turns."""
+        """Return the trunk of a skeleton; without a spine nothing rotates."""
         named = {
             role: tuple(j for j, actual in enumerate(person.roles) if actual == role)
             for role in ("spine", "neck", "head")
@@ -72,13 +72,13 @@ class Trunk:
 
     @property
     def joints(self) -> IntArray:
-        """Return the joints that it turns."""
+        """Return the joints it rotates."""
         return np.array([*self.spine, *self.neck], np.int64)
 
     def rotate(
         self, parents: IntArray, rotations: FloatArray, angles: FloatArray
     ) -> None:
-        """Turn shoulders of poses by angles ``(N,)`` [rad], in place.
+        """Rotate the shoulders of poses by angles ``(N,)`` [rad], in place.
 
         ``turns`` ``(N, J, 4)`` are local; the head keeps looking ahead.
         """
@@ -99,7 +99,7 @@ class Trunk:
 
 
 def _above(parents: IntArray, joint: int) -> list[int]:
-    """Return the joints above one, the first first."""
+    """Return the ancestors of a joint, root first."""
     chain: list[int] = []
     while (joint := int(parents[joint])) >= 0:
         chain.insert(0, joint)

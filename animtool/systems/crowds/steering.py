@@ -1,4 +1,4 @@
-"""How fast and which way agents would like to go."""
+"""Preferred velocities of agents."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import Agents
-from animtool.systems.crowds.routes import NavGrid, FlowField, routes_to
+from animtool.systems.crowds.routes import FlowField, NavGrid, routes_to
 from animtool.systems.crowds.spec import CrowdGoalModel
 
 # Time that agents take to stop at a goal, and to come back to their place in a group or
@@ -31,7 +31,7 @@ GONE = -1
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far N agents are on their routes.
+    """The progress of N agents on their routes.
 
     Attributes:
         stages: How many goals each has left behind; `GONE` for who left ``(N,)``.
@@ -46,7 +46,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Steering:
-    """Goals of agents, and the ways there.
+    """Goals of agents, and their flow fields.
 
     Attributes:
         points: x and z of each goal ``(G, 2)`` [m].
@@ -61,12 +61,12 @@ class Steering:
 
     @cached_property
     def routes(self) -> list[FlowField]:
-        """Return the ways to each goal; none where nothing is in the way."""
+        """Return the flow fields to each goal; none without obstacles."""
         return [] if self.grid is None else routes_to(self.grid, self.points)
 
     @cached_property
     def _plans(self) -> tuple[IntArray, IntArray, BoolArray, BoolArray]:
-        """Return of each its route, its length, and if it repeats or leaves."""
+        """Return each agent's route, its length, and whether it repeats or leaves."""
         populations = self.agents.populations
         names = [goal.name for goal in self.goals]
         longest = max((len(one.route) for one in populations), default=0)
@@ -80,14 +80,14 @@ class Steering:
         return table[kinds], counts[kinds], again[kinds], leaves[kinds]
 
     def first(self) -> Progress:
-        """Return how far agents are at the beginning."""
+        """Return the initial progress."""
         count = len(self.agents)
         return Progress(
             np.zeros(count, np.int64), np.zeros(count), np.full(count, NO_TICKET)
         )
 
     def heading_for(self, progress: Progress) -> IntArray:
-        """Return the goal of each agent ``(N,)``, -1 for who has none."""
+        """Return the current goal of each agent ``(N,)``, -1 for none."""
         table, counts, again, _ = self._plans
         stages = progress.stages
         stage = np.where(
@@ -99,21 +99,21 @@ class Steering:
     def targets(
         self, progress: Progress, goal: IntArray, x: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Return where agents are to be in the end ``(N, 2)`` [m], and who queues."""
+        """Return each agent's final position ``(N, 2)`` [m], and who queues."""
         if not len(self.points):
             return x, np.zeros(len(x), np.bool_)
         at = self._middles(goal, x)
         radii = np.array([one.radius for one in self.goals])
-        beside_goal = (
+        next_to_goal = (
             at + self.agents.offsets * np.where(goal >= 0, radii[goal], 0.0)[:, None]
         )
         if self.grid is None:
-            at = beside_goal
+            at = next_to_goal
         else:
             # Only where it can be reached from the middle.
-            nodes = self.grid.at(np.stack([at, beside_goal]).reshape(-1, 2))
+            nodes = self.grid.at(np.stack([at, next_to_goal]).reshape(-1, 2))
             parts = self.grid.parts[nodes[:, 0], nodes[:, 1]].reshape(2, -1)
-            at = np.where((parts[0] == parts[1])[:, None], beside_goal, at)
+            at = np.where((parts[0] == parts[1])[:, None], next_to_goal, at)
         queued = progress.tickets != NO_TICKET
         for g in np.unique(goal[queued]).tolist():
             line = np.flatnonzero(queued & (goal == g))
@@ -122,7 +122,7 @@ class Steering:
         return at, queued
 
     def _middles(self, goal: IntArray, x: FloatArray) -> FloatArray:
-        """Return the goal of each that it can reach ``(N, 2)`` [m]; without one, x."""
+        """Return each agent's reachable goal ``(N, 2)`` [m]; without one, x."""
         at = np.where((goal >= 0)[:, None], self.points[goal], x)
         for g, route in enumerate(self.routes):
             assigned = goal == g
@@ -132,7 +132,7 @@ class Steering:
     def preferred(
         self, t: float, begin: float, progress: Progress, x: FloatArray
     ) -> FloatArray:
-        """Return velocities that agents would like at a time [s] ``(N, 2)`` [m/s]."""
+        """Return preferred velocities at a time [s] ``(N, 2)`` [m/s]."""
         agents = self.agents
         goal = self.heading_for(progress)
         target, queued = self.targets(progress, goal, x)
@@ -157,7 +157,7 @@ class Steering:
     def _in_groups(
         self, preferred: FloatArray, alone: BoolArray, x: FloatArray
     ) -> FloatArray:
-        """Return velocities with which those of a group walk side by side."""
+        """Return velocities that keep groups side by side."""
         groups = self.agents.groups
         members = np.flatnonzero((groups >= 0) & ~alone & preferred.any(axis=1))
         if not len(members):
@@ -183,7 +183,7 @@ class Steering:
         return adjusted
 
     def advanced(self, progress: Progress, x: FloatArray, dt: float) -> Progress:
-        """Return how far agents are a step [s] later, where they are at x and z."""
+        """Return progress after a step [s], with agents at x and z."""
         if not len(self.points):
             return progress
         _, counts, again, leaves = self._plans
@@ -215,7 +215,7 @@ class Steering:
         )
 
     def _radius(self, goal: IntArray, there: BoolArray) -> FloatArray:
-        """Return how near its goal each must come ``(N,)`` [m], as others are there."""
+        """Return each goal's arrival radius ``(N,)`` [m], larger when crowded."""
         radii = np.array([one.radius for one in self.goals])[goal]
         count = np.bincount(goal[there & (goal >= 0)], minlength=len(self.goals))[goal]
         return np.asarray(
@@ -225,7 +225,7 @@ class Steering:
     def _joined(
         self, tickets: IntArray, goal: IntArray, queues: BoolArray, x: FloatArray
     ) -> IntArray:
-        """Return tickets with those of who comes to the end of a queue."""
+        """Return tickets, with new ones for agents who reach the end of a queue."""
         joined = tickets
         for g in np.unique(goal[queues]).tolist():
             queuing = queues & (goal == g)

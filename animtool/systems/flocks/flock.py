@@ -1,4 +1,4 @@
-"""A flock as a simulation: steps by any integrator, looked at as points or meshes."""
+"""Flock simulation: integrated members, shown as points or meshes."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from animtool.systems.flocks.spacing import FIRST_PASSES, Spacing
 from animtool.systems.flocks.spec import DomainModel, FlocksModel
 from animtool.systems.flocks.steering import (
     avoidance,
-    kept_speeds,
     goal_accelerations,
+    kept_speeds,
     steered,
 )
 from animtool.systems.framework.interacting import integrated
@@ -41,7 +41,7 @@ _TINY = 1e-9  # what is shorter has no direction
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """How N members are turned: their z goes ahead, their y up."""
+    """Orientations of N members: z forward, y up."""
 
     rotations: FloatArray  # unit quaternions x, y, z, w (N, 4)
     spins: FloatArray  # angular velocities, in the world (N, 3) [rad/s]
@@ -49,7 +49,7 @@ class Heading:
 
 
 def first_heading(members: Members, v: FloatArray) -> Heading:
-    """Return how members are turned that begin with velocities ``(N, 3)`` [m/s]."""
+    """Return initial orientations for velocities ``(N, 3)`` [m/s]."""
     count = len(v)
     identity = np.broadcast_to(so3.IDENTITY, (count, 4))
     phases = [
@@ -64,7 +64,7 @@ def first_heading(members: Members, v: FloatArray) -> Heading:
 def next_heading(
     members: Members, heading: Heading, v0: FloatArray, v1: FloatArray, dt: float
 ) -> Heading:
-    """Return how members are turned a step [s] later: ``v0`` and ``v1`` ``(N, 3)``.
+    """Return orientations after a step [s]: ``v0`` and ``v1`` ``(N, 3)``.
 
     What carries a wing is at right angles to the way, and makes up for gravity and for
     the turn: so is the up that they lean to.
@@ -87,7 +87,7 @@ def next_heading(
 
 
 def _along(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatArray:
-    """Return rotations ``(N, 4)`` whose z is along velocities, and y near an up.
+    """Return rotations ``(N, 4)`` with z along velocities, and y near an up vector.
 
     Who stands stays as it was.
     """
@@ -105,7 +105,7 @@ def _along(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatArray:
 
 
 def shown(members: Members, meshes: IntArray, phases: FloatArray) -> IntArray:
-    """Return which mesh each member shows ``(N,)``: of its species, by its phase.
+    """Return the mesh index of each member ``(N,)``, by its species and phase.
 
     ``meshes``: first of each species, and how many it has ``(S, 2)``.
     """
@@ -117,7 +117,7 @@ def shown(members: Members, meshes: IntArray, phases: FloatArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class FlockState:
-    """Where members are, and how they are turned."""
+    """Positions, velocities and orientations of members."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
     heading: Heading | None  # None where points are shown
@@ -125,7 +125,7 @@ class FlockState:
 
 @dataclass(frozen=True)
 class FlockForces(SecondOrder):
-    """N members under all that moves them."""
+    """N members as a second-order system."""
 
     members: Members
     domain: DomainModel | None
@@ -138,7 +138,7 @@ class FlockForces(SecondOrder):
 
     @property
     def state(self) -> FloatArray:
-        """Where they start."""
+        """The initial state."""
         return self.motion
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
@@ -158,7 +158,7 @@ class FlockForces(SecondOrder):
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return where speeds, other members and colliders let a step end."""
+        """Return the state within speed limits, spacing and colliders."""
         x, v = after[0], after[1]
         if self.spacing is not None:
             v = self._braked(h, before[1], x, v)
@@ -173,7 +173,7 @@ class FlockForces(SecondOrder):
     def _braked(
         self, h: float, before: FloatArray, x: FloatArray, v: FloatArray
     ) -> FloatArray:
-        """Return velocities of who brakes for others, as fast as it may ``(N, 3)``."""
+        """Return velocities after braking for others ``(N, 3)``."""
         assert self.spacing is not None
         brakes = self.spacing.braking(x, v)
         braking = steered(self.members, before, (v - before) / h + brakes)
@@ -182,7 +182,7 @@ class FlockForces(SecondOrder):
 
 
 class Flock:
-    """Members that see each other, in steps.
+    """A flock, in steps.
 
     Attributes:
         system: They and what moves them, as integrators see them at the beginning.
@@ -242,14 +242,14 @@ class Flock:
         )
 
     def initial(self) -> FlockState:
-        """Return where all begin."""
+        """Return the initial state."""
         motion = self.system.motion
         if not self._meshes:
             return FlockState(motion, None)
         return FlockState(motion, first_heading(self._members, motion[1]))
 
     def step(self, state: FlockState, t: float, dt: float) -> FlockState:
-        """Return where members are a step [s] later.
+        """Return the state after a step [s].
 
         Raises:
             StoppedError: The method could not go on (SIM102 to SIM105).
@@ -264,7 +264,7 @@ class Flock:
         return FlockState(self._within(motion), heading)
 
     def _within(self, motion: FloatArray) -> FloatArray:
-        """Return members that left a domain that wraps where they come in again."""
+        """Return positions wrapped into a periodic domain."""
         if self._domain is None or not self._domain.wrap:
             return motion
         size = np.array(self._domain.size)
@@ -275,7 +275,7 @@ class Flock:
         )
 
     def frame(self, state: FlockState, t: float) -> PointsFrame | TransformsFrame:  # noqa: ARG002
-        """Return what members show."""
+        """Return points and meshes at a time."""
         members, heading = self._members, state.heading
         points, velocities = state.motion
         ids = np.arange(len(members))
@@ -296,7 +296,7 @@ class Flock:
         )
 
     def diagnostics(self, state: FlockState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return how fast members are, and how much they go one way."""
+        """Return speeds, and the order parameter (alignment) of members."""
         velocities = state.motion[1]
         speeds = np.linalg.norm(velocities, axis=1)
         moving = speeds > 0

@@ -1,4 +1,4 @@
-"""Who is in a flock: species one after the other, and where each member begins."""
+"""Members of a flock, species by species, and their start positions."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MOVED = 4e-3
 
 @dataclass(frozen=True)
 class Members:
-    """N members of some species, and where they begin."""
+    """N members of several species, and their start."""
 
     species: Sequence[SpeciesModel]
     parts: Sequence[Mapping[str, Any]]  # what keys of each are read as
@@ -49,7 +49,7 @@ class Members:
     def of(
         spec: FlocksModel, parts: Sequence[Mapping[str, Any]], begin: float
     ) -> Members:
-        """Return the members of a spec: refused where two begin at one place."""
+        """Return the members of a spec; duplicate positions are refused."""
         drawn, refusals = [], Refusals()
         for species, part in zip(spec.species, parts, strict=True):
             with refusals.collect():
@@ -62,7 +62,7 @@ class Members:
         return members
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of members."""
         return len(self.points)
 
     @cached_property
@@ -73,33 +73,33 @@ class Members:
 
     @cached_property
     def kinds(self) -> IntArray:
-        """Return the number of each member's species ``(N,)``."""
+        """Return each member's species index ``(N,)``."""
         counts = np.diff([0, *self.ends])
         return np.repeat(np.arange(len(self.species)), counts)
 
     def each(self, values: Sequence[float]) -> FloatArray:
-        """Return a value of each member's species ``(N,)``."""
+        """Return a per-species value for each member ``(N,)``."""
         return np.asarray(values, np.float64)[self.kinds]
 
     @cached_property
     def radii(self) -> FloatArray:
-        """Return how near members come to colliders ``(N,)`` [m]."""
+        """Return collision radii of members ``(N,)`` [m]."""
         return self.each([one.radius for one in self.species])
 
     @cached_property
     def particles(self) -> ParticleState:
-        """Return members as the forces on particles see them."""
+        """Return members as particles, for forces."""
         masses = self.each([one.mass for one in self.species])
         ids = np.arange(len(self))
         return ParticleState.lasting(ids, masses, self.radii, self.begin, self.points)
 
     def named(self, i: int) -> str:
-        """Return a member, for messages."""
+        """Return a member's name, for messages."""
         kind = int(self.kinds[i])
         return f"member {i - self.parted[kind].start} of {self.species[kind].name!r}"
 
     def check_distinct(self) -> None:
-        """Refuse two at one place: nothing would ever tell them apart (SIM060)."""
+        """Refuse two members at the same position (SIM060)."""
         hint = "use place: {sphere: {radius: 2}}, or another region with a size"
         check_apart(
             self.points,
@@ -110,7 +110,7 @@ class Members:
         )
 
     def outside(self, colliders: Colliders) -> tuple[FloatArray, list[Fault]]:
-        """Return where members begin that no collider holds ``(N, 3)`` [m].
+        """Return start positions outside all colliders ``(N, 3)`` [m].
 
         Who would begin inside is moved out, which is a warning (SIM124).
         """
@@ -145,7 +145,7 @@ class Members:
         return points, [warning("SIM124", message, hint)]
 
     def spread(self, points: FloatArray, overlap: float) -> list[Fault]:
-        """Return what there is to say of members moved apart to points ``(N, 3)``.
+        """Return warnings about members that were separated ``(N, 3)``.
 
         Those whose places a file gives are named, and an overlap [m] that is left
         (SIM147).
@@ -175,7 +175,7 @@ class Members:
 def _drawn(
     species: SpeciesModel, parts: Mapping[str, Any], begin: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where members begin ``(N, 3)`` [m], and how fast [m/s]."""
+    """Return start positions [m] and velocities [m/s] ``(N, 3)``."""
     points, velocities = parts.get("points"), parts.get("velocities")
     if points is None and velocities is not None:
         message = "velocities need points"
@@ -202,7 +202,7 @@ def _drawn(
 
 
 def check_species(spec: FlocksModel) -> None:
-    """Refuse species whose keys do not fit together (SIM060)."""
+    """Refuse invalid combinations of a species' keys (SIM060)."""
     refuse_all("SIM060", _problems(spec))
 
 
@@ -245,12 +245,12 @@ def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem
 
 
 def max_speed(species: SpeciesModel) -> float:
-    """Return how fast members may be [m/s]."""
+    """Return the maximum speed of members [m/s]."""
     speed = species.speed
     return 2 * speed.cruise if speed.most is None else speed.most
 
 
 def farthest(species: SpeciesModel) -> float:
-    """Return how far members heed others [m]."""
+    """Return the largest interaction distance of members [m]."""
     others = [*species.flees, *species.chases]
     return max(species.vision.radius, *(one.radius for one in others), 0.0)

@@ -1,4 +1,4 @@
-"""What members do by those that they see: one call of the kernel a rule."""
+"""Rules between members in sight: one kernel call each."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NEVER = (0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class FlockRule:
-    """What members of a species do by those of some: arguments of the kernel."""
+    """A rule of one species towards others: arguments of the kernel."""
 
     members: Indices | None  # (M,); None is all
     others: Indices | None
@@ -38,7 +38,7 @@ class FlockRule:
 
 
 def rules_of(members: Members) -> list[FlockRule]:
-    """Return the rules of all species, those without an effect left out."""
+    """Return the rules of all species, without those that have no effect."""
     rules = []
     names = [species.name for species in members.species]
     for number, species in enumerate(members.species):
@@ -95,7 +95,7 @@ def _acts(rule: FlockRule) -> bool:
 
 
 def _some(members: Members, numbers: Sequence[int]) -> Indices | None:
-    """Return the members of some species ``(M,)``; None of all."""
+    """Return the members of some species ``(M,)``; None for all."""
     if len(numbers) == len(members.species):
         return None
     every = [np.arange(len(members))[members.parted[number]] for number in numbers]
@@ -103,7 +103,7 @@ def _some(members: Members, numbers: Sequence[int]) -> Indices | None:
 
 
 def wrapping(domain: DomainModel | None) -> FloatArray:
-    """Return where axes begin and how long they are ``(2, 3)`` [m]; 0 have no end."""
+    """Return the origin and period of each axis ``(2, 3)`` [m]; 0 is not periodic."""
     period = np.zeros((2, 3))
     if domain is not None and domain.wrap:
         period[1] = domain.size
@@ -112,14 +112,14 @@ def wrapping(domain: DomainModel | None) -> FloatArray:
 
 
 def max_pairs(count: int) -> float:
-    """Return how many pairs of so many members are looked at."""
+    """Return the maximum number of neighbour pairs for N members."""
     return float(max(MAX_PAIRS_EACH * count, MAX_PAIRS))
 
 
 def flocking(
     rules: Sequence[FlockRule], domain: DomainModel | None, x: FloatArray, v: FloatArray
 ) -> FloatArray:
-    """Return accelerations by those that members see ``(N, 3)`` [m/s²].
+    """Return accelerations from members in sight ``(N, 3)`` [m/s²].
 
     ``x`` ``(N, 3)`` [m], ``v`` ``(N, 3)`` [m/s].
 

@@ -1,4 +1,4 @@
-"""The least distance of members: who brakes for whom, and who is moved apart."""
+"""Minimum distances between members: braking and separation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CLEAR = 1e-4
 
 
 def least_distance(species: SpeciesModel) -> float:
-    """Return how near members of a species come to each other [m]; 0 is any.
+    """Return the minimum distance of a species [m]; 0 for none.
 
     Twice their radius: those that are given none and show no shape are points.
     """
@@ -37,20 +37,20 @@ def least_distance(species: SpeciesModel) -> float:
 
 @dataclass(frozen=True)
 class Spacing:
-    """The least distances of N members: of two, the mean of both."""
+    """Minimum distances of N members; pairs use the mean of both."""
 
     distances: FloatArray  # (N,) [m]; 0 keeps none
     period: FloatArray  # where axes begin and their lengths (2, 3) [m], 0 for none
 
     @staticmethod
     def of(members: Members, domain: DomainModel | None) -> Spacing | None:
-        """Return the spacing of members; None where nobody keeps any."""
+        """Return the spacing of members; None without minimum distances."""
         distances = members.each([least_distance(one) for one in members.species])
         keeps = len(distances) > 1 and distances.max() > 0
         return Spacing(distances, wrapping(domain)) if keeps else None
 
     def braking(self, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return what stops members before they are too near ``(N, 3)`` [m/s²].
+        """Return braking accelerations ahead of others ``(N, 3)`` [m/s²].
 
         Of two that close in each takes half: the square of their speed over twice the
         room that is left, the more the nearer they are.
@@ -68,7 +68,7 @@ class Spacing:
     def separated(
         self, x: FloatArray, rounds: int = PASSES
     ) -> tuple[FloatArray, float]:
-        """Return members moved apart ``(N, 3)`` [m], and the overlap left [m].
+        """Return separated positions ``(N, 3)`` [m], and the remaining overlap.
 
         Raises:
             ToleranceError: They are so many that a step would take minutes (SIM107).

@@ -1,4 +1,4 @@
-"""The keys of a flock in a scene file, as models."""
+"""Keys of flocks in scene files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What members do by themselves: goals, ways, speed, what they avoid, and limits."""
+"""Steering of single members: goals, paths, speed, avoidance and limits."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TINY = 1e-12  # lengths and speeds below have no direction [m], [m/s]
 def goal_accelerations(
     members: Members, t: float, x: FloatArray, v: FloatArray
 ) -> FloatArray:
-    """Return what goals, ways and speeds do ``(N, 3)`` [m/s²]."""
+    """Return accelerations by goals, paths and speeds ``(N, 3)`` [m/s²]."""
     accelerations = np.zeros_like(x)
     for species, parts, members_rows in zip(
         members.species, members.parts, members.parted, strict=True
@@ -45,7 +45,7 @@ def goal_accelerations(
 
 
 def _beyond(off: FloatArray, radius: float) -> FloatArray:
-    """Return what of ways ``(N, 3)`` is beyond a radius [m]."""
+    """Return the part of vectors ``(N, 3)`` that exceeds a radius [m]."""
     if not radius:
         return off
     far = np.linalg.norm(off, axis=1)[:, None]
@@ -53,7 +53,7 @@ def _beyond(off: FloatArray, radius: float) -> FloatArray:
 
 
 def _target(path: PathModel, x: FloatArray) -> FloatArray:
-    """Return where on a way those at points are to go ``(N, 3)`` [m]."""
+    """Return the target points on a path ``(N, 3)`` [m]."""
     points = np.array(path.points)
     if path.closed:
         points = np.concatenate([points, points[:1]])
@@ -77,7 +77,7 @@ INSTANT = 2.0**-10
 def avoidance(
     members: Members, colliders: Colliders, t: float, x: FloatArray, v: FloatArray
 ) -> FloatArray:
-    """Return what keeps members clear of colliders ``(N, 3)`` [m/s²].
+    """Return accelerations away from colliders ``(N, 3)`` [m/s²].
 
     Near a surface they are pushed off; who goes towards it is also braked as much as
     stops it there: by the square of its speed against the collider's over twice the
@@ -104,7 +104,7 @@ def avoidance(
 
 
 def steered(members: Members, v: FloatArray, requested: FloatArray) -> FloatArray:
-    """Return accelerations that members are capable of ``(N, 3)`` [m/s²]."""
+    """Return accelerations within each species' limits ``(N, 3)`` [m/s²]."""
     limits = requested
     for species, rows in zip(members.species, members.parted, strict=True):
         if species.turning is not None:
@@ -118,7 +118,7 @@ def steered(members: Members, v: FloatArray, requested: FloatArray) -> FloatArra
 def _turned_less(
     requested: FloatArray, v: FloatArray, rows: slice, most: float
 ) -> FloatArray:
-    """Return accelerations that turn velocities less than a rate [rad/s]."""
+    """Return accelerations limited to a turning rate [rad/s]."""
     speeds = np.linalg.norm(v[rows], axis=1)[:, None]
     directions = v[rows] / np.maximum(speeds, _TINY)
     along = (requested[rows] * directions).sum(axis=1)[:, None] * directions
@@ -132,13 +132,13 @@ def _turned_less(
 
 
 def limited(values: FloatArray, most: float) -> FloatArray:
-    """Return vectors ``(N, 3)`` no longer than a length."""
+    """Return vectors ``(N, 3)`` clamped to a length."""
     sizes = np.linalg.norm(values, axis=1)[:, None]
     return np.asarray(values * np.minimum(most / np.maximum(sizes, _TINY), 1.0))
 
 
 def kept_speeds(members: Members, v: FloatArray) -> FloatArray:
-    """Return velocities within the speeds of each species ``(N, 3)`` [m/s]."""
+    """Return velocities clamped to each species' speeds ``(N, 3)`` [m/s]."""
     least = members.each([one.speed.least for one in members.species])
     most = members.each([max_speed(one) for one in members.species])
     speeds = np.linalg.norm(v, axis=1)

@@ -1,4 +1,4 @@
-"""Where fluid begins, and where it comes in."""
+"""Initial fluid, and inflow of emitters."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ BRIEF = 1e-4
 def filled(
     spec: FluidModel, parts: Sequence[Mapping[str, Any]], colliders: Colliders, t: float
 ) -> FloatArray:
-    """Return positions and velocities of all fluid at the beginning ``(2, N, 3)``.
+    """Return positions and velocities of the initial fluid ``(2, N, 3)``.
 
     Raises:
         OptionError: A fill is too large, has nothing, or begins where it cannot be
@@ -56,7 +56,7 @@ def filled(
 def coarse_drops(
     spec: FluidModel, parts: Sequence[Mapping[str, Any]]
 ) -> Iterator[Fault]:
-    """Yield which drops have too few particles for their surface tension (SIM175)."""
+    """Yield drops with too few particles for surface tension (SIM175)."""
     if not spec.tension:
         return
     radii = [
@@ -103,7 +103,7 @@ def _named(spec: FluidModel, i: int) -> str:
 
 
 def _points_of_file(fill: FillModel, part: Mapping[str, Any], name: str) -> FloatArray:
-    """Return points and velocities of arrays ``(2, N, 3)``."""
+    """Return positions and velocities from arrays ``(2, N, 3)``."""
     points, velocities = part["points"], part.get("velocities")
     if velocities is None:
         velocities = np.broadcast_to(np.array(fill.velocity), (len(points), 3))
@@ -122,7 +122,7 @@ def _points_of_file(fill: FillModel, part: Mapping[str, Any], name: str) -> Floa
 def _check_outside(
     points: FloatArray, colliders: Colliders, t: float, name: str
 ) -> None:
-    """Refuse points that are within colliders, or beyond a container."""
+    """Refuse points inside colliders, or outside a container."""
     if not colliders.rigid or not len(points):
         return
     gaps = colliders.volumes.sample(points, t).distances
@@ -141,7 +141,7 @@ def _check_outside(
 
 
 def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
-    """Refuse two at one place: pressure has no way to part them."""
+    """Refuse particles closer than pressure can separate."""
     from scipy.spatial import cKDTree
 
     if len(points) < 2:
@@ -177,7 +177,7 @@ def _check_count(spec: FluidModel, count: float, key: str) -> None:
 
 
 def _lattice(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray:
-    """Return the places of a lattice that are in a shape ``(N, 3)`` [m]."""
+    """Return lattice points inside a shape ``(N, 3)`` [m]."""
     low, high = bounds(shape)
     sizes = np.maximum(np.round((high - low) / spec.spacing), 1.0)
     _check_count(spec, float(np.prod(sizes)) / SPARSE, "fills")
@@ -193,7 +193,7 @@ def _lattice(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Inflow:
-    """Fluid that comes in within a step."""
+    """Fluid that enters within a step."""
 
     state: FloatArray  # positions and velocities at its end (2, N, 3)
     births: FloatArray  # when each came (N,) [s]
@@ -201,7 +201,7 @@ class Inflow:
 
 
 class Nozzle:
-    """An emitter: layers of a lattice that come out one after the other."""
+    """An emitter that releases lattice layers one after another."""
 
     def __init__(
         self, spec: FluidModel, emitter: FluidEmitterModel, poses: Poses, begin: float
@@ -215,7 +215,7 @@ class Nozzle:
     def _layer_positions(
         self, spec: FluidModel, emitter: FluidEmitterModel
     ) -> FloatArray:
-        """Return the places of a layer ``(M, 3)`` [m]."""
+        """Return the positions in a layer ``(M, 3)`` [m]."""
         radius = emitter.radius
         wide, deep = emitter.size or (2 * (radius or 0.0), 2 * (radius or 0.0))
         counts = [max(round(side / spec.spacing), 1) for side in (wide, deep)]
@@ -227,12 +227,12 @@ class Nozzle:
         return np.asarray(grid[np.linalg.norm(grid, axis=1) < radius])
 
     def _layer_count(self, span: Sequence[float], t: float) -> int:
-        """Return how many layers a span has made before a time."""
+        """Return the number of layers released before a time."""
         lasts = min(t, span[1]) - span[0]
         return max(math.ceil(lasts / self._period - ROUNDING), 0)
 
     def inflow(self, after: float, until: float, pull: FloatArray, room: int) -> Inflow:
-        """Return what comes in between two times [s], as gravity ``(3,)`` takes it."""
+        """Return fluid released between two times [s], under gravity ``(3,)``."""
         states, births = [np.zeros((2, 0, 3))], [np.zeros(0)]
         size, missed = len(self._layer_points), 0
         for span in self._spans:
@@ -249,7 +249,7 @@ class Nozzle:
         return Inflow(np.concatenate(states, axis=1), np.concatenate(births), missed)
 
     def _layers(self, times: FloatArray, until: float, pull: FloatArray) -> FloatArray:
-        """Return layers that came out at times, at a later one ``(2, K M, 3)``."""
+        """Return layers released at given times, at a later one ``(2, K M, 3)``."""
         now, before = self._poses.over(times), self._poses.over(times - BRIEF)
         size, emitter_velocity = (
             len(self._layer_points),
@@ -270,7 +270,7 @@ class Nozzle:
 def has_room(
     points: FloatArray, others: FloatArray, colliders: Colliders, t: float, space: float
 ) -> Any:
-    """Return which of points ``(M, 3)`` have room among others ``(N, 3)`` ``(M,)``."""
+    """Return which points ``(M, 3)`` keep a distance from others ``(N, 3)``."""
     from scipy.spatial import cKDTree
 
     kept = np.ones(len(points), bool)

@@ -1,4 +1,4 @@
-"""A fluid as a simulation: steps that pressure keeps from being dense."""
+"""Fluid simulation: steps with a pressure solve."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class FluidState:
 
 
 class Fluid:
-    """Particles that pressure keeps as dense as at rest, in steps.
+    """An incompressible fluid of particles, in steps.
 
     Raises:
         OptionError: Something of the spec makes no sense (SIM064).
@@ -104,7 +104,7 @@ class Fluid:
             check_surface()
 
     def initial(self) -> FluidState:
-        """Return the fluid as it begins."""
+        """Return the initial state."""
         count = self._start.shape[1]
         state = FluidState(
             np.arange(count, dtype=np.int64),
@@ -118,12 +118,12 @@ class Fluid:
         return replace(state, sound=sound, energy=self._energy(state)[0])
 
     def misfit(self, state: FluidState, t: float) -> str:
-        """Return why a state of a file cannot be resumed from; empty where it can."""
+        """Return why a saved state cannot be resumed; empty if it can."""
         del t
         return "" if state.sound >= 0 else "the speed of sound is below 0"
 
     def step(self, state: FluidState, t: float, dt: float) -> Stepped[FluidState]:
-        """Return the fluid a step [s] later, and what it pushed bodies by.
+        """Return the state after a step [s], and impulses on bodies.
 
         Raises:
             StoppedError: It collapsed, or the step is too long (SIM102, SIM108).
@@ -142,12 +142,12 @@ class Fluid:
         return Stepped(state, wrenches, notices)
 
     def _particles(self, state: FluidState) -> ParticleState:
-        """Return the fluid as the forces on particles see it."""
+        """Return the fluid as particles, for forces."""
         half, points = self._spec.spacing / 2, state.motion[0]
         return ParticleState.lasting(state.ids, self._mass, half, state.births, points)
 
     def _pull(self, state: FluidState, t: float) -> FloatArray:
-        """Return what forces do ``(N, 3)`` [m/s²]."""
+        """Return accelerations of forces ``(N, 3)`` [m/s²]."""
         accelerations: FloatArray = np.zeros_like(state.motion[0])
         particles = self._particles(state)
         with np.errstate(all="ignore"):
@@ -156,7 +156,7 @@ class Fluid:
         return accelerations
 
     def _energy(self, state: FluidState) -> tuple[float, float, bool]:
-        """Return energy, kinetic energy [J], and whether forces have potentials."""
+        """Return total and kinetic energy [J], and whether potentials are known."""
         kinetic = 0.5 * self._mass * float((state.motion[1] ** 2).sum())
         particles, total, known = self._particles(state), kinetic, True
         for force in self._forces:
@@ -177,7 +177,7 @@ class Fluid:
         pull: FloatArray,
         notices: list[Fault] | None = None,
     ) -> tuple[FluidState, Sequence[Wrenches]]:
-        """Return the end of a step, in as many parts as keep it from being dense.
+        """Return the state after a step, in as many substeps as density needs.
 
         Without a list of notices it is a trial, which looks for no shorter step.
         """
@@ -235,7 +235,7 @@ class Fluid:
         sound: float,
         parts: int,
     ) -> Pressed:
-        """Return the end of a step in some parts; sheets are met between pieces."""
+        """Return the state after some substeps; sheets collide between pieces."""
         around, motion = self._colliders, state.motion
         pieces = self._substeps.pieces(around, parts, dt)
         each, pressures, compression = dt / pieces, np.zeros(len(state.ids)), 0.0
@@ -275,7 +275,7 @@ class Fluid:
         return Pressed(motion, pressures, compression, wrenches)
 
     def _solid(self, t: float) -> Colliders:
-        """Return what pressure acts on: what is rigid, and skins as they are now."""
+        """Return the colliders of the pressure solve: rigid ones, and current skins."""
         around = self._colliders
         skins = [
             sheet.collider(sheet.motion.points(t), sheet.motion.triangles(t))
@@ -285,7 +285,7 @@ class Fluid:
         return Colliders([*around, *skins], (), around.bodies) if skins else around
 
     def _gains(self, state: FluidState) -> bool:
-        """Return whether there is energy that nothing brought."""
+        """Return whether energy grew without a source."""
         total, kinetic, known = self._energy(state)
         if not known or not self._closed:
             return False
@@ -304,7 +304,7 @@ class Fluid:
         shorter: float,
         notices: list[Fault] | None,
     ) -> None:
-        """Stop where a step is too long, so many times; no trial looks for another."""
+        """Stop because a step is too long; suggest one, except in trials."""
         step = None
         if notices is not None and shorter < MAX_SHORTENING:
             step = self._working_step(state, t, dt, shorter)
@@ -314,7 +314,7 @@ class Fluid:
     def _working_step(
         self, state: FluidState, t: float, dt: float, shorter: float
     ) -> float | None:
-        """Return a step that goes on from a state, tried; None where none is found.
+        """Return a shorter step that works from a state; None if none does.
 
         At least so many times ``shorter``, with as much room again.
         """
@@ -322,7 +322,7 @@ class Fluid:
         return next((step for step in steps if self._goes_on(state, t, step)), None)
 
     def _goes_on(self, state: FluidState, t: float, step: float) -> bool:
-        """Return whether the first steps of a length [s] from a state do."""
+        """Return whether the first steps of a length [s] succeed from a state."""
         try:
             for k in range(TRIED):
                 now = t + k * step
@@ -337,7 +337,7 @@ class Fluid:
         raise StoppedError([Fault(code, message, hint=hint)])
 
     def _drained(self, state: FluidState, t: float) -> FluidState:
-        """Return a state without those in drains."""
+        """Return a state without the particles in drains."""
         kept = np.ones(len(state.ids), bool)
         for drain in self._drains:
             kept &= drain.sample(state.motion[0], t).distances[0] >= 0
@@ -362,7 +362,7 @@ class Fluid:
         pull: FloatArray,
         notices: list[Fault],
     ) -> FluidState:
-        """Return a state with those who come in within a step, at its end."""
+        """Return a state with the inflow of a step, at its end."""
         for nozzle in self._nozzles:
             room = max(self._spec.max_particles - len(state.ids), 0)
             mean = pull.mean(axis=0) if len(pull) else np.zeros(3)
@@ -408,7 +408,7 @@ class Fluid:
         }
 
     def frame(self, state: FluidState, t: float) -> PointsFrame | MeshFrame:
-        """Return the particles, or the surface about them."""
+        """Return the particles, or their surface mesh."""
         spec, (points, velocities) = self._spec, state.motion
         quantities = self._quantities(state, t)
         primvars: dict[str, Any] = {one: quantities[one]() for one in spec.primvars}
@@ -422,7 +422,7 @@ class Fluid:
         return PointsFrame(state.ids, points, velocities, radii, primvars)
 
     def diagnostics(self, state: FluidState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return how much there is of it, how dense, fast and deep it is."""
+        """Return particle count, density, speed and depth."""
         total, kinetic, known = self._energy(state)
         speeds = np.linalg.norm(state.motion[1], axis=1)
         values: Mapping[str, float] = {
@@ -444,7 +444,7 @@ class Fluid:
 
 @dataclass(frozen=True, slots=True)
 class Pressed:
-    """The end of a step, and what led there."""
+    """The result of a pressure step."""
 
     motion: FloatArray  # (2, N, 3)
     pressures: FloatArray  # (N,) [Pa]

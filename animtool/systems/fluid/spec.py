@@ -1,4 +1,4 @@
-"""The keys of a fluid in a scene file, as models."""
+"""Keys of fluids in scene files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Into how many parts a step of a fluid is parted."""
+"""The number of substeps of a fluid step."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SMALLEST = 5.0
 
 
 class Substeps:
-    """Parts of steps, from speed, pressure and what the fluid is."""
+    """Substeps from speed, pressure and the fluid's properties."""
 
     def __init__(self, spec: FluidModel) -> None:
         self.most = MAX_PARTS  # parts that a step may have
@@ -48,7 +48,7 @@ class Substeps:
         self._pulled = 2 * spec.tension / (spec.density * SMALLEST * spec.spacing)
 
     def first_sound(self, points: FloatArray, pull: FloatArray) -> float:
-        """Return how fast pressure goes in a fluid that begins [m/s]."""
+        """Return the initial speed of sound [m/s]."""
         if not len(points):
             return 0.0
         along = points @ pull.mean(axis=0)
@@ -56,7 +56,7 @@ class Substeps:
         return self._sound(head) if math.isfinite(head) else 0.0
 
     def _sound(self, head: float) -> float:
-        """Return what bears a pressure over the density [m²/s²]."""
+        """Return the squared speed of sound that bears a pressure [m²/s²]."""
         return math.sqrt(head * MEAN / self._spec.compression)
 
     def sound(
@@ -67,7 +67,7 @@ class Substeps:
         pull: float,
         dt: float,
     ) -> float:
-        """Return how fast pressure is to go in a step [m/s].
+        """Return the speed of sound for a step [m/s].
 
         ``before`` it was as fast, with pressures ``(N,)`` [Pa]; particles approach
         what they meet by ``speeds`` ``(N,)`` [m/s], and ``pull`` [m/s²] adds to them.
@@ -86,7 +86,7 @@ class Substeps:
         return sound or self._spec.spacing / dt
 
     def parts(self, dt: float, fastest: float, sound: float) -> float:
-        """Return how many parts a step is to have; infinite beyond all numbers."""
+        """Return the number of substeps; infinite if it overflows."""
         spec = self._spec
         rates = [sound / spec.spacing, fastest / (TRAVEL * spec.spacing)]
         rates.append(spec.viscosity / (DIFFUSION * spec.spacing**2))
@@ -97,7 +97,7 @@ class Substeps:
         return max(math.ceil(count), 1) if count < 2**31 else math.inf
 
     def pieces(self, around: Colliders, parts: int, dt: float) -> int:
-        """Return how often sheets are looked at in a step."""
+        """Return how often sheets collide in a step."""
         if not around.sheets:
             return 1
         travel = dt * max(around.surfaces.fastest, 1.0)

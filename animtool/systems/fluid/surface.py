@@ -1,4 +1,4 @@
-"""The surface of a fluid as a mesh: marching cubes over how much of it is near."""
+"""Surface meshes of fluids: marching cubes over a density field."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KERNEL_INTEGRAL = 2 * np.pi / 21
 
 
 def check_surface() -> None:
-    """Raise where there is nothing to make surfaces with.
+    """Raise if the packages that surfaces need are missing.
 
     Raises:
         OptionError: scikit-image is missing (SIM065).
@@ -40,7 +40,7 @@ def surface_of(
     velocities: FloatArray,
     primvars: Mapping[str, Any],
 ) -> MeshFrame:
-    """Return the surface about particles ``(N, 3)``; its faces change by frame.
+    """Return the surface of particles ``(N, 3)``; its faces change by frame.
 
     Velocities and primvars are those of the nearest particle.
 
@@ -94,7 +94,7 @@ def field(
     radius: float,
     spacing: float,
 ) -> FloatArray:
-    """Return the share of what is near the corners of cells that is fluid.
+    """Return the fluid fraction around grid nodes.
 
     Sums of H. Wendland's C2 function over particles ``(N, 3)``; 1 within.
     """

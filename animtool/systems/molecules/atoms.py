@@ -1,4 +1,4 @@
-"""Which atoms there are, and where and how fast they begin."""
+"""Atoms: species, initial positions and velocities."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FCC = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]) + 0.25
 
 
 class PeriodicBox:
-    """Where the box is in the scene: nm and ps there, m and s here."""
+    """The periodic box: nm and ps inside, m and s in the scene."""
 
     def __init__(self, spec: MoleculesModel) -> None:
         self.size = np.array(spec.box)  # (3,) [nm]
@@ -38,18 +38,18 @@ class PeriodicBox:
         self.velocities_out = self._middle.velocities_out
 
     def inwards(self, points: FloatArray) -> FloatArray:
-        """Return where points [m] are in the box [nm]."""
+        """Transform scene points [m] to the box [nm]."""
         return self._middle.inwards(points) + self.size / 2
 
     def outwards(self, x: FloatArray) -> FloatArray:
-        """Return where points of the box [nm] are [m], each within it."""
+        """Transform box points [nm] to the scene [m], wrapped into the box."""
         x = x - self.size * np.floor(x / self.size)
         return self._middle.outwards(x - self.size / 2)
 
 
 @dataclass(frozen=True, slots=True)
 class Atoms(Bodies):
-    """N atoms: bodies in the box, in nm, ps and u."""
+    """N atoms in the box, in nm, ps and u."""
 
     kinds: npt.NDArray[np.int32]  # (N,)
     charges: FloatArray  # (N,) [e]
@@ -59,7 +59,7 @@ class Atoms(Bodies):
     def of(
         spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], box: PeriodicBox
     ) -> Atoms:
-        """Return the atoms of a spec, refused where they make no sense (SIM071)."""
+        """Return the atoms of a spec; invalid ones are refused (SIM071)."""
         read, refusals = [], Refusals()
         for model, part in zip(spec.species, parts, strict=True):
             with refusals.collect():
@@ -96,7 +96,7 @@ class Atoms(Bodies):
 def _read(
     model: Any, parts: Mapping[str, Any], box: PeriodicBox
 ) -> tuple[FloatArray | None, FloatArray | None]:
-    """Return places [nm] and velocities [nm/ps] of files, None for those not given."""
+    """Return positions [nm] and velocities [nm/ps] of files; None if absent."""
     points, velocities = parts.get("points"), parts.get("velocities")
     if points is None:
         if velocities is not None:
@@ -118,7 +118,7 @@ def _read(
 
 
 def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
-    """Return sites of a lattice for atoms of each kind ``(N, 3)`` [nm]."""
+    """Return lattice sites for each species ``(N, 3)`` [nm]."""
     total = sum(counts)
     if not total:
         return []
@@ -156,7 +156,7 @@ def _velocities(
     kinds: npt.NDArray[np.int64],
     stated: list[FloatArray | None],
 ) -> FloatArray:
-    """Return those of files, else by the temperature, at rest as a whole ``(N, 3)``."""
+    """Return velocities of files, else thermal ones; no net momentum ``(N, 3)``."""
     drawn = np.array([one is None for one in stated])[kinds]
     velocities = np.zeros((len(masses), 3))
     for k, values in enumerate(stated):
@@ -175,7 +175,7 @@ def _velocities(
 
 
 def mixed(spec: MoleculesModel) -> FloatArray:
-    """Return c12 [kJ nm¹²/mol] and c6 of two kinds, by Lorentz and Berthelot."""
+    """Return c12 [kJ nm¹²/mol] and c6 of two species (Lorentz-Berthelot rules)."""
     sigma = np.array([one.sigma for one in spec.species])
     epsilon = np.array([one.epsilon for one in spec.species])
     both = (sigma[:, None] + sigma) / 2

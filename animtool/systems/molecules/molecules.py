@@ -1,4 +1,4 @@
-"""Atoms in a box as a simulation: steps, heat, temperature, pressure and energy."""
+"""Molecular dynamics: steps, thermostat, temperature, pressure and energy."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ MAX_NEIGHBOURS = 5000
 
 @dataclass(frozen=True, slots=True)
 class Acting:
-    """What N atoms do to each other."""
+    """Forces, energies and virial of N atoms."""
 
     forces: FloatArray  # (N, 3) [kJ/(mol nm)]
     energies: FloatArray  # half of each pair's (N,) [kJ/mol]
@@ -51,7 +51,7 @@ class Acting:
 
 
 class Interactions:
-    """How atoms act on each other; the list that was made last is kept."""
+    """Pair forces of atoms; the last neighbour list is cached."""
 
     def __init__(self, spec: MoleculesModel, atoms: Atoms, box: PeriodicBox) -> None:
         self._atoms, self._box = atoms, box
@@ -67,7 +67,7 @@ class Interactions:
         self._listed: tuple[FloatArray, Any] | None = None
 
     def self_energy(self) -> float:
-        """Return what charges have by themselves and their images [kJ/mol]."""
+        """Return the Ewald self energy of the charges [kJ/mol]."""
         from scipy.special import erfc
 
         if self._charges is None:
@@ -77,12 +77,12 @@ class Interactions:
         return -float(per_charge * (self._charges**2).sum())
 
     def reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
-        """Return the places whose list holds at points: those before, or these."""
+        """Return the positions of the neighbour list that is valid at points."""
         squares = ((x - before) ** 2).sum(axis=1)
         return before if squares.max(initial=0.0) <= (self._skin / 2) ** 2 else x
 
     def acting(self, x: FloatArray, reference: FloatArray) -> Acting:
-        """Return what atoms at points ``(N, 3)`` [nm] do, by the list of other places.
+        """Return forces on atoms ``(N, 3)`` [nm], with the list of other positions.
 
         Raises:
             ToleranceError: They are so dense that lists would fill the memory (SIM102).
@@ -107,7 +107,7 @@ class Interactions:
 
 @dataclass(frozen=True, slots=True)
 class MoleculeState:
-    """Where atoms are, and what they do to each other there."""
+    """Positions and velocities of atoms, and the forces there."""
 
     motion: FloatArray  # positions [nm], then velocities [nm/ps] (2, N, 3)
     reference: FloatArray  # places of the list of neighbours (N, 3) [nm]
@@ -157,7 +157,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
         self.begin()
 
     def _check_numbers(self, start: MoleculeState) -> None:
-        """Refuse a step that is too long, and numbers that overflow (SIM071)."""
+        """Refuse a step that is too long, and overflowing numbers (SIM071)."""
         spec, step = self._spec, self._spec.step * self._spec.pace
         if step * self._stiffest > LONGEST:
             message = f"a step of {step:.3g} ps is too long: atoms vibrate in "
@@ -169,7 +169,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
             refuse(spec.code, message, "scale")
 
     def _check_distinct(self, start: MoleculeState) -> None:
-        """Refuse atoms that begin in each other (SIM071)."""
+        """Refuse overlapping atoms at the start (SIM071)."""
         depth = max(*(one.epsilon for one in self._spec.species), 1e-3)
         energies = start.acting.energies
         if (energies < OVERLAP * depth).all():  # NaN is not
@@ -194,7 +194,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
         return state.acting, state.reference
 
     def summed(self, x: FloatArray, before: Listed) -> Listed:
-        """Return what atoms at points ``(N, 3)`` [nm] do, and by whose list."""
+        """Return forces on atoms ``(N, 3)`` [nm], and the list used."""
         reference = self._interactions.reference(x, before[1])
         return self._interactions.acting(x, reference), reference
 
@@ -204,7 +204,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
     def from_placed(
         self, one: TrapModel, at: FloatArray, x: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return forces ``(N, 3)`` [kJ/(mol nm)] and energies ``(N,)`` [kJ/mol]."""
+        """Return forces ``(N, 3)`` [kJ/(mol nm)] and energies ``(N,)`` of traps."""
         size = self._placing.size
         off = self._placing.inwards(at) - x
         off -= size * np.round(off / size)
@@ -214,7 +214,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
 
     @np.errstate(all="ignore")
     def step(self, state: MoleculeState, t: float, dt: float) -> MoleculeState:
-        """Return where atoms are a step [s] later, or a part of one.
+        """Return the state after a step [s], or a part of one.
 
         Raises:
             StoppedError: It blew up (SIM102).
@@ -274,7 +274,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
         }
 
     def _values(self, state: MoleculeState, t: float) -> Mapping[str, float]:
-        """Return what is reported: [K], [MPa] and [kJ/mol]."""
+        """Return temperature [K], pressure [MPa] and energies [kJ/mol]."""
         now, volume = self._energy(state, t), float(self._placing.size.prod())
         pressure = (2 * now.kinetic + state.acting.virial) / (3 * volume)
         values = {
@@ -298,7 +298,7 @@ def bath_factor(
     kinetic: float,
     freedom: int,
 ) -> float:
-    """Return by how much velocities change in a step, by a bath.
+    """Return the velocity factor of a thermostat step.
 
     Reference: G. Bussi, D. Donadio, M. Parrinello, Canonical sampling through velocity
     rescaling, Journal of Chemical Physics 126, 2007, equation A7.

@@ -42,7 +42,7 @@ WARMEST = 0.7
 
 
 class MassProfile:
-    """How the mass of a galaxy is distributed, at radii ``(R,)`` [m]."""
+    """Mass profile of a galaxy, at radii ``(R,)`` [m]."""
 
     def __init__(self, galaxy: GalaxyModel, constant: float, softening: float) -> None:
         self.galaxy, self.constant = galaxy, constant
@@ -77,7 +77,7 @@ class MassProfile:
 
 
 def _from_outside(values: FloatArray, r: FloatArray) -> FloatArray:
-    """Return integrals from each radius to the last one, by trapezoids."""
+    """Return integrals from each radius to the last one (trapezoidal rule)."""
     steps = (values[1:] + values[:-1]) / 2 * np.diff(r)
     return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
@@ -109,13 +109,13 @@ def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
 
 def disc_surface(disc: DiscModel, r: FloatArray | float) -> FloatArray:
     """Return surface densities of a disc [kg/m²]."""
-    enclosed_share = _WITHIN["exponential"](disc.cutoff)
-    central = disc.mass / (2 * np.pi * disc.radius**2 * enclosed_share)
+    enclosed_fraction = _WITHIN["exponential"](disc.cutoff)
+    central = disc.mass / (2 * np.pi * disc.radius**2 * enclosed_fraction)
     return np.asarray(central * np.exp(-r / disc.radius))
 
 
 def built_galaxies(spec: NbodyModel) -> list[Bodies]:
-    """Return the bodies of each galaxy of a spec where it begins."""
+    """Return the bodies of each galaxy of a spec, at its start."""
     constant, softening = spec.gravity_constant, spec.softening
     built = [build_galaxy(one, constant, softening) for one in spec.galaxies]
     starts = [(np.array(one.at), np.array(one.velocity)) for one in spec.galaxies]
@@ -132,7 +132,7 @@ def built_galaxies(spec: NbodyModel) -> list[Bodies]:
 
 
 def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodies:
-    """Return the bodies of a galaxy about its own centre, those of the halo last."""
+    """Return a galaxy's bodies about its centre, the halo last."""
     profile = MassProfile(galaxy, constant, softening)
     parts = []
     if galaxy.nucleus:
@@ -183,7 +183,7 @@ def _disc(disc: DiscModel, profile: MassProfile, seed: int) -> Bodies:
 def disc_velocities(
     disc: DiscModel, profile: MassProfile
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return dispersions outwards, around and upwards, and mean rotation ``(R,)``."""
+    """Return radial, azimuthal and vertical dispersions, and mean rotation ``(R,)``."""
     r, circular = profile.r, profile.circular
     turning = circular / r
     squares = np.gradient(turning**2, r) * r + 4 * turning**2
@@ -202,7 +202,7 @@ def disc_velocities(
 def on_orbit(
     orbit: EncounterModel, masses: Sequence[float], constant: float
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Return where two are that come closer on an orbit, and how fast, by masses."""
+    """Return start positions and velocities of two galaxies on an orbit."""
     total = sum(masses)
     e, r = orbit.eccentricity, orbit.separation
     width = orbit.pericentre * (1 + e)

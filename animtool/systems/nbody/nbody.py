@@ -1,4 +1,4 @@
-"""Bodies under gravity as a simulation: steps, energy and momenta, encounters."""
+"""N-body simulation: steps, energy and momenta, close encounters."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ADVISED = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Pulls:
-    """How N bodies attract each other."""
+    """Mutual accelerations of N bodies."""
 
     accelerations: FloatArray  # (N, 3) [m/s²]
     potentials: FloatArray  # (N,) [J/kg]
@@ -50,7 +50,7 @@ class Pulls:
 
 @dataclass(frozen=True, slots=True)
 class NbodyState:
-    """Where bodies are, and how they attract each other there."""
+    """Positions and velocities of bodies, and their accelerations."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
     pulls: Pulls
@@ -59,17 +59,17 @@ class NbodyState:
 
 
 class TooCloseError(Exception):
-    """Two bodies came too close for a step, at a time [s] and places."""
+    """Two bodies came too close for a step, at a time [s] and positions."""
 
 
 def _check_close(limit: float, t: float, x: FloatArray, pulls: Pulls) -> None:
-    """Raise `TooCloseError` where a pair circles faster than a limit [1/s²]."""
+    """Raise `TooCloseError` if a pair orbits faster than a limit [1/s²]."""
     if len(x) and pulls.rates.max() > limit:
         raise TooCloseError(t, x, pulls.rates)
 
 
 class Nbody(Interacting[NbodyState, Pulls]):
-    """Bodies that attract each other, in steps.
+    """Gravitating bodies, in steps.
 
     Attributes:
         tree: Whether a tree is faster than a direct sum, and as accurate as is asked.
@@ -119,7 +119,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         return state.pulls
 
     def summed(self, x: FloatArray, before: Pulls | None = None) -> Pulls:  # noqa: ARG002
-        """Return how bodies at points ``(N, 3)`` [m] attract each other."""
+        """Return mutual accelerations of bodies at points ``(N, 3)`` [m]."""
         spec, accuracy = self._spec, self._spec.accuracy if self.tree else 0.0
         law = spec.gravity_constant, spec.softening, accuracy
         return Pulls(*_kernels.gravity(x, self.bodies.masses, *law))
@@ -138,11 +138,11 @@ class Nbody(Interacting[NbodyState, Pulls]):
         return (pull / reach**2)[:, None] * off, -pull
 
     def suspect(self, x: FloatArray, sums: Pulls) -> str:
-        """Return which two are closest."""
+        """Return the closest pair, for messages."""
         return self._closest(x, sums.rates)[1] if len(x) > 1 else ""
 
     def _closest(self, x: FloatArray, rates: FloatArray) -> tuple[float, str]:
-        """Return the mass [kg] of the pair that circles fastest, and how far it is."""
+        """Return mass [kg] and distance of the fastest pair."""
         masses, i = self.bodies.masses, int(np.argmax(rates))
         squares = ((x - x[i]) ** 2).sum(axis=1)
         reach = np.maximum(squares + self._spec.softening**2, 1e-200) ** 1.5
@@ -154,7 +154,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
 
     @np.errstate(all="ignore")
     def step(self, state: NbodyState, t: float, dt: float) -> NbodyState:
-        """Return where bodies are a step [s] later.
+        """Return the state after a step [s].
 
         A step is divided where two bodies come so close that it would not follow them.
 
@@ -181,7 +181,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         raise self._encounter(dt, *close.args)
 
     def _parts(self, rates: FloatArray, dt: float) -> int:
-        """Return how many parts of a step follow the closest pair, a power of two."""
+        """Return the substeps that resolve the closest pair, a power of two."""
         if not self._fixed or not len(rates):
             return 1
         # A state that somebody else wrote may hold any rates.
@@ -193,7 +193,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
     def _encounter(
         self, dt: float, t: float, x: FloatArray, rates: FloatArray
     ) -> StoppedError:
-        """Return why steps [s] of the most parts do not follow a pair."""
+        """Return why the finest substeps [s] do not resolve a pair."""
         (mass, pair), most = self._closest(x, rates), self._spec.substeps
         message = f"{pair} at {t:.6g} s, too close for steps of {dt / most:.3g} s"
         widest = (PHASE * most / dt) ** 2
@@ -218,7 +218,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         return 0.5 * float(masses @ state.pulls.potentials) + outside
 
     def _momenta(self, state: NbodyState) -> FloatArray:
-        """Return the momentum and the angular momentum ``(2, 3)``."""
+        """Return linear and angular momentum ``(2, 3)``."""
         x, v = state.motion
         momenta = self.bodies.masses[:, None] * v
         return np.stack([momenta.sum(axis=0), np.cross(x, momenta).sum(axis=0)])
@@ -235,7 +235,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         }
 
     def _values(self, state: NbodyState, t: float) -> Mapping[str, float]:
-        """Return how well what stays was kept, and how close bodies came."""
+        """Return drifts of conserved quantities, and the closest approach."""
         x, v = state.motion
         values = {"bodies": float(len(x)), "encounters": float(state.encounters)}
         values["substeps"] = float(state.divided)
@@ -251,7 +251,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         return values
 
     def _force_error(self, x: FloatArray, pulls: Pulls) -> float:
-        """Return the error of the tree, measured on some bodies [1]."""
+        """Return the relative force error of the tree, on sampled bodies [1]."""
         rows = np.linspace(0, len(x) - 1, SAMPLES).astype(int)
         exact = np.array([self._direct(x, x[i]) for i in rows])
         off = np.linalg.norm(pulls.accelerations[rows] - exact, axis=1)
@@ -259,7 +259,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         return float(np.sqrt(((off / sizes) ** 2).mean()))
 
     def _direct(self, x: FloatArray, at: FloatArray) -> FloatArray:
-        """Return the acceleration at a place, summed body by body ``(3,)``."""
+        """Return the acceleration at a point by direct summation ``(3,)``."""
         off = x - at
         squares = (off * off).sum(axis=1)
         reach = np.where(squares > 0, squares + self._spec.softening**2, np.inf)

@@ -1,4 +1,4 @@
-"""Particles: emitted, moved by forces or a field, stopped by colliders, removed."""
+"""Particles: emission, forces, velocity fields, collisions and removal."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from animtool.core.plugins import lazy_names
 
 if TYPE_CHECKING:
     from animtool.systems.particles.emitter import Emitter as Emitter
-    from animtool.systems.particles.forces.base import Force as Force
-    from animtool.systems.particles.forces.table import FORCES as FORCES
-    from animtool.systems.particles.forces.table import find_force as find_force
     from animtool.systems.particles.emitter_shapes import BoxShape as BoxShape
     from animtool.systems.particles.emitter_shapes import Disc as Disc
     from animtool.systems.particles.emitter_shapes import MeshSurface as MeshSurface
     from animtool.systems.particles.emitter_shapes import Point as Point
     from animtool.systems.particles.emitter_shapes import SphereShape as SphereShape
+    from animtool.systems.particles.forces.base import Force as Force
+    from animtool.systems.particles.forces.table import FORCES as FORCES
+    from animtool.systems.particles.forces.table import find_force as find_force
     from animtool.systems.particles.run import ParticleFrame as ParticleFrame
     from animtool.systems.particles.run import ParticleRun as ParticleRun
     from animtool.systems.particles.setup import KillRegion as KillRegion

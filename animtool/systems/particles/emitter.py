@@ -1,4 +1,4 @@
-"""What makes particles: who is born when, where and how fast."""
+"""Emitters: birth times, positions and velocities of particles."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LEAST = 1e-150
 def mixed(
     values: np.ndarray[tuple[int, ...], np.dtype[np.uint64]],
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
-    """Return 64 bits of which each depends on all those given."""
+    """Return a 64-bit hash of all arguments."""
     z = values + _STEP
     z = (z ^ (z >> np.uint64(30))) * _FIRST
     z = (z ^ (z >> np.uint64(27))) * _SECOND
@@ -37,7 +37,7 @@ def mixed(
 
 
 def uniforms(seed: int, keys: IntArray, count: int) -> FloatArray:
-    """Return numbers in [0, 1) for each key ``(N, count)``.
+    """Return random numbers in [0, 1) for each key ``(N, count)``.
 
     >>> bool((uniforms(1, np.arange(9), 2)[7] == uniforms(1, np.array([7]), 2)).all())
     True
@@ -62,7 +62,7 @@ SHORTEST = 1e-150
 
 @dataclass(frozen=True, slots=True)
 class Births:
-    """The first N particles that an emitter makes."""
+    """The next N particles of an emitter."""
 
     times: FloatArray  # when ``(N,)`` [s]
     keys: IntArray  # which of the emitter's they are ``(N,)``
@@ -72,7 +72,7 @@ class Births:
 @described
 @dataclass(frozen=True)
 class Emitter(Emission, Checked):
-    """Makes particles; of which number when depends on time alone.
+    """Emits particles; their number depends on time alone.
 
     Every particle draws its place, direction, speed and lifetime by its number, so
     that neither the step nor the frame rate of an output changes them.
@@ -90,7 +90,7 @@ class Emitter(Emission, Checked):
     def births(
         self, begin: float, after: float | None, until: float, room: int
     ) -> Births:
-        """Return who is born after a time, up to another.
+        """Return the particles born after one time, up to another.
 
         Args:
             begin: When the simulation begins [s]: the rate holds from then on.
@@ -120,7 +120,7 @@ class Emitter(Emission, Checked):
         return Births(times_all, key_all[order], emitted - kept)
 
     def _emitted(self, start: float, t: float) -> int:
-        """Return how many the rate has made up to a time."""
+        """Return the number emitted by the rate up to a time."""
         span = min(t, self.end) - start
         return max(math.floor(span * self.rate + 0.5), 0) if span > 0 else 0
 
@@ -140,14 +140,14 @@ class Emitter(Emission, Checked):
         return positions, velocities, np.maximum(lifetimes, 0.0), radii
 
     def drawn_at(self, t: float, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return positions and velocities ``(N, 3)`` of so many, born at a time [s]."""
+        """Return N positions and velocities ``(N, 3)``, born at a time [s]."""
         burst = replace(self, rate=0.0, bursts=[(t, count)])
         return burst.drawn(burst.births(t, None, t, count))[:2]
 
     def _directions(
         self, chances: FloatArray, outwards: FloatArray | None
     ) -> FloatArray:
-        """Return directions in a cone, evenly by solid angle ``(N, 3)``."""
+        """Return directions in a cone, uniform by solid angle ``(N, 3)``."""
         axis = np.array([0.0, 1.0, 0.0] if self.direction is None else self.direction)
         if not LEAST < np.linalg.norm(axis) < 1 / LEAST:
             # Its square is not held by float64.
@@ -182,7 +182,7 @@ class Emitter(Emission, Checked):
         return positions, so3.rotate(now[:, 3:], velocities) + emitter_velocity
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return what of it makes no sense: an option, and why."""
+        """Return invalid options, each with a message."""
         problems = [("place", message) for message in self.place.faults()]
         problems += [("poses", message) for message in self.poses.faults()]
         problems += super().problems()

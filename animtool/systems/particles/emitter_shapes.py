@@ -1,4 +1,4 @@
-"""Where emitters make particles: places in their frames."""
+"""Shapes of emitters, in the emitter's frame."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Placed: TypeAlias = tuple[FloatArray, FloatArray | None]
 
 
 class _Checked:
-    """A place whose fields declare their ranges."""
+    """A shape with ranges declared by its fields."""
 
     __slots__ = ()
 
     def faults(self) -> list[str]:
-        """Return what makes no sense."""
+        """Return messages about invalid values."""
         return [fault.message for fault in range_faults(self, OF_ENTRY)]
 
 
@@ -37,7 +37,7 @@ class Point(_Checked):
 
 @dataclass(frozen=True, slots=True)
 class Disc(_Checked):
-    """A disc at right angles to y.
+    """A disc perpendicular to y.
 
     Attributes:
         radius: [m].
@@ -48,7 +48,7 @@ class Disc(_Checked):
     ]
 
     def points(self, chances: FloatArray) -> Placed:
-        """Return points, evenly by area."""
+        """Return points, uniform by area."""
         radius = self.radius * np.sqrt(chances[:, 0])
         angle = 2 * np.pi * chances[:, 1]
         flat = np.zeros(len(chances))
@@ -72,7 +72,7 @@ class SphereShape(_Checked):
     hollow: bool = False
 
     def points(self, chances: FloatArray) -> Placed:
-        """Return points, evenly by volume or by area."""
+        """Return points, uniform by volume or by area."""
         height = 2 * chances[:, 0] - 1
         across = np.sqrt(np.maximum(1 - height * height, 0))
         angle = 2 * np.pi * chances[:, 1]
@@ -84,7 +84,7 @@ class SphereShape(_Checked):
 
 @dataclass(frozen=True, slots=True)
 class BoxShape(_Checked):
-    """A box about the origin.
+    """A box centred at the origin.
 
     Attributes:
         size: Its three sides, whole [m]; 0 is flat.
@@ -96,13 +96,13 @@ class BoxShape(_Checked):
     ]
 
     def points(self, chances: FloatArray) -> Placed:
-        """Return points, evenly by volume."""
+        """Return points, uniform by volume."""
         return (chances - 0.5) * np.asarray(self.size, np.float64), None
 
 
 @dataclass(frozen=True, slots=True)
 class MeshSurface:
-    """The surface of a mesh; particles go outwards.
+    """The surface of a mesh; particles leave along its normals.
 
     Attributes:
         mesh: Its triangles.
@@ -111,7 +111,7 @@ class MeshSurface:
     mesh: Mesh
 
     def points(self, chances: FloatArray) -> Placed:
-        """Return points, evenly by area."""
+        """Return points, uniform by area."""
         welded, corners = self.mesh.welded()
         a, b, c = welded[corners].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
@@ -127,7 +127,7 @@ class MeshSurface:
         return points, normals[chosen] / areas[chosen, None]
 
     def faults(self) -> list[str]:
-        """Return what makes no sense."""
+        """Return messages about invalid values."""
         return self.mesh.faults()
 
 

@@ -1,4 +1,4 @@
-"""The particles that live at a time: their equations, steps, and signs of a blow-up."""
+"""Living particles as systems to integrate, and checks for divergence."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from animtool.systems.particles.state import ParticleState
 
 
 class _Living:
-    """What particles under forces and in a field have in common."""
+    """Shared parts of particles under forces and in a velocity field."""
 
     def __init__(
         self,
@@ -39,12 +39,12 @@ class _Living:
 
     @property
     def state(self) -> FloatArray:
-        """Where they start."""
+        """The initial state."""
         return self._state
 
 
 class ParticleForces(_Living, SecondOrder):
-    """Particles that forces move."""
+    """Particles moved by forces."""
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return accelerations ``(N, 3)`` [m/s²]."""
@@ -53,7 +53,7 @@ class ParticleForces(_Living, SecondOrder):
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return where colliders let a step end."""
+        """Return the state after collisions."""
         x, v = after
         done = collide(x, v, before, self._colliders, t - h, t, self.particles.radii)
         self.contacts = done.contacts
@@ -64,7 +64,7 @@ class ParticleForces(_Living, SecondOrder):
     def _shared(
         self, t: float, h: float, free: FloatArray, done: Collided
     ) -> FloatArray:
-        """Return the end of a step where bodies that can be pushed took their share."""
+        """Return the state after momentum exchange with movable bodies."""
         state, first = np.stack([done.points, done.velocities]), len(self._colliders)
         for i, system in enumerate(self._colliders.bodies):
             shapes = done.contacts.colliders - first
@@ -79,7 +79,7 @@ class ParticleForces(_Living, SecondOrder):
         return state
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
-        """Return kinetic and potential energy, None where a force has none."""
+        """Return the energy of a state; None if a force has no potential."""
         # A state that is resumed may hold masses whose energies are beyond numbers.
         with np.errstate(over="ignore", invalid="ignore"):
             sums, known = energies(self.setup, self.particles, state)
@@ -90,7 +90,7 @@ class ParticleForces(_Living, SecondOrder):
         return Energy(kinetic, potential, supply)
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
-        """Return the fastest motions that forces bring about ``(M, 2)``."""
+        """Return the fastest modes of the forces ``(M, 2)``."""
         if not len(self.particles):
             return None
         # Not as a float: a state that is resumed may hold a mass of 0.
@@ -109,7 +109,7 @@ class ParticleForces(_Living, SecondOrder):
         return np.array(rows) if rows else None
 
     def suspect(self, t: float, state: FloatArray) -> str:
-        """Return which particle is accelerated most."""
+        """Return the particle with the largest acceleration."""
         pulls = np.linalg.norm(self.acceleration(t, *state), axis=1)
         return (
             f"particle {int(self.particles.ids[np.argmax(pulls)])} has the largest "
@@ -118,7 +118,7 @@ class ParticleForces(_Living, SecondOrder):
 
 
 class ParticleFlow(_Living, FirstOrder):
-    """Particles that go with a velocity field; the state is where they are."""
+    """Particles moved by a velocity field; the state is their positions."""
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
         """Return velocities ``(N, 3)`` [m/s]."""
@@ -128,7 +128,7 @@ class ParticleFlow(_Living, FirstOrder):
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return where colliders let a step end."""
+        """Return the state after collisions."""
         speed = (after - before) / h
         start = np.stack([before, speed])
         done = collide(
@@ -150,7 +150,7 @@ def particle_system(
 def energies(
     setup: Particles, particles: ParticleState, state: FloatArray
 ) -> tuple[FloatArray, bool]:
-    """Return kinetic and potential energies ``(2, N)`` [J], and whether that is all.
+    """Return kinetic and potential energies ``(2, N)`` [J], and whether all are known.
 
     What forces without a potential do is left out.
     """
@@ -169,7 +169,7 @@ def accelerations(
     x: FloatArray,
     v: FloatArray,
 ) -> FloatArray:
-    """Return what all forces do ``(N, 3)`` [m/s²]; times may be one each."""
+    """Return accelerations of all forces ``(N, 3)`` [m/s²]; one time per particle."""
     total = np.zeros_like(x)
     for force in setup.forces:
         total += force.force(t, x, v, particles)
@@ -184,7 +184,7 @@ def spawned(
     t0: float,
     t1: float,
 ) -> FloatArray:
-    """Return particles at the end of the step that they are born in.
+    """Return particles at the end of the step they are born in.
 
     Each begins at a time of its own, so that streams have no lumps at every step. They
     go by the classical method of Runge and Kutta whatever the method of the others is,
@@ -221,7 +221,7 @@ def _moved_classically(
 
 
 class DivergenceCheck:
-    """Looks at particles for numbers and energy beyond bounds.
+    """Checks particles for non-finite values, and energy out of bounds.
 
     The energy of each counts from where it was first seen, so that neither births nor
     removals are taken for gains, and a slow blow-up adds up over many steps. Moving
@@ -239,7 +239,7 @@ class DivergenceCheck:
         self.too_long = False
 
     def look_at(self, particles: ParticleState, state: FloatArray) -> None:
-        """Look at particles in a state ``(2, N, 3)`` from now on."""
+        """Watch particles in a state ``(2, N, 3)`` from now on."""
         if particles is self._particles or self._setup.velocity is not None:
             return
         rows = np.searchsorted(self._ids, particles.ids)
@@ -254,13 +254,13 @@ class DivergenceCheck:
         self._particles, self._ids, self._first = particles, particles.ids, first
 
     def restart(self, which: BoolArray, state: FloatArray) -> None:
-        """Count the energy of some from a state on: what was moved out of colliders."""
+        """Reset the reference energy of some, after colliders moved them."""
         if self._setup.velocity is None and which.any():
             some = self._particles.select(which)
             self._first[:, which] = energies(self._setup, some, state[:, which])[0]
 
     def sign(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
-        """Return why a state is beyond bounds, empty where it is not."""
+        """Return why a state has diverged; empty if it has not."""
         if not np.isfinite(state).all():
             return "its state is not finite"
         if self._setup.velocity is not None:

@@ -1,4 +1,4 @@
-"""What a simulation of particles is made of."""
+"""The setup of a particle simulation."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STEP = 1 / 96
 
 @dataclass(frozen=True, slots=True)
 class KillRegion:
-    """Where particles are removed.
+    """A region that removes particles.
 
     Attributes:
         region: A collider's shape and poses; what touching does is not heeded. Of a
@@ -38,14 +38,14 @@ class KillRegion:
     region: Collider
 
     def kills(self, points: FloatArray, t: float) -> BoolArray:
-        """Return which of points ``(N, 3)`` are in it."""
+        """Return which points ``(N, 3)`` are inside."""
         distances = Colliders([self.region.volume()]).sample(points, t).distances[0]
         return np.asarray(distances < 0, np.bool_)
 
 
 @dataclass(frozen=True)
 class Particles:
-    """Particles to be: where they come from, what moves, stops and removes them.
+    """A particle system: emitters, forces, colliders and kill regions.
 
     Attributes:
         emitters: What makes them.
@@ -75,7 +75,7 @@ class Particles:
     bodies: Sequence[MovingBodies] = ()
 
     def check(self) -> None:
-        """Raise where something makes no sense.
+        """Raise if the setup is invalid.
 
         Raises:
             OptionError: All that is wrong (SIM001, SIM004 to SIM006, SIM020 to SIM024).
@@ -120,12 +120,12 @@ class Particles:
 
 
 def _faults(what: str, records: Sequence[Emitter | Collider | Sheet]) -> list[Fault]:
-    """Return what of records makes no sense, each by its name or number."""
+    """Return faults of records, each with its name or number."""
     named = [(one, one.name or f"{what}[{i}]") for i, one in enumerate(records)]
     return [fault for one, name in named for fault in one.faults(name)]
 
 
 def _named(force: Force) -> str:
-    """Return the name of a force in the table, or of its class."""
+    """Return the table name of a force, or its class name."""
     kind = type(force).__name__
     return next((name for name, at in FORCES.items() if at.endswith(f":{kind}")), kind)

@@ -1,4 +1,4 @@
-"""Particles in steps: who is born, moves, is stopped and removed."""
+"""Particle simulation: births, motion, collisions and removal."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ NOTABLE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ParticleRunState:
-    """Where a simulation stands at the end of a step, to go on from."""
+    """The state at the end of a step."""
 
     particles: ParticleState = field(metadata=growing())  # who lives
     # Positions, then velocities ``(2, N, 3)``.
@@ -61,7 +61,7 @@ class ParticleRunState:
 
 
 class ParticleSimulation:
-    """Particles in steps by one method; what moved them is kept for warnings alone.
+    """Particles stepped by one method; step statistics only serve warnings.
 
     Raises:
         OptionError: Something makes no sense (SIM001, SIM004 to SIM006, SIM020 to
@@ -85,13 +85,13 @@ class ParticleSimulation:
         self._start = self._with_born(nobody, None, begin, begin, self._notices)
 
     def initial(self) -> ParticleRunState:
-        """Return those who are born at the very beginning."""
+        """Return the particles born at the start."""
         return self._start
 
     def step(
         self, state: ParticleRunState, t: float, dt: float
     ) -> Stepped[ParticleRunState]:
-        """Return who lives a step later, or a part of one [s].
+        """Return the state after a step [s], or a part of one.
 
         Those who are born in the step push nothing yet.
 
@@ -123,7 +123,7 @@ class ParticleSimulation:
         until: float,
         notices: list[Fault],
     ) -> tuple[ParticleRunState, Sequence[Wrenches]]:
-        """Return particles at the end of a step [s], and what they pushed bodies by."""
+        """Return particles after a step [s], and impulses on bodies."""
         system, options = self._system(state), self.setup.options
         first = system.state
         with np.errstate(all="ignore"):
@@ -161,7 +161,7 @@ class ParticleSimulation:
     def _look_at_steps(
         self, system: ParticleForces | ParticleFlow, now: float, until: float
     ) -> None:
-        """Note once that steps are too long, looking where motions became faster."""
+        """Warn once if steps are too long for the fastest motion."""
         modes = None if self._too_long else system.frequencies(now, system.state)
         if modes is None:
             return
@@ -200,11 +200,11 @@ class ParticleSimulation:
         until: float,
         notices: list[Fault],
     ) -> ParticleRunState:
-        """Return a state with those who are born in a step, at its end."""
+        """Return a state with the births of a step, at its end."""
         room = max(self.setup.max_particles - len(state.particles), 0)
         particles, born, beyond = self._born(after, until, state.born, room)
-        wanted_count = len(particles) + beyond
-        missed = max(wanted_count - room, 0)
+        total = len(particles) + beyond
+        missed = max(total - room, 0)
         if missed and not state.missed:
             most = self.setup.max_particles
             message = (
@@ -215,7 +215,7 @@ class ParticleSimulation:
                 warning("SIM121", f"{message}no more", hint, self.setup.name)
             )
         state = replace(
-            state, born=state.born + wanted_count, missed=state.missed + missed
+            state, born=state.born + total, missed=state.missed + missed
         )
         kept = np.arange(len(particles))[:room]
         particles, born = particles.select(kept), born[:, kept]
@@ -234,7 +234,7 @@ class ParticleSimulation:
     def _born(
         self, after: float | None, until: float, first: int, room: int
     ) -> tuple[ParticleState, FloatArray, int]:
-        """Return who is born, with ids in the order of births, and how.
+        """Return births in order of time, with ids.
 
         Of each emitter no more are made than there is room for; last is how many more
         there would be.
@@ -271,7 +271,7 @@ class ParticleSimulation:
     def _stuck_notices(
         self, particles: ParticleState, met: Contacts, t: float
     ) -> Iterator[Fault]:
-        """Yield that particles stay inside colliders, where they do (SIM123)."""
+        """Yield a warning about particles stuck in colliders (SIM123)."""
         (stuck,) = np.nonzero(met.touches == Touch.UNRESOLVED)
         if not len(stuck):
             return
@@ -303,7 +303,7 @@ class ParticleSimulation:
         return PointsFrame(particles.ids, points, velocities, particles.radii, ages)
 
     def diagnostics(self, state: ParticleRunState, t: float) -> Diagnostics:
-        """Return the energy, where nothing takes or brings any, and warnings."""
+        """Return energy, if conserved, and warnings."""
         hint = "set a rate or bursts, and a start and a lifetime with which "
         hint += "particles exist in the range"
         message = "there are no particles in any frame"
@@ -324,7 +324,7 @@ class ParticleSimulation:
         return None if any(damping) else system.energy(t, state.state)
 
     def _stable_step(self, state: ParticleRunState) -> float | None:
-        """Return the largest step that is stable for a state [s]."""
+        """Return the largest stable step at a state [s]."""
         integrator = find_integrator(self.setup.options.method)
         if integrator.limit is None or not len(state.particles):
             return None

@@ -1,4 +1,4 @@
-"""The keys of particles in a scene file, as models, and the records of them."""
+"""Keys of particles in scene files, and the records built from them."""
 
 from __future__ import annotations
 
@@ -93,18 +93,18 @@ class ParticlesModel(SystemSpec):
 
     @property
     def title(self) -> str:
-        """What they are called in words."""
+        """Its title, for messages."""
         return "particles"
 
     @property
     def reads(self) -> list[str]:
-        """What acts on them, in words."""
+        """What acts on them, for messages."""
         field = ["a velocity field"] if self.velocity else []
         return [counted(len(self.emitters), "emitter"), *super().reads, *field]
 
     @property
     def counts(self) -> dict[str, int]:
-        """What they are made of, by kind."""
+        """Its parts by kind, for messages."""
         return {
             "emitters": len(self.emitters),
             "forces": len(self.forces),
@@ -112,7 +112,7 @@ class ParticlesModel(SystemSpec):
         }
 
     def setup(self, parts: Mapping[str, Any]) -> Particles:
-        """Return what they are made of, without what they run into."""
+        """Return the particle setup, without colliders."""
         from animtool.sim.options import IntegrateOptions
         from animtool.systems.particles.setup import KillRegion, Particles
 
@@ -127,7 +127,7 @@ class ParticlesModel(SystemSpec):
         )
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
-        """Return what makes no sense together (SIM001, SIM004, SIM005, SIM024)."""
+        """Return invalid combinations of keys (SIM001, SIM004, SIM005, SIM024)."""
         try:
             self.setup(parts).check()
         except OptionError as error:
@@ -136,7 +136,7 @@ class ParticlesModel(SystemSpec):
 
 
 def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
-    """Return particles at their beginning; what moves them is imported now."""
+    """Return the simulation; its modules are imported on first use."""
     from animtool.systems.particles.simulation import ParticleSimulation
 
     setup, around = spec.setup(context.parts), context.colliders

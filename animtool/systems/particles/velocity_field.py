@@ -1,4 +1,4 @@
-"""A velocity field: particles go with it, whatever their mass."""
+"""Velocity fields that advect particles regardless of mass."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _VARIABLES = ("x", "y", "z", "t", "age")
 
 
 class Expressions:
-    """What has three expressions, one along each axis."""
+    """Three expressions, one per axis."""
 
     x: str
     y: str
@@ -28,25 +28,25 @@ class Expressions:
 
     @cached_property
     def expressions(self) -> tuple[Expression, ...]:
-        """The three, ready to be evaluated."""
+        """The parsed expressions."""
         return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
 
 
 @described
 @dataclass(frozen=True)
 class VelocityField(Velocity, Expressions, Checked):
-    """Velocities by place and time, as expressions of x, y, z [m], t and age [s]."""
+    """Velocities as expressions of x, y, z [m], t and age [s]."""
 
     code: ClassVar[str] = "SIM022"
 
     def velocity(
         self, t: float | FloatArray, x: FloatArray, particles: ParticleState
     ) -> FloatArray:
-        """Return velocities at places ``(N, 3)`` [m/s]."""
+        """Return velocities at points ``(N, 3)`` [m/s]."""
         return evaluated(self.expressions, t, x, np.zeros_like(x), particles)
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return which of the three makes no sense, and why."""
+        """Return invalid expressions, each with a message."""
         faults = expression_faults(self, _VARIABLES)
         return [(axis, f"its {axis} {why}") for axis, why in faults]
 
@@ -58,7 +58,7 @@ def evaluated(
     v: FloatArray,
     particles: ParticleState,
 ) -> FloatArray:
-    """Return three expressions at particles ``(N, 3)``."""
+    """Return three expressions evaluated at particles ``(N, 3)``."""
     times = np.broadcast_to(np.asarray(t, np.float64), len(x))
     columns = [
         *x.T,
@@ -74,7 +74,7 @@ def evaluated(
 
 
 def expression_faults(options: object, names: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return which of the expressions x, y and z makes no sense, and why."""
+    """Return which of the expressions x, y, z are invalid, and why."""
     from animtool.core.names import nearest
 
     faults = []

@@ -1,4 +1,4 @@
-"""Bodies of a spec: where they begin, and what the kernel takes."""
+"""Bodies of a spec: initial poses, and the kernel's arrays."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ NO_PAIRS = np.zeros((0, 2), np.int64)
 
 @dataclass(frozen=True, slots=True)
 class Outlines:
-    """C shapes of all bodies, as others run into them."""
+    """C collision shapes of all bodies, for other systems."""
 
     colliders: Sequence[Collider]
     of: IntArray  # the body of each (C,)
@@ -47,7 +47,7 @@ class Outlines:
 
 @dataclass(frozen=True)
 class RigidBodies:
-    """All bodies of a system; N of them are moved, others go as they are told.
+    """All bodies of a system: N dynamic, the others kinematic.
 
     Attributes:
         kinds: Of each entry of the file.
@@ -66,7 +66,7 @@ class RigidBodies:
     dynamic: IntArray = field(init=False)  # which are moved (N,)
 
     def __post_init__(self) -> None:
-        """Number those that are moved."""
+        """Number the dynamic bodies."""
         object.__setattr__(self, "dynamic", np.flatnonzero(self.moved))
 
     @staticmethod
@@ -110,20 +110,20 @@ class RigidBodies:
 
     @cached_property
     def releases(self) -> FloatArray:
-        """When each is let go that is kinematic before ``(B,)`` [s]."""
+        """Release times of bodies that start kinematic ``(B,)`` [s]."""
         times = [kind.model.release for kind in self.kinds]
         per_model = [-np.inf if time is None else time for time in times]
         return np.array(per_model, np.float64)[self.of]
 
     @cached_property
     def static(self) -> frozenset[int]:
-        """Those that go as they are told, which is nowhere."""
+        """Kinematic bodies that never move."""
         kinematic = np.flatnonzero(~self.moved).tolist()
         return frozenset(i for i in kinematic if len(self.poses[i].sample_times) == 1)
 
     @cached_property
     def masses(self) -> FloatArray:
-        """Masses of those that are moved ``(N,)`` [kg]."""
+        """Masses of dynamic bodies ``(N,)`` [kg]."""
         return np.array([kind.mass for kind in self.kinds])[self.of[self.dynamic]]
 
     @cached_property
@@ -138,17 +138,17 @@ class RigidBodies:
 
     @cached_property
     def centres(self) -> FloatArray:
-        """Their centres of mass, in their frames ``(N, 3)`` [m]."""
+        """Their centres of mass, in body frames ``(N, 3)`` [m]."""
         return np.array([kind.centre for kind in self.kinds])[self.of[self.dynamic]]
 
     @cached_property
     def reaches(self) -> FloatArray:
-        """How far they reach ``(N,)`` [m]."""
+        """Their bounding radii about the centre of mass ``(N,)`` [m]."""
         return np.array([kind.reach for kind in self.kinds])[self.of[self.dynamic]]
 
     @cached_property
     def start(self) -> FloatArray:
-        """Where they begin, as the kernel has states ``(N, 14)``."""
+        """Their initial states, in the kernel's layout ``(N, 14)``."""
         rows = np.array([self.poses[i].at(self.begin) for i in self.dynamic])
         rows = rows.reshape(-1, 7)
         models = [self.kinds[k].model for k in self.of[self.dynamic]]
@@ -162,7 +162,7 @@ class RigidBodies:
         return np.concatenate([at, rotations, velocities, momenta, idle], axis=1)
 
     def kinematic_state(self, number: int, t: float, dt: float) -> FloatArray:
-        """Return the state ``(14,)`` of one of those that are moved as its poses say.
+        """Return the state ``(14,)`` of a dynamic body from its poses.
 
         Its velocities are those of the time [s] before.
         """
@@ -181,19 +181,19 @@ class RigidBodies:
         return np.concatenate([centres[1], rotation, velocity, momentum, [0.0]])
 
     def spins(self, state: FloatArray) -> FloatArray:
-        """Return angular velocities of the world ``(N, 3)`` [rad/s]."""
+        """Return angular velocities in the world ``(N, 3)`` [rad/s]."""
         local = so3.rotate(so3.conjugate(state[:, 3:7]), state[:, 10:13])
         moments = self.moments
         local = np.divide(local, moments, out=np.zeros_like(local), where=moments > 0)
         return so3.rotate(state[:, 3:7], local)
 
     def placed(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return origins ``(N, 3)`` [m] and quaternions ``(N, 4)`` of their frames."""
+        """Return origins ``(N, 3)`` [m] and quaternions ``(N, 4)`` of body frames."""
         rotations = so3.multiply(state[:, 3:7], so3.conjugate(self.axes))
         return state[:, :3] - so3.rotate(rotations, self.centres), rotations
 
     def colliders(self) -> list[Collider]:
-        """Return those that go as they are told, as others run into them."""
+        """Return kinematic bodies as colliders."""
         return [
             Collider(
                 shape,
@@ -208,7 +208,7 @@ class RigidBodies:
         ]
 
     def excluded_pairs(self, pairs: IntArray, first: int) -> IntArray:
-        """Return pairs that do not collide as the kernel has them ``(Q, 2)``.
+        """Return pairs that do not collide, as kernel numbers ``(Q, 2)``.
 
         Args:
             pairs: Of all bodies ``(P, 2)``.
@@ -230,7 +230,7 @@ class RigidBodies:
 
     @cached_property
     def outlines(self) -> Outlines:
-        """All as others run into them; of meshes their hulls."""
+        """All bodies as colliders; hulls of meshes."""
         rows = [
             (Collider(outline(shape), name=self.names[i]), i, at, rotation)
             for i, k in enumerate(self.of.tolist())
@@ -241,7 +241,7 @@ class RigidBodies:
 
     @cached_property
     def shapes(self) -> tuple[list[Core], IntArray]:
-        """Cores of those that are moved, and the body of each ``(S,)``."""
+        """Convex cores of dynamic bodies, and the body of each ``(S,)``."""
         cores: list[Core] = []
         owners: list[int] = []
         cores_by_kind = [
@@ -259,7 +259,7 @@ class RigidBodies:
         excluded: IntArray = NO_PAIRS,
         inertias: FloatArray | float = 1.0,
     ) -> Any:
-        """Return them as the kernel takes them.
+        """Return the kernel's arrays.
 
         With joints ``(K, 3)`` and ``(K, 27)``, pairs of `apart` ``(Q, 2)``, and factors
         on their masses ``(N,)``.
@@ -294,20 +294,20 @@ class RigidBodies:
         return {name: i for i, name in enumerate(self.names)}
 
     def find(self, name: str, key: str) -> int:
-        """Return the number of a body of a name (SIM061)."""
+        """Return the number of a body by name (SIM061)."""
         if name not in self._numbers:
             refuse_unknown(name, list(self.names), key)
         return self._numbers[name]
 
 
 def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
-    """Refuse the name of a body that there is none of (SIM061)."""
+    """Refuse an unknown body name (SIM061)."""
     hint = nearest(name, names) or ""
     refuse("SIM061", f"unknown body {name!r}", key, hint)
 
 
 def outline(shape: Shape) -> Shape:
-    """Return a shape as others run into it: of a mesh, its hull."""
+    """Return a shape as a collider: the hull of a mesh."""
     if not isinstance(shape, Mesh):
         return shape
     points, counts, corners = shown(core_of(shape))
@@ -315,7 +315,7 @@ def outline(shape: Shape) -> Shape:
 
 
 def placed_on(poses: Poses, at: FloatArray, rotation: FloatArray) -> Poses:
-    """Return the poses of what is somewhere in a frame that moves."""
+    """Return the poses of a fixed offset in a moving frame."""
     if not at.any() and rotation[3] == 1:
         return poses
     rows = poses.rows
@@ -332,7 +332,7 @@ def _starts(counts: Sequence[int]) -> IntArray:
 
 @contextmanager
 def _entry(where: str, origin: str | None) -> Iterator[None]:
-    """Give refusals of an entry its place, in front of the key that they name."""
+    """Prefix faults raised inside with an entry's location."""
     try:
         yield
     except OptionError as error:
@@ -341,7 +341,7 @@ def _entry(where: str, origin: str | None) -> Iterator[None]:
 
 
 def _at(fault: Fault, where: str, origin: str | None) -> Fault:
-    """Return a fault of an entry, or of the prim of a stage that the entry names."""
+    """Return a fault located at an entry, or at the prim the entry names."""
     if origin is not None:
         return replace(fault, where=where, message=f"{origin}: " + fault.message)
     return replace(fault, where=f"{where}.{fault.where}" if fault.where else where)

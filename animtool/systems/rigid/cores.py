@@ -1,4 +1,4 @@
-"""What convex shapes are as points and faces, and what they weigh."""
+"""Convex cores of shapes, and their mass properties."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ ROUND = 16
 
 @dataclass(frozen=True, slots=True)
 class Core:
-    """A convex shape: points, faces between them, and a radius about them."""
+    """A convex core: points, faces, and a rounding radius."""
 
     points: FloatArray  # (P, 3) [m]
     faces: Sequence[IntArray]  # corners, counter-clockwise from outside
     radius: float = 0.0  # [m]
 
     def placed(self, at: FloatArray, rotation: FloatArray) -> Core:
-        """Return it in another frame: origin ``(3,)`` [m], quaternion ``(4,)``."""
+        """Return it moved by a translation ``(3,)`` [m] and a quaternion ``(4,)``."""
         return Core(at + so3.rotate(rotation, self.points), self.faces, self.radius)
 
 
 @dataclass(frozen=True, slots=True)
 class SolidProperties:
-    """Volume, centre and moments of a body of density 1."""
+    """Volume, centre and inertia of a solid of density 1."""
 
     volume: float  # [m³]
     centre: FloatArray  # (3,) [m]
     inertia: FloatArray  # about the centre (3, 3) [m⁵]
 
     def placed(self, at: FloatArray, rotation: FloatArray) -> SolidProperties:
-        """Return it in another frame."""
+        """Return them moved to another frame."""
         matrix = so3.to_matrix(rotation)
         centre = at + so3.rotate(rotation, self.centre)
         return SolidProperties(self.volume, centre, matrix @ self.inertia @ matrix.T)
@@ -55,7 +55,7 @@ class SolidProperties:
 def together(
     solids: Sequence[SolidProperties], densities: Sequence[float]
 ) -> SolidProperties:
-    """Return several as one; its volume is their mass [kg], its moments [kg m²]."""
+    """Return several joined; volumes count as masses [kg], inertia in [kg m²]."""
     masses = np.array([s.volume * d for s, d in zip(solids, densities, strict=True)])
     centres = np.array([s.centre for s in solids])
     centre = masses @ centres / masses.sum()
@@ -68,7 +68,7 @@ def together(
 
 
 def core_of(shape: Shape) -> Core:
-    """Return the core of a shape; of a mesh that of its hull.
+    """Return the core of a shape; the hull of a mesh.
 
     Raises:
         ValueError: It has no volume.
@@ -117,7 +117,7 @@ def _hull(points: FloatArray) -> Core:
 
 
 def solid_of(shape: Shape, core: Core) -> SolidProperties:
-    """Return what a shape is like with density 1; a mesh is filled, as its hull."""
+    """Return the mass properties of a shape of density 1; of a mesh's hull."""
     match shape:
         case Sphere(radius=r):
             volume = 4 / 3 * np.pi * r**3
@@ -153,7 +153,7 @@ def _capsule(shape: Capsule) -> SolidProperties:
 
 
 def filled(triangles: FloatArray) -> SolidProperties:
-    """Return what is inside of closed triangles ``(T, 3, 3)``, by its tetrahedra.
+    """Return the mass properties enclosed by triangles ``(T, 3, 3)``, by tetrahedra.
 
     Eberly (2002), "Polyhedral mass properties (revisited)", in the sums of Blow and
     Binstock (2004).
@@ -170,7 +170,7 @@ def filled(triangles: FloatArray) -> SolidProperties:
 
 
 def convex(mesh: Mesh, hull: SolidProperties) -> bool:
-    """Return whether a closed mesh is its own hull, by its volume."""
+    """Return whether a closed mesh equals its hull, by volume."""
     points, triangles = mesh.welded()
     inside = abs(filled(points[triangles]).volume)
     return abs(inside - hull.volume) <= CONVEX * hull.volume

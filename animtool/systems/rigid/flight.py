@@ -1,4 +1,4 @@
-"""How bodies go under forces that depend on where they are and how fast.
+"""Free flight of bodies under forces of position and velocity.
 
 In a step each body goes for itself, so its equation of motion is solved alone, exactly
 where the force is linear: drag, wind and springs of any stiffness are as they are with
@@ -44,7 +44,7 @@ Slopes: TypeAlias = Callable[
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Where bodies come that nothing touches.
+    """Positions and velocities after a step without contact.
 
     Attributes:
         points: ``(N, 3)`` [m].
@@ -63,7 +63,7 @@ class Flight:
 def fly(
     rate: Rate, slopes: Slopes, t: float, dt: float, x: FloatArray, v: FloatArray
 ) -> Flight:
-    """Return where bodies at positions and velocities ``(N, 3)`` come in a step [s]."""
+    """Return positions and velocities ``(N, 3)`` after a free step [s]."""
     end, now, step = t + dt, t, dt
     begin, begin_slopes = rate(t, x, v), slopes(t, x, v)
     points, velocities, pull, grown = x, v, begin, begin_slopes
@@ -97,7 +97,7 @@ def _part(
     pull: FloatArray,
     grown: tuple[FloatArray, FloatArray],
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """Return positions and velocities after a part, and errors by the motion ``(N,)``.
+    """Return positions and velocities after a substep, and their error ``(N,)``.
 
     Both are one vector for each, of positions and of velocities times the part.
     """
@@ -127,7 +127,7 @@ def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
 def _inertias(
     begin: FloatArray, grown: FloatArray, change: FloatArray, dt: float, v: FloatArray
 ) -> FloatArray:
-    """Return how much less velocities change than by the force at the beginning."""
+    """Return factors on mass so that an impulse changes velocity as the flow does."""
     # Of drag that is linear both are the same.
     z = np.maximum(-np.trace(grown, axis1=1, axis2=2) / 3 * dt, 0.0)
     ratios = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)

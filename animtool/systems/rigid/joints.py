@@ -1,4 +1,4 @@
-"""Joints of a spec, as the kernel takes them."""
+"""Joints of a spec, in the kernel's layout."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SWING = np.radians(179.0)
 
 @dataclass(frozen=True)
 class Joints:
-    """K joints of bodies that are moved."""
+    """K joints of dynamic bodies."""
 
     rows: IntArray  # type and both bodies (K, 3)
     numbers: FloatArray  # (K, 27)
@@ -55,7 +55,7 @@ class Joints:
     driven: Callable[[float], FloatArray] | None = None
 
     def some(self, which: IntArray) -> Joints:
-        """Return some of them, by number."""
+        """Return a subset, by number."""
         numbers = which.tolist()
         return replace(
             self,
@@ -79,13 +79,13 @@ class Joints:
         return np.concatenate([self.pairs[self.pairs[:, 0] >= 0], self.others])
 
     def frames(self, t0: float, t1: float) -> FloatArray:
-        """Return the frames of the animation at both ends of a step ``(K, 2, 7)``."""
+        """Return anchor frames at both ends of a step ``(K, 2, 7)``."""
         ends = [[poses.at(t0), poses.at(t1)] for poses in self.anchors]
         return np.array(ends, np.float64).reshape(-1, 2, 7)
 
 
 def together(several: Sequence[Joints]) -> Joints:
-    """Return joints of one spec as one."""
+    """Return several sets of joints of a spec joined."""
     return Joints(
         np.concatenate([one.rows for one in several]),
         np.concatenate([one.numbers for one in several]),
@@ -102,7 +102,7 @@ def together(several: Sequence[Joints]) -> Joints:
 def check_joints(
     models: Sequence[RigidJointModel], bodies: Sequence[BodyModel]
 ) -> None:
-    """Refuse what of joints makes no sense wherever the bodies are (SIM061)."""
+    """Refuse joints that are invalid for any poses (SIM061)."""
     named = {body.name: body for body in bodies}
     refusals = Refusals()
     for i, model in enumerate(models):
@@ -137,7 +137,7 @@ def check_joints(
 
 
 def _model_of(name: str, bodies: Mapping[str, BodyModel], key: str) -> BodyModel:
-    """Return the body of a name, or the one whose copy has it, as ``crate[2]``."""
+    """Return a body by name, or the model of a copy, as ``crate[2]``."""
     if name not in bodies and name.rpartition("[")[0] not in bodies:
         refuse_unknown(name, list(bodies), key)
     return bodies.get(name) or bodies[name.rpartition("[")[0]]
@@ -148,7 +148,7 @@ def joints_of(
     parts: Sequence[Mapping[str, Any]],
     bodies: RigidBodies,
 ) -> Joints:
-    """Return the joints of a spec that `check_joints` refuses nothing of.
+    """Return the joints of a spec, once `check_joints` has passed.
 
     What makes no sense where the bodies are is refused (SIM061).
     """
@@ -203,7 +203,7 @@ def joints_of(
 def joints_in(
     joints: Joints, full: RigidBodies, bodies: RigidBodies
 ) -> tuple[Joints, IntArray]:
-    """Return the joints of bodies of which some go as they are told, and which.
+    """Return joints for a subset of dynamic bodies, and their numbers.
 
     Those between two such bodies do nothing, and are left out.
 
@@ -245,7 +245,7 @@ def joints_in(
 
 
 def turned_round(rest: FloatArray) -> FloatArray:
-    """Return numbers of a joint behind its frames as its second body sees them."""
+    """Return a joint's numbers with its two bodies swapped."""
     flipped: FloatArray = rest.copy()
     if rest[0] <= rest[1]:
         flipped[:2] = -rest[1], -rest[0]
@@ -255,19 +255,19 @@ def turned_round(rest: FloatArray) -> FloatArray:
 
 
 def placed(pose: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return a frame in another one, as what has that sees it ``(7,)``."""
+    """Return a frame expressed in the parent of another ``(7,)``."""
     at = pose[:3] + so3.rotate(pose[3:], frame[:3])
     return np.concatenate([at, so3.multiply(pose[3:], frame[3:])])
 
 
 def in_body(bodies: RigidBodies, number: int, frame: FloatArray) -> FloatArray:
-    """Return a frame of principal axes as one of the body ``(7,)``."""
+    """Return a frame of principal axes in body coordinates ``(7,)``."""
     kind = bodies.kinds[bodies.of[bodies.dynamic[number]]]
     return placed(np.concatenate([kind.centre, kind.axes]), frame)
 
 
 def joint_loads(joints: Joints, impulses: FloatArray) -> FloatArray:
-    """Return forces [N] and torques [N m] that joints hold ``(K, 2)``; drives apart.
+    """Return joint forces [N] and torques [N m] ``(K, 2)``, without drives.
 
     Args:
         joints: The joints.
@@ -291,7 +291,7 @@ def _breaks(model: RigidJointModel) -> tuple[float, float]:
 
 
 def _axis(model: RigidJointModel, name: str, at: str) -> FloatArray:
-    """Return the shortest turn of x to the axis ``(4,)``."""
+    """Return the shortest rotation of x to the axis ``(4,)``."""
     axis = np.array(model.axis, np.float64)
     size = float(np.linalg.norm(axis))
     if not size:
@@ -301,14 +301,14 @@ def _axis(model: RigidJointModel, name: str, at: str) -> FloatArray:
 
 
 def within(pose: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return a frame as another one sees it ``(7,)``."""
+    """Return a frame relative to another ``(7,)``."""
     back = so3.conjugate(pose[3:])
     at = so3.rotate(back, frame[:3] - pose[:3])
     return np.concatenate([at, so3.multiply(back, frame[3:])])
 
 
 def in_principal_axes(bodies: RigidBodies, i: int, frame: FloatArray) -> FloatArray:
-    """Return a frame of the world as the principal axes of a body see it ``(7,)``."""
+    """Return a world frame relative to a body's principal axes ``(7,)``."""
     kind, pose = bodies.kinds[bodies.of[i]], bodies.poses[i].at(bodies.begin)
     at = pose[:3] + so3.rotate(pose[3:], kind.centre)
     return within(np.concatenate([at, so3.multiply(pose[3:], kind.axes)]), frame)
@@ -364,7 +364,7 @@ def _drive(model: RigidJointModel, at: str) -> list[float]:
 
 
 def _speed(model: RigidJointModel, drive: JointDriveModel, at: str) -> float:
-    """Return what a motor turns at [rad/s], or slides at [m/s]."""
+    """Return a motor's speed [rad/s] or [m/s]."""
     if drive.speed is None:
         return 0.0
     if model.type == "ball":

@@ -1,4 +1,4 @@
-"""What copies of a body have in common: shapes, mass, inertia, and where they are."""
+"""Shared properties of a body's copies: shapes, mass, inertia."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ MAX_BODIES = 1_000_000
 
 @dataclass(frozen=True)
 class BodyKind:
-    """What copies of one body have in common, in the frame of the body."""
+    """Shared properties of copies of a body, in the body's frame."""
 
     model: BodyModel
     shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]  # with origin and quaternion
@@ -69,20 +69,20 @@ class BodyKind:
 
     @cached_property
     def reach(self) -> float:
-        """How far it reaches from its centre of mass [m]."""
+        """Its bounding radius about the centre of mass [m]."""
         return max(
             float(np.linalg.norm(core.points - self.centre, axis=1).max()) + core.radius
             for core in self.cores
         )
 
     def core_at_centre(self, core: Core) -> Core:
-        """Return a core in the frame of its principal axes."""
+        """Return a core in the frame of the principal axes."""
         back = so3.conjugate(self.axes)
         return core.placed(-so3.rotate(back, self.centre), back)
 
 
 def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
-    """Return what a model says, its own faults raised (SIM061)."""
+    """Return the body kind of a model; its faults are raised (SIM061)."""
     refusals = Refusals()
     with refusals.collect():
         refuse_all("SIM061", _weight_problems(model))
@@ -169,12 +169,12 @@ def _shapes(
 
 
 def _pieces(mesh: Mesh) -> list[tuple[Shape, Core]]:
-    """Return convex pieces of a mesh, none where it is met as its hull."""
+    """Return convex pieces of a mesh; empty if its hull is used."""
     return list(pieces_of(mesh)) if installed() else []
 
 
 def _concave(name: str, mesh: Mesh, pieces: Sequence[tuple[Shape, Core]]) -> Fault:
-    """Return how a mesh is met that is not convex."""
+    """Return a notice of how a concave mesh collides."""
     if pieces:
         more = beyond(mesh, [core for _, core in pieces])
         message = (
@@ -221,7 +221,7 @@ def _weighed(
 
 
 def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return moments ``(3,)`` and axes of inertia, a quaternion ``(4,)``.
+    """Return principal moments ``(3,)`` and axes, a quaternion ``(4,)``.
 
     Axes that are those of the frame but for rounding stay so.
     """
@@ -243,7 +243,7 @@ def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _mesh(
     drawn: Sequence[tuple[Mesh | None, Core, FloatArray, FloatArray]],
 ) -> MeshFrame:
-    """Return the mesh that shows shapes: of what is in pieces its own."""
+    """Return the mesh that shows shapes; the original of split ones."""
     points, counts, corners, base = [], [], [], 0
     for mesh, core, at, rotation in drawn:
         part_vertices, count, corner = shown(core)
@@ -267,7 +267,7 @@ def _mesh(
 
 
 def check_moved(model: BodyModel) -> None:
-    """Refuse what does not go with how a body is moved (SIM061)."""
+    """Refuse keys that a body's motion mode does not support (SIM061)."""
     refuse_all("SIM061", _moved_problems(model))
 
 
@@ -293,7 +293,7 @@ def _moved_problems(model: BodyModel) -> Iterator[Problem]:
 
 
 def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Return where copies of a body are in its frame: ``(C, 3)`` and ``(C, 4)``."""
+    """Return positions ``(C, 3)`` and rotations ``(C, 4)`` of copies in their frame."""
     points, rotations = parts.get("points"), parts.get("rotations")
     if model.grid is not None:
         if points is not None:

@@ -1,4 +1,4 @@
-"""What the kernel takes for the forces on bodies in a step, and in how many parts."""
+"""Mean forces on bodies in a step, and the number of substeps."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OFF = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class StepForces:
-    """Forces on bodies through a step, and what they act on.
+    """Mean forces on bodies over a step, and their free flight.
 
     Attributes:
         forces: Forces [N] and torques [N m] ``(N, 6)``.
@@ -47,7 +47,7 @@ class StepForces:
     flight: Flight | None = None
 
     def missed(self, velocities: FloatArray, constrained: BoolArray) -> BoolArray:
-        """Return who met something that it was not known to be held by ``(N,)``.
+        """Return bodies with contacts that were not expected ``(N,)``.
 
         As far as that counts: of those that drag makes much heavier.
         """
@@ -62,13 +62,13 @@ class StepForces:
         )
 
     def parts(self, parts: int, constrained: BoolArray) -> int:
-        """Return in how many parts a step in parts is to be taken again."""
+        """Return the substeps needed to repeat a step."""
         assert self.flight is not None
         return divided(parts, self.flight.inertias[constrained])
 
 
 def divided(parts: int, inertias: FloatArray) -> int:
-    """Return how many parts a step has, from what some in parts are heavier by."""
+    """Return the number of substeps for inertia factors of some parts."""
     heaviest = float(inertias.max(initial=1.0))
     if not heaviest > MAX_INERTIA_RATIO:
         return parts
@@ -79,13 +79,13 @@ def divided(parts: int, inertias: FloatArray) -> int:
 
 
 class BodyLoads:
-    """Makes loads of the forces on the bodies of a system."""
+    """Computes step forces for the bodies of a system."""
 
     def __init__(self, name: str, bodies: RigidBodies, forces: BodyForces) -> None:
         self._name, self._bodies, self._forces = name, bodies, forces
 
     def fly(self, t: float, dt: float, motion: FloatArray) -> Flight | None:
-        """Return where bodies come that nothing touches; None under constant forces."""
+        """Return the free flight of bodies; None under constant forces."""
         if not self._forces.vary:
             return None
         steady = self._forces.pushes_over(t, dt, motion)[:, :3]
@@ -106,7 +106,7 @@ class BodyLoads:
         constrained: BoolArray,
         flight: Flight | None,
     ) -> StepForces:
-        """Return the loads of a step.
+        """Return the forces of a step.
 
         Bodies that are ``held`` ``(N,)``, by contacts or joints, feel the force that
         there is, and yield to all others as much less as it would have gone down with
@@ -159,7 +159,7 @@ class BodyLoads:
             self._stop(t, message, "use a weaker or smoother force")
 
     def parts(self, t: float, dt: float, motion: FloatArray) -> int:
-        """Return into how many parts a step is divided: bodies swing little in each.
+        """Return the substeps that resolve swinging bodies.
 
         Raises:
             ToleranceError: They are too many (SIM102).
@@ -187,7 +187,7 @@ class BodyLoads:
         motion: FloatArray,
         constrained: BoolArray,
     ) -> int:
-        """Return how many parts a step of some has, as bodies ``(N,)`` are held.
+        """Return the substeps for constrained bodies ``(N,)``.
 
         Raises:
             ToleranceError: They are too many (SIM102).
@@ -209,7 +209,7 @@ class BodyLoads:
         return divided(parts, inertias)
 
     def _rates(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return how fast bodies swing, and spin with what pushes them ``(2, N)``."""
+        """Return how fast bodies swing, and spin under pushes ``(2, N)``."""
         with np.errstate(all="ignore"):
             rates = self._forces.turning(t, dt, motion)
             if self._forces.vary:
@@ -227,7 +227,7 @@ class BodyLoads:
 
 
 def _swings(by_position: FloatArray, by_speed: FloatArray, dt: float) -> FloatArray:
-    """Return how fast what slopes ``(N, 3, 3)`` bring about swings ``(N,)`` [rad/s]."""
+    """Return angular frequencies ``(N,)`` [rad/s] of force gradients ``(N, 3, 3)``."""
     # An upper bound, so that few are looked at.
     bound = np.sqrt(np.linalg.norm(by_position, axis=(1, 2)))
     bound += np.linalg.norm(by_speed - by_speed.swapaxes(1, 2), axis=(1, 2)) / 2

@@ -1,4 +1,4 @@
-"""Joints that others keep from moving.
+"""Joints that other joints prevent from moving.
 
 The equations of joints are velocities that must be 0: what is left of all velocities
 is their null space. A joint without any of its own motion in there cannot move, however
@@ -56,7 +56,7 @@ class Locked:
 def locked_joints(
     rows: IntArray, frames: FloatArray, centres: FloatArray
 ) -> list[Locked]:
-    """Return the joints of loops that cannot move where they begin.
+    """Return joints of closed loops that cannot move from their start.
 
     Args:
         rows: Kind and both bodies of K joints ``(K, 3)``; -1 is what does not move.
@@ -95,7 +95,7 @@ def locked_joints(
 def locked_notices(
     rows: IntArray, numbers: FloatArray, names: Sequence[str], bodies: RigidBodies
 ) -> list[Fault]:
-    """Return a warning for each joint that others keep from moving (SIM172)."""
+    """Return a warning for each locked joint (SIM172)."""
     start = bodies.start
     frames = np.array([_frame(start[row[2]], entry[7:14]) for row, entry in zip(
         rows.tolist(), numbers, strict=True)]).reshape(-1, 7)  # fmt: skip
@@ -116,13 +116,13 @@ def locked_notices(
 
 
 def _frame(body: FloatArray, local: FloatArray) -> FloatArray:
-    """Return where a frame of a body is in the world ``(7,)``."""
+    """Return a local frame of a body in the world ``(7,)``."""
     at = body[:3] + so3.rotate(body[3:7], local[:3])
     return np.concatenate([at, so3.multiply(body[3:7], local[3:])])
 
 
 def _loops(rows: IntArray, count: int) -> list[list[int]]:
-    """Return joints of each group that loops join, without branches that end."""
+    """Return joints of each closed loop, without dangling branches."""
     ends = [(row[1] if row[1] >= 0 else count, row[2]) for row in rows.tolist()]
     left = set(range(len(ends)))
     while True:
@@ -150,7 +150,7 @@ def _loops(rows: IntArray, count: int) -> list[list[int]]:
 def _equations(
     row: IntArray, frame: FloatArray, centres: FloatArray, size: float
 ) -> tuple[list[tuple[int, int, FloatArray]], list[tuple[int, int, FloatArray]]]:
-    """Return what a joint holds, and what it leaves free.
+    """Return a joint's constraint rows, and its free directions.
 
     Each as both bodies, and factors on the velocity and, over a size, the spin of the
     second at its centre and of the first at its own ``(2, 6)``.
@@ -193,7 +193,7 @@ def _matrix(lines: Sequence[tuple[int, int, FloatArray]], count: int) -> FloatAr
 def _null_space(
     several: Sequence[Sequence[tuple[int, int, FloatArray]]], count: int
 ) -> FloatArray:
-    """Return velocities that all equations leave ``(6N, …)``."""
+    """Return the velocities that satisfy all constraints ``(6N, …)``."""
     lines = [one for joint_lines in several for one in joint_lines]
     if not lines:
         return np.eye(6 * count)
@@ -203,7 +203,7 @@ def _null_space(
 
 
 def _left(motions: Sequence[tuple[int, int, FloatArray]], free: FloatArray) -> float:
-    """Return the most motion of its own that a joint has left."""
+    """Return the largest relative motion that a joint retains."""
     count = len(free) // 6
     return float(
         np.linalg.norm(_matrix(motions, count) @ free, axis=1).max(initial=0.0)

@@ -1,4 +1,4 @@
-"""What bodies of a ragdoll weigh, where the rig states it."""
+"""Masses of ragdoll bodies, from the rig."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from animtool.systems.rigid.kind import BodyKind, principal
 def weighed(
     rig: Rig, world: WorldTransforms, joints: IntArray, kinds: Sequence[BodyKind]
 ) -> list[BodyKind]:
-    """Return bodies that weigh what the rig's masses on them do.
+    """Return bodies with the masses that the rig states.
 
     A mass is of the body of its joint, or of the next above, with which it is stiff.
     Bodies without one stay as they are.
@@ -59,7 +59,7 @@ def _of_parts(
     masses: Sequence[Mass],
     kind: BodyKind,
 ) -> BodyKind:
-    """Return a body of several masses, in the frame of its joint."""
+    """Return a body of several point masses, in the frame of its joint."""
     back = so3.conjugate(rotations[body])
     total = sum(mass.mass for mass in masses)
     centres, inertias = [], []

@@ -1,4 +1,4 @@
-"""Bodies and joints as the kernel has them, until one is released or breaks."""
+"""Dynamic bodies and active joints over time, split at releases and breaks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ON_TIME = 1e-9
 
 @dataclass(frozen=True)
 class BodyPhase:
-    """What is moved for a while, and by which joints.
+    """Dynamic bodies and active joints during one phase.
 
     Attributes:
         number: Of the phase; contacts of another one are of other shapes.
@@ -45,11 +45,11 @@ class BodyPhase:
 
     @property
     def full(self) -> bool:
-        """Whether nothing is held."""
+        """Whether all bodies are dynamic."""
         return bool(self.free.all())
 
     def shapes_of(self, numbers: IntArray) -> IntArray:
-        """Return numbers of shapes and colliders without phases."""
+        """Return numbers of shapes and colliders in the full system."""
         inner = np.minimum(numbers, len(self.shapes) - 1)
         over = numbers - len(self.shapes)
         count = int(self.shapes.max(initial=-1)) + 1
@@ -58,7 +58,7 @@ class BodyPhase:
     def with_numbers(
         self, numbers: FloatArray, inertias: FloatArray | float = 1.0
     ) -> Any:
-        """Return the kernel with other numbers of all joints, and factors on masses."""
+        """Return kernel arrays with other joint numbers and mass factors."""
         joints, first = self.joints, self.surroundings.first
         excluded = self.bodies.excluded_pairs(joints.excluded_pairs, first)
         return self.bodies.kernel(
@@ -67,7 +67,7 @@ class BodyPhase:
 
 
 class BodyPhases:
-    """Phases of bodies, each built when it is first asked for.
+    """Phases of a system, built when first used.
 
     Args:
         bodies: As they are when all are released.
@@ -98,21 +98,21 @@ class BodyPhases:
 
     @property
     def last(self) -> int:
-        """The number of the phase in which nothing is held any more."""
+        """The number of the phase after all releases."""
         return len(self._times)
 
     def number(self, t: float, dt: float) -> int:
-        """Return the number of the phase that a step at a time [s] is of."""
+        """Return the phase of a step that starts at a time [s]."""
         reached = t + ON_TIME * dt
         return int(np.searchsorted(self._times, reached, side="right"))
 
     def free(self, t: float, dt: float) -> BoolArray:
-        """Return who moves by itself in a step [s] at a time [s] ``(N,)``."""
+        """Return which bodies are dynamic in a step [s] at a time [s] ``(N,)``."""
         free: BoolArray = self._releases <= t + ON_TIME * dt
         return free
 
     def at(self, number: int, broken: BoolArray) -> BodyPhase:
-        """Return a phase without joints that are broken ``(K,)``."""
+        """Return a phase without broken joints ``(K,)``."""
         key = number, broken.tobytes()
         if key not in self._known:
             if len(self._known) > 1:
@@ -147,7 +147,7 @@ class BodyPhases:
         )
 
     def _shapes(self, bodies: RigidBodies, colliders: int) -> IntArray:
-        """Return what shapes and rigid colliders are numbered without phases."""
+        """Return the numbers of shapes and rigid colliders in the full system."""
         full, first = self._bodies, len(self._colliders)
         if bodies is full:
             return np.arange(len(full.shapes[1]) + colliders)
@@ -178,7 +178,7 @@ class BodyPhases:
 def kinematic_states(
     bodies: RigidBodies, numbers: IntArray, t: float, dt: float
 ) -> FloatArray:
-    """Return states of bodies that go as they are told ``(H, 14)`` at a time [s].
+    """Return states of kinematic bodies ``(H, 14)`` at a time [s].
 
     With the velocity that they come with, of the step [s] before.
     """

@@ -1,4 +1,4 @@
-"""Bodies and joints of a spec as other engines have them, and the other way round."""
+"""Conversion of bodies and joints to UsdPhysics records, and back."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ Y = np.array([0.0, 1.0, 0.0])
 def described(
     bodies: RigidBodies, joints: Joints, colliders: Colliders, forces: Sequence[Force]
 ) -> Physics:
-    """Return what bodies are as they begin.
+    """Return bodies, joints and static colliders as records.
 
     Of colliders those that never move; of forces gravity.
     """
@@ -96,7 +96,7 @@ def _body(bodies: RigidBodies, i: int) -> PhysicsBody:
 def _shape(
     shape: Shape, pose: FloatArray, friction: float, restitution: float
 ) -> PhysicsShape:
-    """Return a shape about its own middle, its axis y."""
+    """Return a shape about its centre, with y as its axis."""
     kind, at, axis = "mesh", np.zeros(3), Y
     size: tuple[float, ...] = ()
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
@@ -160,7 +160,7 @@ def _joints(bodies: RigidBodies, joints: Joints) -> Iterator[PhysicsJoint]:
 def body_entries(
     physics: Physics, entry: str
 ) -> tuple[list[BodyModel], list[dict[str, Any]]]:
-    """Return bodies as entries of a spec, and what their keys are read as.
+    """Return bodies as entries of a spec, with the parts of their keys.
 
     entry: The key of the spec that they are of.
 
@@ -209,7 +209,7 @@ def body_entries(
 
 
 def _model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
-    """Return the entry of keys; what they cannot hold is refused (SIM051)."""
+    """Return the entry of some keys; unsupported ones are refused (SIM051)."""
     try:
         return BodyModel.model_validate(keys)
     except ValidationError as error:
@@ -222,7 +222,7 @@ def _model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
 
 
 def shape_of(shape: PhysicsShape) -> Shape:
-    """Return a shape in its own frame."""
+    """Return a shape in its local frame."""
     match shape.kind:
         case "sphere":
             return Sphere(shape.size[0])
@@ -236,7 +236,7 @@ def shape_of(shape: PhysicsShape) -> Shape:
 
 
 def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
-    """Return the joints of a stage whose bodies begin at a number."""
+    """Return the joints of a stage whose bodies start at a number."""
     dynamic_numbers = {int(i): k for k, i in enumerate(bodies.dynamic)}
     rows, numbers, anchors, above, names, pairs = [], [], [], [], [], []
     breaks = []
@@ -287,13 +287,13 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
 
 
 def _of_centre(bodies: RigidBodies, i: int, frame: FloatArray) -> FloatArray:
-    """Return a frame of a body as its principal axes see it ``(7,)``."""
+    """Return a body frame relative to its principal axes ``(7,)``."""
     kind = bodies.kinds[bodies.of[i]]
     return within(np.concatenate([kind.centre, kind.axes]), frame)
 
 
 def static_colliders(physics: Physics) -> list[Collider]:
-    """Return what never moves."""
+    """Return bodies that never move, as colliders."""
     return [
         Collider(
             shape_of(one),

@@ -1,4 +1,4 @@
-"""Meshes that are not convex as convex pieces, by coacd where it is installed."""
+"""Convex decomposition of meshes, by coacd if installed."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ EXTRA = "pip install 'animtool[convex]'"
 
 
 def installed() -> bool:
-    """Return whether meshes can be taken apart."""
+    """Return whether convex decomposition is available."""
     return find_spec("coacd") is not None
 
 
 def pieces_of(mesh: Mesh) -> list[tuple[Mesh, Core]]:
-    """Return convex pieces of a mesh, the same on every run; none of what has holes.
+    """Return convex pieces of a mesh, deterministic; empty for open meshes.
 
     Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
     collision-aware concavity and tree search".
@@ -38,7 +38,7 @@ def pieces_of(mesh: Mesh) -> list[tuple[Mesh, Core]]:
 
 @lru_cache(maxsize=64)
 def _decomposed(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Core]]:
-    """Return the pieces of points and triangles; one mesh may be asked for often."""
+    """Return convex pieces of points and triangles (cached)."""
     import coacd
 
     points = np.frombuffer(point_bytes, np.float64).reshape(-1, 3)
@@ -63,7 +63,7 @@ def _decomposed(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Cor
 
 
 def solid_of_mesh(mesh: Mesh) -> SolidProperties:
-    """Return what is inside of a watertight mesh, with density 1."""
+    """Return the mass properties of a watertight mesh of density 1."""
     points, triangles = mesh.welded()
     inside = filled(points[triangles])
     if inside.volume > 0:
@@ -72,7 +72,7 @@ def solid_of_mesh(mesh: Mesh) -> SolidProperties:
 
 
 def beyond(mesh: Mesh, cores: Sequence[Core]) -> float:
-    """Return how much more volume pieces have than the mesh, over its own [1]."""
+    """Return the excess volume of pieces over the mesh, relative to it [1]."""
     volume = solid_of_mesh(mesh).volume
     return sum(_volume(core) for core in cores) / volume - 1
 

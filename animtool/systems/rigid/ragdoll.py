@@ -1,4 +1,4 @@
-"""A rig as rigid bodies that fall: its colliders, joined as the rig joins them.
+"""Ragdolls: a rig's colliders as bodies, connected by its joints.
 
 Joints with colliders become bodies, joined as the rig joins them, with its limits; what
 is between two of them is stiff, and what is below the last of them moves on as the take
@@ -40,7 +40,7 @@ _TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class RagdollOptions:
-    """What falls, and when."""
+    """Options of a ragdoll."""
 
     start: float | None = None  # frame that it begins in; None is the first
     end: float | None = None  # frame from which the take comes back; None is never
@@ -117,7 +117,7 @@ def _kinds(
     joints: IntArray,
     options: RagdollOptions,
 ) -> list[BodyKind]:
-    """Return what the colliders of each joint weigh, as a body (SIM062)."""
+    """Return mass properties of each joint's colliders (SIM062)."""
     _, ends = capsules.turned(world)
     sizes = capsules.sizes(world)
     kinds: list[BodyKind] = []
@@ -155,7 +155,7 @@ def _kinds(
 
 
 def _above(rig: Rig, joints: IntArray) -> IntArray:
-    """Return the body that each hangs on, -1 for none ``(N,)``."""
+    """Return the parent body of each body, -1 for none ``(N,)``."""
     numbers = {int(j): i for i, j in enumerate(joints)}
     above = np.full(len(joints), -1)
     tops: dict[int, int] = {}
@@ -171,7 +171,7 @@ def _above(rig: Rig, joints: IntArray) -> IntArray:
 def _frames(
     rig: Rig, positions: FloatArray, rotations: FloatArray, joints: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return frames of joints at rest ``(N, 7)``, and their own axes there ``(N, 4)``.
+    """Return rest frames of joints ``(N, 7)``, and their axes there ``(N, 4)``.
 
     Where all joints are: ``(J, 3)`` [m] and ``(J, 4)``.
     """
@@ -191,14 +191,14 @@ def _frames(
 
 
 def movable(rig: Rig, joint: int) -> int:
-    """Return the joint that moves a body which hangs on none: a free one, or a root."""
+    """Return the joint that moves a root body: a free joint, or a root."""
     upwards = rig.upwards(joint)
     free = (k for k in upwards if rig.joints[k].type is JointType.FREE)
     return next(free, upwards[-1])
 
 
 def _axes(joint: Joint) -> FloatArray:
-    """Return the turn of x to a joint's axis, and of y and z to those of its swing."""
+    """Return the rotation of x to a joint's axis, and of y, z to its swing axes."""
     if isinstance(joint.limits, BallLimit):
         return so3.from_matrix(joint.limits.axes.T)
     x, y, z = np.asarray(joint.axis, np.float64)
@@ -212,7 +212,7 @@ def _axes(joint: Joint) -> FloatArray:
 def joints_of_rig(
     ragdoll: Ragdoll, options: RagdollOptions, targets: Callable[[float], FloatArray]
 ) -> Joints:
-    """Return the joints between bodies; ``targets`` are numbers of drives at a time."""
+    """Return the joints between bodies; ``targets`` give drive values at a time."""
     rig, bodies = ragdoll.rig, ragdoll.bodies
     hung = np.flatnonzero(ragdoll.above >= 0)
     tone = _passive(ragdoll, options)
@@ -254,7 +254,7 @@ def joints_of_rig(
 
 
 def _passive(ragdoll: Ragdoll, options: RagdollOptions) -> FloatArray:
-    """Return stiffness and damping of tone in the joints of bodies ``(N, 2)``."""
+    """Return passive stiffness and damping of bodies' joints ``(N, 2)``."""
     bodies, rig = ragdoll.bodies, ragdoll.rig
     if not options.tone:
         return np.zeros((len(ragdoll.joints), 2))
@@ -278,7 +278,7 @@ def _limits(joint: Joint) -> list[float]:
 
 
 def _overlapping(ragdoll: Ragdoll) -> IntArray:
-    """Return pairs of bodies that are in each other where they begin ``(P, 2)``."""
+    """Return pairs of bodies that overlap at the start ``(P, 2)``."""
     placed = []
     for kind, poses in zip(ragdoll.bodies.kinds, ragdoll.bodies.poses, strict=True):
         pose = poses.at(0.0)

@@ -1,4 +1,4 @@
-"""A ragdoll in motion: its bodies in steps, from poses of the rig and back to them."""
+"""Ragdoll simulation from poses of a rig, and its results as transforms."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def ragdoll_simulation(
     name: str,
     **keys: float,
 ) -> RigidSimulation:
-    """Return the bodies of a rig in steps, pulled by gravity ``(3,)`` [m/s²].
+    """Return a rigid simulation of a ragdoll, with gravity ``(3,)`` [m/s²].
 
     ``name`` is for messages; ``keys`` of rigid bodies say how they step.
     """
@@ -45,7 +45,7 @@ def ragdoll_simulation(
 
 @dataclass(frozen=True)
 class DriveTargets:
-    """The take's own pose, as drives see it."""
+    """The take's pose as drive targets."""
 
     ragdoll: Ragdoll
     times: FloatArray  # of frames (F,) [s]
@@ -53,7 +53,7 @@ class DriveTargets:
     coordinate_slices: Sequence[slice] = field(default=())
 
     def __call__(self, t: float) -> FloatArray:
-        """Return target and rotation of each body's drive ``(N, 5)`` at a time [s]."""
+        """Return target and rotation of each drive ``(N, 5)`` at a time [s]."""
         targets = np.tile([0.0, *so3.IDENTITY], (len(self.ragdoll.joints), 1))
         k = int(np.clip(np.searchsorted(self.times, t) - 1, 0, len(self.times) - 2))
         span = self.times[k + 1] - self.times[k]
@@ -74,7 +74,7 @@ class DriveTargets:
 def ragdoll_speeds(
     bodies: Ragdoll, world: WorldTransforms, times: FloatArray, first: int
 ) -> FloatArray:
-    """Return velocities of centres of mass and angular momenta ``(N, 6)``."""
+    """Return linear velocities and angular momenta of bodies ``(N, 6)``."""
     k = max(first - 1, 0)
     pair = slice(k, k + 2)
     span = float(times[k + 1] - times[k])
@@ -96,7 +96,7 @@ def ragdoll_transforms(
     translations: FloatArray,
     rotations: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return local transforms of all joints: bones keep their lengths.
+    """Return local transforms of all joints, with constant bone lengths.
 
     What is between two bodies stays as it was at the beginning; what is below the last
     one goes on as the take has it.
@@ -135,7 +135,7 @@ def ragdoll_transforms(
 def _on_body(
     rig: Rig, body: int, joint: int, translations: FloatArray, rotations: FloatArray
 ) -> FloatArray:
-    """Return a joint ``(7,)`` above a body, or its own, as the body sees it in a pose.
+    """Return a joint frame ``(7,)`` relative to the body that carries it.
 
     Local transforms are ``(J, 3)`` [m] and ``(J, 4)``.
     """

@@ -1,4 +1,4 @@
-"""Rigid bodies as others see them, run into them, push them and hang on them."""
+"""Rigid bodies as colliders and attachments of other simulations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from animtool.systems.rigid.bodies import RigidBodies
 
 @dataclass(frozen=True, slots=True)
 class RigidState:
-    """Where bodies are, and what contacts and joints hold.
+    """The state of bodies, and the impulses of contacts and joints.
 
     Attributes:
         motion: Of N bodies centre of mass [m], attitude of the principal axes (x, y, z,
@@ -56,7 +56,7 @@ class RigidState:
 
 
 class SharedBodies:
-    """Bodies in states, for simulations that run into them and push them.
+    """Bodies in states, for simulations that collide with and push them.
 
     Attributes:
         bodies: What they are, whatever their state.
@@ -65,7 +65,7 @@ class SharedBodies:
     bodies: RigidBodies
 
     def frames(self, state: RigidState, t: float) -> FloatArray:
-        """Return where the frames of all bodies are ``(B, 7)`` at a time [s]."""
+        """Return body frames ``(B, 7)`` at a time [s]."""
         bodies = self.bodies
         frames = np.zeros((len(bodies.names), 7))
         origins, rotations = bodies.placed(state.motion)
@@ -75,7 +75,7 @@ class SharedBodies:
         return frames
 
     def poses(self, state: RigidState, t: float) -> FloatArray:
-        """Return where the frames of all shapes are ``(C, 7)`` at a time [s]."""
+        """Return shape frames ``(C, 7)`` at a time [s]."""
         bodies = self.bodies
         frames = self.frames(state, t)[bodies.outlines.of]
         at, rotation = bodies.outlines.at, bodies.outlines.rotations
@@ -85,7 +85,7 @@ class SharedBodies:
 
     @cached_property
     def shared(self) -> SystemBodies:
-        """They as others run into them."""
+        """The bodies as colliders."""
         bodies, outlines = self.bodies, self.bodies.outlines
         return SystemBodies(
             bodies.names,
@@ -97,12 +97,12 @@ class SharedBodies:
         )
 
     def speeds(self, state: RigidState) -> FloatArray:
-        """Return velocities of centres and angular ones ``(count, 6)``."""
+        """Return linear and angular velocities ``(count, 6)``."""
         spins = self.bodies.spins(state.motion)
         return np.concatenate([state.motion[:, 7:10], spins], axis=1)
 
     def pushed(self, state: RigidState, wrenches: Wrenches) -> RigidState:
-        """Return a state after impulses on its bodies."""
+        """Return a state after impulses on the bodies."""
         bodies, motion = self.bodies, state.motion.copy()
 
         def changes(pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -121,7 +121,7 @@ class SharedBodies:
         return replace(state, motion=motion)
 
     def push_between(self, state: RigidState, other: RigidState) -> Wrenches:
-        """Return the push that leads from a state to another of the same time."""
+        """Return the impulses that lead from one state to another."""
         before, after, masses = state.motion, other.motion, self.bodies.masses[:, None]
         turned = so3.log(so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7])))
         momentum_local = (

@@ -1,4 +1,4 @@
-"""Rigid bodies in steps: forces, contacts, joints, and how they turn."""
+"""Rigid body simulation: forces, contacts and joints."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class RigidSimulation(SharedBodies):
         forces: Sequence[Force] = (),
         static: Sequence[Collider] = (),
     ) -> None:
-        """Begin at a time [s]; ``still`` are colliders behind those of bodies."""
+        """Start at a time [s]; ``static`` colliders follow those of bodies."""
         self._spec, self._begin = spec, begin
         self.bodies, self.joints = bodies, joints
         self._phases = BodyPhases(
@@ -94,7 +94,7 @@ class RigidSimulation(SharedBodies):
 
     @staticmethod
     def of(spec: RigidModel, context: SimContext) -> RigidSimulation:
-        """Return the bodies of a spec.
+        """Return the simulation of a spec.
 
         Raises:
             OptionError: Something of it makes no sense (SIM020, SIM061).
@@ -126,7 +126,7 @@ class RigidSimulation(SharedBodies):
         )
 
     def initial(self) -> RigidState:
-        """Return where all begin."""
+        """Return the initial state."""
         count = len(self.joints.rows)
         return RigidState(
             self.bodies.start,
@@ -140,7 +140,7 @@ class RigidSimulation(SharedBodies):
         )
 
     def misfit(self, state: RigidState, t: float) -> str:
-        """Return why a state of a file cannot be resumed from; empty where it can."""
+        """Return why a saved state cannot be resumed; empty if it can."""
         del t
         sizes = np.linalg.norm(np.clip(state.motion[:, 3:7], -2, 2), axis=1)
         if not (sizes > 0.5).all():
@@ -153,7 +153,7 @@ class RigidSimulation(SharedBodies):
         return ""
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
-        """Return where bodies are a step [s] later.
+        """Return the state after a step [s].
 
         Raises:
             ToleranceError: Forces are not finite, swing bodies too fast, or bodies
@@ -174,7 +174,7 @@ class RigidSimulation(SharedBodies):
     def _in_parts(
         self, state: RigidState, t: float, dt: float, parts: int
     ) -> tuple[RigidState, int]:
-        """Return where bodies are after a step in parts, and how many it ought to have.
+        """Return the state after substeps, and how many are needed.
 
         More than there are where one that drag makes heavy met something.
         """
@@ -202,7 +202,7 @@ class RigidSimulation(SharedBodies):
         return self._phases.at(self._phases.number(t, dt), broken)
 
     def _constrained(self, state: RigidState, t: float, dt: float) -> BoolArray:
-        """Return who is held by contacts or joints, or sleeps ``(N,)``."""
+        """Return bodies with contacts or joints, or asleep ``(N,)``."""
         constrained = state.motion[:, 13] >= self._spec.sleep.time
         if not self._forces.vary:
             return constrained
@@ -217,7 +217,7 @@ class RigidSimulation(SharedBodies):
     def _solved(
         self, state: RigidState, loads: StepForces, t: float, dt: float
     ) -> RigidState:
-        """Return where bodies come under loads, with contacts and joints."""
+        """Return the state after contacts and joints are solved."""
         motion = self._woken(state.motion, loads, t, dt)
         if loads.velocities is not None:
             motion = motion.copy()
@@ -272,7 +272,7 @@ class RigidSimulation(SharedBodies):
         )
 
     def _check(self, motion: FloatArray, t: float) -> None:
-        """Refuse a state that no body can be in (SIM102)."""
+        """Refuse an impossible state (SIM102)."""
         sound = np.abs(motion[:, :10]).max(axis=1, initial=0.0) <= FARTHEST
         sound &= np.abs(motion[:, 10:13]).max(axis=1, initial=0.0) <= FASTEST
         if sound.all():
@@ -286,7 +286,7 @@ class RigidSimulation(SharedBodies):
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
     def _weighed(self, phase: BodyPhase, loads: StepForces, t: float) -> Any:
-        """Return bodies as the kernel takes them, with what loads make of them."""
+        """Return kernel arrays, with step forces and inertia factors."""
         joints, inertias = self.joints, loads.inertias
         if joints.driven is None and inertias is None:
             return phase.kernel
@@ -298,7 +298,7 @@ class RigidSimulation(SharedBodies):
     def _broken(
         self, state: RigidState, phase: BodyPhase, impulses: FloatArray, t: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return when joints broke, and what all of them hold, at a time [s]."""
+        """Return break times and impulses of joints, at a time [s]."""
         all_impulses = impulses
         if len(phase.holding) < len(self.joints.rows):
             all_impulses = np.zeros_like(state.held)
@@ -315,7 +315,7 @@ class RigidSimulation(SharedBodies):
     def _woken(
         self, motion: FloatArray, loads: StepForces, t: float, dt: float
     ) -> FloatArray:
-        """Return bodies, those awake whose forces change."""
+        """Return states, with sleepers woken whose forces change."""
         sleeping = motion[:, 13] >= self._spec.sleep.time
         if not sleeping.any():
             return motion
@@ -330,7 +330,7 @@ class RigidSimulation(SharedBodies):
         return motion
 
     def frame(self, state: RigidState, t: float) -> TransformsFrame:
-        """Return where bodies are."""
+        """Return the bodies at a time."""
         bodies, motion = self.bodies, state.motion
         count = len(bodies.names)
         points, velocities, spins = np.zeros((3, count, 3))
@@ -367,18 +367,18 @@ class RigidSimulation(SharedBodies):
         )
 
     def free(self, t: float) -> BoolArray:
-        """Return which bodies move by themselves from a time [s] on ``(count,)``."""
+        """Return which bodies are dynamic from a time [s] on ``(count,)``."""
         return self._phases.free(t, self._spec.step)
 
     @cached_property
     def _physics(self) -> Physics | None:
-        """What other engines go on from, if it is to be written."""
+        """Physics records for the output, if requested."""
         if not self._spec.physics:
             return None
         return described(self.bodies, self.joints, self._colliders, self._forces.forces)
 
     def energy(self, state: RigidState) -> Energy:
-        """Return the energy of a state, potential where forces have one."""
+        """Return the energy of a state; potential if forces have one."""
         bodies, motion = self.bodies, state.motion
         local = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
         moments = bodies.moments
@@ -388,7 +388,7 @@ class RigidSimulation(SharedBodies):
         return Energy(kinetic, self._forces.potential(motion))
 
     def diagnostics(self, state: RigidState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return energy, contacts and how deep bodies have been in each other."""
+        """Return energy, contacts and penetration depths."""
         values = {
             "bodies": float(len(self.bodies.names)),
             "awake": float(state.awake),
@@ -406,7 +406,7 @@ class RigidSimulation(SharedBodies):
         return Diagnostics(self.energy(state), values, notices)
 
     def _shape_names(self) -> list[str]:
-        """Return the bodies of shapes, and colliders behind them, by name."""
+        """Return names of shapes' bodies, then of colliders."""
         bodies, around = self.bodies, self._colliders
         names = [bodies.names[bodies.dynamic[i]] for i in bodies.shapes[1]]
         names += [one.name or f"colliders[{i}]" for i, one in enumerate(around)]

@@ -1,4 +1,4 @@
-"""The keys of rigid bodies in a scene file, as models."""
+"""Keys of rigid bodies in scene files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What acts on rigid bodies in a step: forces, pushes, and what they run into."""
+"""Forces, pushes and colliders of rigid bodies in a step."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CHANGES = 1e-9
 
 
 class BodyForces:
-    """Forces on N bodies that are moved, from a time on."""
+    """Forces on N dynamic bodies, from a start time."""
 
     def __init__(
         self, bodies: RigidBodies, forces: Sequence[Force], begin: float
@@ -47,7 +47,7 @@ class BodyForces:
         return wrenches
 
     def pushes_over(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return the forces and torques of pushes alone in a step ``(N, 6)``.
+        """Return forces and torques of pushes in a step ``(N, 6)``.
 
         Bodies are turned as in the middle of it, so that the energy of what swings
         under them neither grows nor falls.
@@ -63,7 +63,7 @@ class BodyForces:
         return wrenches
 
     def accelerations(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return what forces do at positions and velocities ``(N, 3)`` [m/s²]."""
+        """Return accelerations at positions and velocities ``(N, 3)``."""
         forces = np.zeros_like(x)
         for force in self.forces:
             forces += force.force(t, x, v, self._particles)
@@ -72,7 +72,7 @@ class BodyForces:
     def slopes(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how these grow with positions and velocities ``(N, 3, 3)``."""
+        """Return Jacobians of the accelerations ``(N, 3, 3)``."""
         slopes = np.zeros((2, len(x), 3, 3))
         for force in self.forces:
             if force.varies:
@@ -81,7 +81,7 @@ class BodyForces:
         return by_position, by_speed
 
     def turning(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return how fast pushes turn bodies to and fro, or turn with them ``(2, N)``.
+        """Return oscillation and spin rates under pushes ``(2, N)``.
 
         The first as a pendulum swings [rad/s], of the force at its arm; the second as
         they spin, where what pushes them turns with that.
@@ -105,13 +105,13 @@ class BodyForces:
     def change(
         self, forces: FloatArray, t: float, dt: float, motion: FloatArray
     ) -> BoolArray:
-        """Return whose forces are others in the next step ``(N,)``."""
+        """Return which bodies' forces change in the next step ``(N,)``."""
         later = self.over(t + dt, dt, motion)
         size = np.linalg.norm(forces, axis=1)
         return np.asarray(np.linalg.norm(later - forces, axis=1) > CHANGES * size)
 
     def potential(self, motion: FloatArray) -> float:
-        """Return the potential energy of forces that have one [J]."""
+        """Return the potential energy of conservative forces [J]."""
         potential = 0.0
         for force in self.forces:
             energies = force.potential(motion[:, :3], self._particles)
@@ -119,7 +119,7 @@ class BodyForces:
         return potential
 
     def _lasts(self, push: PushModel, span: tuple[float, float]) -> float:
-        """Return the share of a span of time that a push lasts [1]."""
+        """Return the fraction of an interval that a push lasts [1]."""
         t, end = span
         start = self._begin if push.start is None else push.start
         last = np.inf if push.end is None else push.end
@@ -132,7 +132,7 @@ class BodyForces:
         span: tuple[float, float],
         motion: FloatArray,
     ) -> FloatArray:
-        """Return force and torque of a push ``(6,)``, less where it lasts less."""
+        """Return force and torque of a push ``(6,)``, scaled by its duration."""
         fraction = self._lasts(push, span)
         if not fraction:
             return np.zeros(6)
@@ -160,7 +160,7 @@ class BodyForces:
 
 
 class StepColliders:
-    """Colliders as the kernel takes them.
+    """Colliders in the kernel's layout.
 
     Attributes:
         colliders: All of them.
@@ -173,7 +173,7 @@ class StepColliders:
         self._known: tuple[list[FloatArray], Colliders] | None = None
 
     def arrays(self, t: float, end: float) -> tuple[Any, ...]:
-        """Return what bodies run into through a step."""
+        """Return collider arrays for a step."""
         sheets = self.colliders.sheets
         if not sheets:
             return self.colliders.arrays(t, end)
@@ -189,13 +189,13 @@ class StepColliders:
 
 
 def _ends(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatArray]:
-    """Return the points of a surface at both ends of a step; none before again."""
+    """Return a surface's points at both ends of a step; constant after a teleport."""
     sheet.motion.forget(t)
     return sheet.motion.points(t), sheet.motion.points(end)
 
 
 def _going(sheet: Sheet, t: float, end: float) -> Collider:
-    """Return a surface through a step: as it begins, and as nearly as it goes as one.
+    """Return a surface over a step: its start shape, and the nearest rigid motion.
 
     The rotation is that of Kabsch (1976): points that change shape differ from it.
     """

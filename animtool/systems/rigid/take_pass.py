@@ -1,4 +1,4 @@
-"""The pass `ragdoll`: from a frame on, a rig's colliders are bodies that fall."""
+"""The pass `ragdoll`: a rig falls as a ragdoll from a frame on."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
 
 
 def _later(collider: Collider, t: float) -> Collider:
-    """Return a collider as seen by a clock that begins at a time [s]."""
+    """Return a collider with its clock shifted to start at a time [s]."""
     poses = collider.poses
     if len(poses.sample_times) == 1:
         return collider
@@ -155,7 +155,7 @@ def _run(
 def _weights(
     codes: FloatArray, first: int, last: int, options: RagdollOptions
 ) -> FloatArray:
-    """Return how much of the fall each frame shows ``(F,)``, smooth at both ends."""
+    """Return blend weights of the fall by frame ``(F,)``, eased at both ends."""
 
     def ramp(frames: FloatArray) -> FloatArray:
         linear = np.clip(frames / options.blend, 0, 1) if options.blend else frames >= 0
@@ -184,7 +184,7 @@ def _notices(
     fallen: tuple[FloatArray, FloatArray],
     begin: float,
 ) -> list[Fault]:
-    """Return what became of it, and the limit that was broken most.
+    """Return warnings, with the limit that was exceeded most.
 
     ``fallen``: local transforms of all joints; ``begin``: a frame.
     """

@@ -1,4 +1,4 @@
-"""What a rig that falls has of itself: tone in its joints, fingers on its hands."""
+"""Ragdoll extras: passive muscle tone, and capsules for fingers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NAMES = re.compile(r"thumb|finger|index|middle|ring|pinky|little|digit", re.IGN
 
 
 def with_digits(rig: Rig, world: WorldTransforms, capsules: Capsules) -> Capsules:
-    """Return capsules, and those of fingers that have none, carried by their hand.
+    """Return capsules, with added ones for fingers, attached to their hand.
 
     A hand is a joint with capsules, and none below it, from which fingers go out.
 
@@ -70,7 +70,7 @@ def with_digits(rig: Rig, world: WorldTransforms, capsules: Capsules) -> Capsule
 
 
 def _chain(below: dict[int, list[int]], joint: int) -> list[int]:
-    """Return a joint and those below it, up to where they branch."""
+    """Return a joint and its descendants, up to the first branch."""
     chain = [joint]
     while len(below.get(chain[-1], ())) == 1:
         chain.append(below[chain[-1]][0])

@@ -17,10 +17,10 @@ from animtool.sim.trials.trial import (
     FINER,
     ErrorMeasure,
     Figure,
-    TrialOutcome,
     Setting,
     Snapshot,
     Trial,
+    TrialOutcome,
     ladder,
 )
 

@@ -21,8 +21,8 @@ from animtool.systems.crowds.falls import (
     FASTEST,
     GRAVITY,
     REST_TIME,
-    FallSimulator,
     Falls,
+    FallSimulator,
     _moved,
     resting,
 )

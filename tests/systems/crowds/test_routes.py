@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from animtool.systems.crowds.routes import NavGrid, FlowField, route_to
+from animtool.systems.crowds.routes import FlowField, NavGrid, route_to
 
 LOW = np.array([10.0, -4.0])
 

@@ -17,8 +17,8 @@ from animtool.systems.flocks.spacing import Spacing
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 from animtool.systems.flocks.steering import (
     avoidance,
-    kept_speeds,
     goal_accelerations,
+    kept_speeds,
     steered,
 )
 

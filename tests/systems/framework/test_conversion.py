@@ -25,8 +25,8 @@ from animtool.systems.framework.conversion import (
     powers,
 )
 from animtool.systems.framework.kinds import SYSTEM_KINDS
-from animtool.systems.particles.forces.table import FORCES, find_force
 from animtool.systems.particles.emitter_shapes import EMITTER_SHAPES
+from animtool.systems.particles.forces.table import FORCES, find_force
 
 
 def assert_close(one: Any, other: Any, where: str = "") -> None:

@@ -24,8 +24,8 @@ from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.rigid.ragdoll import RagdollOptions
 from animtool.systems.rigid.take_pass import ragdoll
 from animtool.systems.rigid.tone import (
-    GRAVITY,
     DAMPING_RATIO,
+    GRAVITY,
     STIFFNESS_FRACTION,
     passive,
     with_digits,

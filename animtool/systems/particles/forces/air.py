@@ -1,4 +1,4 @@
-"""Forces of what particles move through: drag, viscosity, wind, friction."""
+"""Forces of a medium: drag, viscosity, wind, friction."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Drag(Force):
-    """Drag against the velocity, by the speed and by its square."""
+    """Drag against the velocity, linear and quadratic."""
 
     linear: NotNegative = 0.0  # [kg/s]
     quadratic: NotNegative = (
@@ -39,7 +39,7 @@ class Drag(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how it grows with positions and velocities: see `Force`."""
+        """Return its Jacobians: see `Force`."""
         speed = np.linalg.norm(v, axis=1)[:, None]
         along = np.divide(v, speed, out=np.zeros_like(v), where=speed > 0)
         across = (self.linear + self.quadratic * speed)[:, :, None] * np.eye(3)
@@ -47,14 +47,14 @@ class Drag(Force):
         return np.zeros_like(across), -across - grown * along[:, None]
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return how much it grows with velocity [kg/s]."""
+        """Return its damping coefficient [kg/s]."""
         speed = float(np.linalg.norm(v, axis=1).max(initial=0.0))
         return self.linear + 2 * self.quadratic * speed
 
 
 @dataclass(frozen=True)
 class Viscosity(Force):
-    """Stokes's law: ``6 π η r v`` against the velocity of small, slow balls."""
+    """Stokes drag: ``6 π η r v``, for small, slow spheres."""
 
     viscosity: NotNegative = 1e-3  # of the fluid [Pa s]; of water 1e-3, of air 1.8e-5
 
@@ -69,18 +69,18 @@ class Viscosity(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how it grows with positions and velocities: see `Force`."""
+        """Return its Jacobians: see `Force`."""
         drag = (6 * np.pi * self.viscosity * particles.radii)[:, None, None] * np.eye(3)
         return np.zeros_like(drag), -drag
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return how much it grows with velocity [kg/s]."""
+        """Return its damping coefficient [kg/s]."""
         return 6 * np.pi * self.viscosity * float(particles.radii.max(initial=0.0))
 
 
 @dataclass(frozen=True)
 class Wind(Force):
-    """Air that moves and takes particles along."""
+    """Drag relative to moving air."""
 
     velocity: Vector = (0.0, 0.0, 0.0)  # of the air [m/s]
     drag: NotNegative = 0.0  # of particles in it [kg/s]
@@ -94,18 +94,18 @@ class Wind(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how it grows with positions and velocities: see `Force`."""
+        """Return its Jacobians: see `Force`."""
         drag = np.broadcast_to(self.drag * np.eye(3), (len(x), 3, 3))
         return np.zeros_like(drag), -drag
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return how much it grows with velocity [kg/s]."""
+        """Return its damping coefficient [kg/s]."""
         return self.drag
 
 
 @dataclass(frozen=True)
 class Friction(Force):
-    """A brake against the velocity, as of what slides on a table everywhere.
+    """Dry friction against the velocity, everywhere.
 
     Of surfaces that particles touch, the colliders have their own.
     """
@@ -127,12 +127,12 @@ class Friction(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return it over the velocity, so that it never turns back: see `Force`."""
+        """Return it divided by the velocity, so that it never reverses: see `Force`."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
         pull = (self.deceleration * particles.masses / speed)[:, None, None] * np.eye(3)
         return np.zeros_like(pull), -pull
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return how much it grows with velocity [kg/s]."""
+        """Return its damping coefficient [kg/s]."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
         return float((self.deceleration * particles.masses / speed).max(initial=0.0))

@@ -1,4 +1,4 @@
-"""What a force on particles is."""
+"""The base class of forces on particles."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DIFFERENCE = 1e-6
 
 
 class Force(ABC):
-    """A force on particles; a record of its options.
+    """A force on particles, and its options.
 
     Attributes:
         pairs: Whether particles act on each other.
@@ -51,7 +51,7 @@ class Force(ABC):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how it grows with positions and with velocities of each particle.
+        """Return its Jacobians by positions and by velocities of each particle.
 
         ``(N, 3, 3)`` [N/m] and [kg/s]; here by differences, and 0 of pairs. They need
         not be exact: methods are stable where they are as steep as the force.
@@ -70,22 +70,22 @@ class Force(ABC):
         return by_position, by_speed
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
-        """Return energies ``(N,)`` [J], None of a force that has none."""
+        """Return energies ``(N,)`` [J]; None if it has no potential."""
         return np.zeros(len(x)) if self.drains else None
 
     def stiffness(self) -> float:
-        """Return how much it grows with the way from where it is 0 [N/m]."""
+        """Return its stiffness: growth with the distance from equilibrium [N/m]."""
         return 0.0
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return how much it grows with velocity, against it [kg/s]."""
+        """Return its damping coefficient [kg/s]."""
         return 0.0
 
     def turning(self, particles: ParticleState) -> float:
-        """Return how fast it turns velocities [rad/s]."""
+        """Return the rate at which it rotates velocities [rad/s]."""
         return 0.0
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
+        """Return invalid options, each with a message."""
         faults = range_faults(self, "must be {bound}, not {value:g}")
         return [(str(fault.where), fault.message) for fault in faults]

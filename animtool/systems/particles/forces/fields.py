@@ -1,4 +1,4 @@
-"""Forces of fields: expressions, turbulence, electromagnetism, charges.
+"""Force fields: expressions, turbulence, electromagnetism, charges.
 
 References:
     R. Bridson, J. Hourihan, M. Nordenstam, "Curl-noise for procedural fluid flow",
@@ -34,7 +34,7 @@ from animtool.systems.particles.velocity_field import (
 
 @dataclass(frozen=True)
 class Field(Expressions, Force):
-    """Forces as expressions of x, y, z, vx, vy, vz, t, age, mass and charge."""
+    """Forces by expressions of x, y, z, vx, vy, vz, t, age, mass and charge."""
 
     x: str = "0"  # [N]
     y: str = "0"  # [N]
@@ -47,13 +47,13 @@ class Field(Expressions, Force):
         return evaluated(self.expressions, t, x, v, particles)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
+        """Return invalid options, each with a message."""
         return expression_faults(self, VARIABLES)
 
 
 @dataclass(frozen=True)
 class Turbulence(Force):
-    """Accelerations that swirl and go nowhere in the mean."""
+    """Divergence-free noise accelerations, zero on average."""
 
     strength: NotNegative = 1.0  # about the root mean square [m/s²]
     size: Positive = 1.0  # of the largest swirls [m]
@@ -82,14 +82,14 @@ class Turbulence(Force):
         v: FloatArray,
         particles: ParticleState,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return zeros: it draws nothing back to where it is weaker: see `Force`."""
+        """Return zeros: it has no restoring part: see `Force`."""
         none = np.zeros((len(x), 3, 3))
         return none, none
 
 
 @dataclass(frozen=True)
 class Electromagnetic(Force):
-    """Lorentz's force ``q (E + v ^ B)`` of fields that are the same everywhere."""
+    """Lorentz force ``q (E + v ^ B)`` of uniform fields."""
 
     electric: Vector = (0.0, 0.0, 0.0)  # electric field [V/m]
     magnetic: Vector = (0.0, 0.0, 0.0)  # magnetic flux density [T]
@@ -106,7 +106,7 @@ class Electromagnetic(Force):
         return -particles.charges * (x @ np.asarray(self.electric, np.float64))
 
     def turning(self, particles: ParticleState) -> float:
-        """Return how fast it turns velocities [rad/s]."""
+        """Return the rate at which it rotates velocities [rad/s]."""
         field = float(np.linalg.norm(self.magnetic))
         return field * float(
             (np.abs(particles.charges) / particles.masses).max(initial=0.0)
@@ -119,7 +119,7 @@ _ROWS = 256
 
 @dataclass(frozen=True)
 class Charges(Force):
-    """Coulomb's law between all particles, softened where they are close."""
+    """Coulomb forces between all particles, softened at short range."""
 
     constant: NotNegative = 8.9875517862e9  # coulomb's [N m²/C²]
     softening: Positive = 0.01  # length that keeps it finite [m]

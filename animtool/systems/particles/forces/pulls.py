@@ -1,4 +1,4 @@
-"""Forces towards somewhere: gravity, constant forces, centres, springs, propulsion."""
+"""Gravity, constant and central forces, springs, propulsion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STOPPED = 1e-9
 
 @dataclass(frozen=True)
 class Gravity(Force):
-    """The same acceleration everywhere."""
+    """Uniform acceleration."""
 
     acceleration: Vector = (0.0, -9.81, 0.0)  # [m/s²]
 
@@ -45,7 +45,7 @@ class Gravity(Force):
 
 @dataclass(frozen=True)
 class Uniform(Force):
-    """The same force everywhere, whatever the mass."""
+    """Uniform force, independent of mass."""
 
     push: Vector = (0.0, 0.0, 0.0)  # [N]
 
@@ -97,7 +97,7 @@ class Central(Force):
         return np.asarray(particles.masses * self.strength * raised)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
+        """Return invalid options, each with a message."""
         faults = super().faults()
         if self.power < 1 and not self.softening > 0:
             faults.append(("softening", "must be above 0 if the power is below 1"))
@@ -106,7 +106,7 @@ class Central(Force):
 
 @dataclass(frozen=True)
 class Spring(Force):
-    """A spring to a point, or to where each particle was born."""
+    """A spring to a point, or to each particle's birth position."""
 
     anchor: AnyVector = None  # the point [m]; None is where each was born
     k: NotNegative = 1.0  # stiffness [N/m]
@@ -128,7 +128,7 @@ class Spring(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how it grows with positions and velocities: see `Force`."""
+        """Return its Jacobians: see `Force`."""
         unit = np.eye(3)
         off = x - self._anchors(particles)
         stiffness = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
@@ -162,7 +162,7 @@ class Spring(Force):
 
 @dataclass(frozen=True)
 class Propulsion(Force):
-    """A thrust along the velocity, or in a direction."""
+    """Thrust along the velocity, or in a fixed direction."""
 
     thrust: Finite = 0.0  # [N]; below 0 it brakes
     direction: AnyVector = None  # of any length above 0; None is along the velocity
@@ -184,7 +184,7 @@ class Propulsion(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return of a brake its force over the velocity, else none: see `Force`."""
+        """Return a brake's force over velocity, else zeros: see `Force`."""
         none = np.zeros((len(x), 3, 3))
         if self.direction is not None or self.thrust >= 0:
             return none, none
@@ -193,7 +193,7 @@ class Propulsion(Force):
         return none, (self.thrust * burns / speed)[:, None, None] * np.eye(3)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
+        """Return invalid options, each with a message."""
         faults = super().faults()
         if self.direction is not None and not any(self.direction):
             faults.append(("direction", "must not be all 0"))
