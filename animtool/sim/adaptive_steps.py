@@ -18,9 +18,9 @@ from animtool.sim.options import IntegrateOptions
 from animtool.sim.run import Run
 from animtool.sim.trajectory import Status
 
-# Of the step whose error would just be allowed, and how far steps may change at once.
+# Safety factor on the step, and bounds of the step change.
 SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
-# Of a step whose equations were not solved, or which led to no numbers.
+# Step factor after a stage that did not converge, or a state that is not finite.
 FAILED = 0.25
 
 
@@ -50,7 +50,7 @@ def _next(run: Run, target: float) -> Status:
         run.rejected += 1
         run.trial = h * (FAILED if math.isnan(ratio) else _factor(ratio, run))
         return run.within_budget()
-    # A step cut short says little of the next one.
+    # A truncated step says little about the next one.
     grown = h * _factor(ratio, run)
     run.trial = grown if h == trial else max(grown, trial)
     return run.keep(step, t, h)
@@ -91,7 +91,7 @@ def _ratio(step: Step, before: FloatArray, options: IntegrateOptions) -> float:
     assert step.error is not None
     size = np.maximum(np.abs(before), np.abs(step.state))
     allowed = options.least + options.relative * size
-    # With neither tolerance nor size, an error of 0 is none.
+    # With neither tolerance nor scale, an error of 0 passes.
     shares = np.abs(step.error) / np.maximum(allowed, 1e-300)
     return float(shares.max(initial=0.0)) if np.isfinite(shares).all() else math.nan
 

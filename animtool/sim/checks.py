@@ -18,7 +18,7 @@ from animtool.sim.run import divide
 from animtool.sim.system import Energy, System
 from animtool.sim.trajectory import Checkpoint, Stats, Status
 
-# What to take where no step of a method is stable.
+# Hint when no step of a method is stable.
 STEADY = "symplectic_euler, velocity_verlet, rk4 or implicit_euler"
 _CODES = {
     Status.UNSTABLE: "SIM102",
@@ -88,7 +88,7 @@ class Watch:
         self._system = system
         self._options = options
         self._first: Energy | None = None
-        self.energy: Energy | None = None  # of the state that was looked at last
+        self.energy: Energy | None = None  # of the last checked state
         self._typical = 0.0
 
     def start(self, t: float, state: FloatArray) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 from animtool.core.options import Range, above, key, or_more
 from animtool.core.record import dataclass
 
-# No body of a shot is as fast as this [m/s]: what is has been put elsewhere.
+# Faster colliders are taken as teleporting [m/s]; no prop of a shot is this fast.
 SPEED_LIMIT = 200.0
 
 

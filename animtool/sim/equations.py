@@ -20,7 +20,8 @@ class Equations:
 
     def __init__(self, system: FirstOrder | SecondOrder) -> None:
         self.system = system
-        # By what each alone has: a look at all of a protocol takes as long as a step.
+        # Told apart by one attribute each: an isinstance check of a protocol takes as
+        # long as a step.
         second, first = (hasattr(system, name) for name in ("acceleration", "rate"))
         self.second = cast("SecondOrder", system) if second else None
         self.first = cast("FirstOrder", system) if first else None

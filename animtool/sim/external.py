@@ -17,7 +17,7 @@ from animtool.sim.run import Run
 from animtool.sim.system import Matrix
 from animtool.sim.trajectory import Status
 
-# They take no sparse derivatives, and go by differences in their place.
+# These take no sparse Jacobian and use finite differences instead.
 DENSE_ONLY = {"scipy.integrate:LSODA"}
 
 

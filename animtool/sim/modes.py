@@ -11,7 +11,7 @@ from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator
 from animtool.sim.newton import differences
 
-# Components of the largest state whose derivative is taken by differences.
+# The largest number of state components for finite-difference Jacobians.
 MAX_COMPONENTS = 240
 
 
@@ -57,7 +57,7 @@ def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | 
         return None
     values = np.linalg.eigvals(slope)
     sizes = np.abs(values)
-    # Differences leave a rounding of the largest.
+    # Finite differences leave rounding of the largest value.
     kept = (sizes > 1e-6 * sizes.max(initial=0.0)) & (values.real <= 1e-6 * sizes)
     damping = np.maximum(-values.real / np.where(sizes > 0, sizes, 1.0), 0.0)
     damping = np.where(damping < 1e-6, 0.0, damping)

@@ -13,14 +13,14 @@ from animtool.sim.system import Matrix
 
 Residual: TypeAlias = Callable[[FloatArray], FloatArray]
 
-# The last correction, over the size of the unknowns. Newton's method squares what is
-# left, so what remains then is rounding.
+# Tolerance of the last correction over the unknowns: convergence is quadratic, so what
+# remains is rounding.
 SOLVED = 1e-10
-# A velocity that moves no particle by this share of its position is as good as 0: what
-# comes to rest has none to compare with.
+# Velocities that move a particle by less than this fraction of its position count as 0:
+# a body coming to rest has no velocity to compare with.
 AT_REST = 1e-3
 MAX_CORRECTIONS, MAX_HALVINGS = 30, 10
-# Of differences: the square root of a rounding.
+# Finite-difference step: the square root of machine epsilon.
 NUDGE = 1.5e-8
 
 
@@ -158,6 +158,6 @@ def _solved_sparse(matrix: Matrix, right: FloatArray) -> FloatArray | None:
     try:
         solution: FloatArray = splu(matrix.tocsc()).solve(right)
     except RuntimeError:
-        # It is singular.
+        # The matrix is singular.
         return None
     return solution if np.isfinite(solution).all() else None

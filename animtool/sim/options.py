@@ -12,11 +12,11 @@ from animtool.sim.integrators.adaptive import doubled
 from animtool.sim.integrators.integrator import Control, Integrator
 from animtool.sim.integrators.table import find_integrator
 
-# Of methods that choose their steps, where nothing else is said.
+# Default tolerance of adaptive methods.
 TOLERANCE = 1e-6
-# scipy's solvers take none below.
+# SciPy's solvers accept no smaller tolerance.
 MIN_TOLERANCE = 3e-14
-# Of a finer motion to compare with: over the step, and over the tolerance.
+# Factors of a finer run for comparison: of the step, and of the tolerance.
 FINER_STEP, FINER_TOLERANCE = 0.5, 0.01
 
 

@@ -16,9 +16,9 @@ from animtool.sim.options import IntegrateOptions
 from animtool.sim.system import Native
 from animtool.sim.trajectory import Status
 
-# A time within this share of a step is on a multiple of it.
+# Times within this fraction of a step count as a multiple of it.
 ON_GRID = 1e-9
-# Steps between two looks for signs of a blow-up.
+# Steps between two divergence checks.
 LOOK_EVERY = 32
 
 
@@ -37,20 +37,20 @@ class Run:
     integrator: Integrator
     equations: Equations
     options: IntegrateOptions  # how to integrate
-    watch: Signs  # looks for signs that it has blown up
+    watch: Signs  # checks for divergence
     end: float  # the last time [s]
-    time: float  # where it stands [s]
+    time: float  # current time [s]
     state: FloatArray
-    memory: object = None  # what the method takes along
-    # The step to try next, of methods that choose theirs [s].
+    memory: object = None  # the method's memory
+    # The next trial step of adaptive methods [s].
     trial: float | None = None
-    steps: int = 0  # kept
-    rejected: int = 0  # not kept
+    steps: int = 0  # accepted
+    rejected: int = 0  # rejected
     smallest: float = math.inf  # step [s]
     largest: float = 0.0  # step [s]
-    local_error: float = 0.0  # sum of the steps' own estimates
+    local_error: float = 0.0  # sum of the error estimates
     reason: str = ""  # why it stopped
-    looked: int = field(default=0)  # steps kept when signs were last looked for
+    looked: int = field(default=0)  # accepted steps at the last divergence check
 
     def keep(self, step: Step, t: float, h: float) -> Status:
         """Accept a step that ends at time t; return whether to continue."""
@@ -58,7 +58,7 @@ class Run:
         state, memory = step.state, step.memory
         if system.settles:
             state = system.settle(t, h, self.state, step.state)
-            # What a method took along is of the state that it made itself.
+            # The method's memory belongs to the state it produced.
             memory = memory if state is step.state else None
         self.state, self.memory = state, memory
         if step.error is not None:
@@ -103,8 +103,7 @@ class Division:
     end: float  # [s]
     count: int  # of steps
     h: float  # each step [s]
-    # Where the times are multiples of the step, which multiple the start is; None where
-    # they are not.
+    # The start as a multiple of the step, if times are multiples; else None.
     first: int | None
 
     def time(self, i: int) -> float:
@@ -128,7 +127,7 @@ def divide(start: float, end: float, step: float) -> Division:
     """
     first, last = start / step, end / step
     near, far = round(first), round(last)
-    # What rounding of the times alone makes of a multiple.
+    # Rounding of times that are multiples.
     slack = ON_GRID + 4 * math.ulp(max(abs(first), abs(last)))
     on_grid = max(abs(first - near), abs(last - far)) <= slack < 0.5
     if on_grid and far > near:
@@ -143,7 +142,7 @@ def advance_evenly(run: Run, target: float) -> Status:
     division = divide(run.time, target, run.options.step)
     native = run.equations.system.native(run.integrator.name)
     go = _stepwise(run, division) if native is None else _blocks(run, division, native)
-    # The last step's end is the time asked for, but for rounding.
+    # The last step ends at the requested time, but for rounding.
     run.time = target if go is Status.OK else run.time
     return go
 

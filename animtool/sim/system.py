@@ -16,9 +16,9 @@ from animtool.core.array_types import ArrayLike, BoolArray, FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 
-# Of derivatives: a dense array, or one of scipy.sparse.
+# A Jacobian: dense, or from scipy.sparse.
 Matrix: TypeAlias = Any
-# From time [s], state, step [s] and a number of steps to the state after them.
+# Maps time [s], state, step [s] and step count to the state after them.
 Native: TypeAlias = Callable[[float, FloatArray, float, int], FloatArray]
 
 

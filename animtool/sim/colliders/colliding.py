@@ -125,7 +125,7 @@ class Colliders(Sequence[Collider]):
         self._colliders = tuple(colliders)
         self.sheets = tuple(sheets)
         self.bodies = tuple(bodies)
-        # All that is rigid, as kernels number it.
+        # All rigid colliders, in the kernels' numbering.
         rigid = [
             *self._colliders,
             *(one for system in bodies for one in system.colliders),

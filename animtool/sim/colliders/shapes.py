@@ -237,7 +237,7 @@ class HeightField:
 
 
 Shape: TypeAlias = Plane | Sphere | Capsule | Box | Mesh
-# By the names that files have for them; a height field becomes a mesh.
+# By their names in files; a height field becomes a mesh.
 SHAPES: dict[str, type[Any]] = {
     "box": Box,
     "capsule": Capsule,

@@ -125,9 +125,8 @@ def hull_faces(triangles: IntArray, count: int) -> IntArray:
     return np.concatenate([triangles, back, *rim])
 
 
-# From colliders at rest, a start and an end ``(2, N, 3)``, radii and times within a
-# step from when on particles are there, to where these end, whether they touch, and
-# how ``(N,)`` and ``(N, 3)``.
+# Maps static colliders, start and end states ``(2, N, 3)``, radii and spawn times
+# within the step to end states, contact kinds ``(N,)`` and normals ``(N, 3)``.
 Settle: TypeAlias = Callable[
     [Collider, FloatArray, FloatArray, FloatArray, FloatArray], Any
 ]
@@ -189,7 +188,7 @@ def _within(
     """Return which paths enter the bounding box of a sheet ``(N,)``."""
     low = np.minimum(begin.min(axis=0), end.min(axis=0))
     high = np.maximum(begin.max(axis=0), end.max(axis=0))
-    # A path is a parabola, which leaves the box of its ends by no more than its length.
+    # A path is a parabola: it leaves its end points' box by at most its length.
     slack = reach[:, None] + np.linalg.norm(goal - start, axis=1, keepdims=True)
     above = np.maximum(start, goal) + slack >= low
     below = np.minimum(start, goal) - slack <= high

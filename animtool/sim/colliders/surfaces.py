@@ -14,9 +14,9 @@ from animtool.core.errors import Fault, warning
 from animtool.sim.colliders.sheets import Sheet, hull_faces, hull_points
 from animtool.sim.contact import SPEED_LIMIT
 
-# Where points are is asked for no more often than this [s]: between, they go straight.
+# Points are sampled at most this often [s], and interpolated in between.
 KNOT = 1 / 240
-# Share of a cell that whole numbers of them may be off.
+# Rounding tolerance of the cell count, as a fraction of a cell.
 ON_GRID = 1e-9
 
 

@@ -21,11 +21,11 @@ from animtool.sim.stability import jury_limit, rate_limit
 class Tableau:
     """An explicit Runge-Kutta method of S stages."""
 
-    # Where in the step each stage is ``(S,)`` [1]; the first is 0.
+    # Stage times within the step ``(S,)`` [1]; the first is 0.
     nodes: tuple[float, ...]
     rows: tuple[tuple[float, ...], ...]  # weights of the stages before each, S tuples
-    weights: tuple[float, ...]  # of the stages in the step ``(S,)``
-    # Of the stages in the estimate of the error ``(S,)``; none of methods without one.
+    weights: tuple[float, ...]  # of the stages ``(S,)``
+    # Error weights ``(S,)``; empty without an embedded estimate.
     errors: tuple[float, ...] = ()
 
     def step(

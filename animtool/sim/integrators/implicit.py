@@ -13,7 +13,7 @@ from animtool.sim.integrators.integrator import Integrator, Step
 from animtool.sim.newton import solve_stage
 from animtool.sim.stability import unlimited
 
-# Beyond it the difference of two unequal steps is not stable: 1 + √2 is the limit.
+# Above this ratio BDF2 with variable steps is unstable; the limit is 1 + √2.
 LARGEST_RATIO = 2.4
 
 

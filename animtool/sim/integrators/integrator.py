@@ -42,16 +42,15 @@ class Control(StrEnum):
 class Step:
     """The result of a step."""
 
-    state: FloatArray  # after it
-    memory: object = None  # what the method takes along to the next step
-    # Estimate of the error of this step, of the state's shape; None of methods that
-    # have none.
+    state: FloatArray  # after the step
+    memory: object = None  # passed to the next step
+    # Error estimate in the state's shape; None without an estimate.
     error: FloatArray | None = None
 
 
-# From equations, time [s], state, step [s] and memory (None at the start and where
-# the state was changed from outside) to where it leads; None where the equations of
-# an implicit step were not solved.
+# Maps equations, time [s], state, step [s] and memory to the result. Memory is None at
+# the start and after the state was changed from outside; the result is None if an
+# implicit step did not converge.
 StepFunction: TypeAlias = Callable[
     [Equations, float, FloatArray, float, object], Step | None
 ]

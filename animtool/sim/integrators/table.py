@@ -11,7 +11,7 @@ from animtool.sim.integrators.integrator import Integrator
 __all__ = ["INTEGRATORS", "find_integrator"]
 
 _FOLDER = "animtool.sim.integrators"
-# The file of each, in the order in which they are listed: from the simplest on.
+# The module of each, listed from simple to complex.
 _FAMILIES = {
     "euler": "explicit",
     "modified_euler": "explicit",

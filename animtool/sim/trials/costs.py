@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from animtool.core.record import dataclass
 
-# An error this much larger is as good, and a cost this much lower is worth it.
+# Errors within this factor are equal; a cost lower by this factor is worth it.
 AS_GOOD, WORTH_IT = 1.05, 0.8
-# Costs that differ by no more than this share are told apart by the work: times do.
+# Timings within this fraction are equal; the counted work decides.
 NOISE = 0.25
 
 
@@ -16,7 +16,7 @@ NOISE = 0.25
 class Cost:
     """The cost and the error of a setting."""
 
-    value: float  # time [s], or what else costs
+    value: float  # time [s], or another cost
     error: float  # [m]
     work: int = 0  # what is counted
 
@@ -48,7 +48,7 @@ def recommended_of(
     1
     """
     now = costs[chosen]
-    # What has the same error after the same work is the same run, and times are noise.
+    # Equal error after equal work is the same run; the timing is noise.
     same = None if now is None else (now.error, now.work)
     within = enough if now is None else now.error * AS_GOOD
     most = float("inf") if now is None else now.value * WORTH_IT

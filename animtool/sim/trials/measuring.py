@@ -29,24 +29,25 @@ from animtool.sim.trials.trial import (
     reach_of,
 )
 
-# A motion that halving the steps does not bring nearer by a power of this is sensitive.
+# If halving the step reduces the difference by less than this power, the run is
+# chaotic.
 MIN_ORDER = 0.5
-# Beside the size of a motion, distances that rounding makes, and those that nobody
-# sees: such make no motion sensitive.
+# Differences below these, relative to the extent, are rounding or invisible, and do not
+# make a run chaotic.
 ROUNDING, UNSEEN = 1e-13, 1e-6
-# Beside it, an error that is no error any more: the motion has blown up.
+# Larger errors, relative to the extent, mean that the run has diverged.
 FAR = 10.0
-# Share of points that only one of two motions has, from which on likewise.
+# Likewise for the fraction of points that only one of two runs has.
 MAX_UNMATCHED = 0.5
-# Where the chosen setting blows up, an error that will do, likewise.
+# The accepted error if the chosen setting diverges, relative to the extent.
 ENOUGH = 0.01
-# As long as they take less together, short runs are taken again, so often at most, and
-# the shortest counts [s].
+# Short runs are repeated within this time, up to this often, and the shortest counts
+# [s].
 SHORT, REPEATS = 0.3, 3
-# A method that took this many times as long as the finest motion has no finer settings
-# tried: what they give is not worth it.
+# Finer settings of a method are skipped once it took this many times as long as the
+# reference.
 TOO_SLOW = 10.0
-# Below these, differences of figures are none: shares of one, metres and pairs.
+# Smaller differences of figures do not count: fractions, metres and pairs.
 FIGURE_TOLERANCES = {
     Figure.STRETCH: 1e-3,
     Figure.DEPTH: 1e-4,
@@ -59,13 +60,11 @@ ENERGY_TOLERANCE = 1e-3
 class Reference:
     """The run that others are compared with."""
 
-    setting: Setting  # of it
-    error: PointDistances  # how far it may well be off itself, from the two finest
-    # Power of the step that its error goes with, from the three finest; None where they
-    # do not differ.
+    setting: Setting  # the setting of the reference run
+    error: PointDistances  # error estimate of the reference, from the two finest runs
+    # Observed order of convergence, from the three finest runs; None if they are equal.
     order: float | None
-    # Whether halving the steps hardly brings it nearer: then nothing is near, and
-    # errors say little.
+    # Whether the motion is chaotic: halving the step hardly reduces the difference.
     sensitive: bool
     json_keys: ClassVar[str] = "*setting error order sensitive"
 
@@ -74,27 +73,25 @@ class Reference:
 class TrialRow:
     """A setting and its results."""
 
-    setting: Setting  # what is tried
-    # Wall time of the simulation [s]; 0 where the method is not for it.
+    setting: Setting  # the tried setting
+    # Wall time of the simulation [s]; 0 if the method does not apply.
     seconds: float = 0.0
-    steps: int = 0  # that were taken
-    status: Status | None = None  # how it ended; None where the method is not for it
-    # Why it stopped, or is not for it; empty where it did what it should.
+    steps: int = 0  # number of steps
+    status: Status | None = None  # how it ended; None if the method does not apply
+    # Why it stopped or does not apply; empty on success.
     reason: str = ""
     stable_step: float | None = None  # as in `Outcome`
-    # Distances from the reference; None where it did not get to the end, or there is no
-    # reference.
+    # Distances from the reference; None if it stopped early or there is no reference.
     error: PointDistances | None = None
-    # Most that the energy differed from that of the start, in the largest that there
-    # was [1]; None where it may come and go.
+    # Largest energy change, relative to the largest energy [1]; None if not conserved.
     energy_drift: float | None = None
     bytes: int = 0  # as in `Outcome`
-    # As in `Outcome`; empty too where it did not get to the end.
+    # As in `TrialOutcome`; empty if it stopped early.
     figures: Mapping[Figure, float] = field(default_factory=dict)
-    worst: str = ""  # where the largest distance is; empty where it has no name
-    chosen: bool = False  # whether the file has it so
-    best: bool = False  # whether no other that is as exact is cheaper
-    # Whether to take it in place of the chosen one, or the cheapest within a budget.
+    worst: str = ""  # where the largest distance is; may be empty
+    chosen: bool = False  # whether the file uses it
+    best: bool = False  # whether no cheaper setting is as accurate
+    # Whether it is recommended, or the cheapest within a budget.
     recommended: bool = False
     json_keys: ClassVar[str] = (
         "*setting status=ended reason stable_step seconds~ steps bytes "
@@ -116,20 +113,20 @@ class TrialTable:
     name: str  # what it is called
     kind: str  # what it is
     span: float  # how long it was simulated [s]
-    instants: int  # at how many times points were compared
-    points: int  # how many there were, at most
-    extent: float  # diagonal of the box that they stayed in [m]
-    # What they were compared with; None where every fine one stopped.
+    instants: int  # number of compared times
+    points: int  # largest number of points
+    extent: float  # diagonal of the bounding box [m]
+    # The reference; None if every fine run stopped early.
     reference: Reference | None
     rows: list[TrialRow]  # in the order tried
-    notices: list[Fault] = field(default_factory=list)  # what is odd about it
-    error: ErrorMeasure = ErrorMeasure.RMS  # what rows are judged by
+    notices: list[Fault] = field(default_factory=list)  # warnings
+    error: ErrorMeasure = ErrorMeasure.RMS  # the error that rows are ranked by
     cost: CostMeasure = CostMeasure.SECONDS
-    unit: str = "steps"  # what is counted of the work
-    budget: float | None = None  # largest error that will do [m]
-    # How the recommended setting is asked for; empty where there is none.
+    unit: str = "steps"  # unit of the counted work
+    budget: float | None = None  # largest acceptable error [m]
+    # How to request the recommended setting; empty if none.
     lines: tuple[str, ...] = ()
-    reach: float = 0.0  # how far what is placed reaches from its points, at most [m]
+    reach: float = 0.0  # largest extent of instances from their points [m]
     json_keys: ClassVar[str] = (
         "name kind span instants points extent measure=error cost unit lines reference "
         "rows"
@@ -258,7 +255,7 @@ def _reference(
             try:
                 outcomes.append(runs.of(setting))
             except OptionError:
-                break  # the method is not for it; another may be
+                break  # the method does not apply; another may
             if outcomes[-1].status is not Status.OK:
                 break
         else:
@@ -384,11 +381,11 @@ def _marked(
 ) -> list[TrialRow]:
     """Return rows with the best marked, and the recommended one."""
     if not any(row.error is not None and row.error.largest for row in rows):
-        # Nothing moves: each will do, and times are chance.
+        # Nothing moves: all settings are equal, and times are noise.
         if budget is None:
             return rows
         return [replace(row, recommended=row.chosen) for row in rows]
-    # What is nearer to the reference than that is to the truth is as good.
+    # Closer to the reference than its own error estimate is as good.
     extent += reach
     floor = max(reference.error.error(trial.error, reach), ROUNDING * extent)
     costs = [

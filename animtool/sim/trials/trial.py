@@ -18,8 +18,8 @@ from animtool.maths import so3
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 
-# Steps over the chosen one: of settings to try, and of the motion that they are
-# compared with, each of which is half of the one before.
+# Step factors over the chosen step: of settings to try, and of reference runs, each
+# half of the previous one.
 COARSER = (4.0, 2.0, 1.0, 0.5)
 FINER = (0.5, 0.25, 0.125)
 
@@ -29,7 +29,7 @@ class Setting:
     """A method with its options."""
 
     method: str  # an integrator or a solver
-    # Names and values that go with it, as the scene file writes them.
+    # Its options by name, in the notation of the scene file.
     options: tuple[tuple[str, float], ...]
     json_keys: ClassVar[str] = "method options=by_name"
 
@@ -66,21 +66,21 @@ class Snapshot:
     """The points at one time."""
 
     points: FloatArray  # (N, 3) [m]
-    # Which point is which, ascending (N,); None where they are always the same.
+    # Point ids, ascending (N,); None if constant.
     ids: IntArray | None = None
-    orientations: FloatArray | None = None  # x, y, z, w (N, 4); None of mere points
-    reach: float = 0.0  # how far what is placed reaches from its point, at most [m]
+    orientations: FloatArray | None = None  # x, y, z, w (N, 4); None for plain points
+    reach: float = 0.0  # largest extent of instances from their point [m]
 
 
 class Figure(StrEnum):
     """A measured quantity of a run besides its points."""
 
-    STRETCH = "stretch"  # most that a spring was longer than at rest, over that [1]
-    DEPTH = "depth"  # most that cloth was inside of what it meets [m]
-    PIERCED = "pierced"  # most pairs of edge and face that pierced each other at once
-    MISS = "miss"  # most that a position was off its target [m]
-    MISS_ANGLE = "miss_angle"  # of an orientation, aim or pole likewise [rad]
-    REACHED = "reached"  # share of the frames that reached every target [1]
+    STRETCH = "stretch"  # largest spring elongation over its rest length [1]
+    DEPTH = "depth"  # largest penetration of cloth [m]
+    PIERCED = "pierced"  # largest number of edge-face pairs that pierce each other
+    MISS = "miss"  # largest distance to a position target [m]
+    MISS_ANGLE = "miss_angle"  # of orientations, aims and poles [rad]
+    REACHED = "reached"  # fraction of frames that reach every target [1]
 
 
 class ErrorMeasure(StrEnum):
@@ -103,21 +103,21 @@ class TrialOutcome:
     """The result of running one setting."""
 
     seconds: float  # wall time of the simulation [s]
-    steps: int  # that were taken
-    shots: Sequence[Snapshot]  # at the times that were reached
+    steps: int  # number of steps
+    shots: Sequence[Snapshot]  # at the times reached
     status: Status = Status.OK  # how it ended
-    reason: str = ""  # why it stopped, empty where it did not
-    # The largest that is stable where it ended [s]: 0 where none is, infinite where all
-    # are, None where it is not known.
+    reason: str = ""  # why it stopped, empty on success
+    # The largest stable step at the end [s]: 0 if none, infinite if all, None if
+    # unknown.
     stable_step: float | None = None
-    # At these times; None where energy may come and go.
+    # At these times; None if energy is not conserved.
     energies: Sequence[Energy] | None = None
-    bytes: int = 0  # size of what was written; 0 where nothing was
-    # What else tells settings apart.
+    bytes: int = 0  # size of the output; 0 without one
+    # Other figures of the setting.
     figures: Mapping[Figure, float] = field(default_factory=dict)
-    # How far it is off, where that is measured as it is made, and not by shots.
+    # Its error, if measured directly and not from snapshots.
     error: PointDistances | None = None
-    worst: str = ""  # where that is
+    worst: str = ""  # location of that error
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,28 +126,28 @@ class Trial:
 
     name: str
     kind: str  # `particles`, `cloth`, `ik`
-    span: float  # how long, with what comes before the first frame [s]
+    span: float  # duration, with pre-roll [s]
     chosen: Setting  # of the file
-    # Ways to try, the coarsest of each method first.
+    # Settings to try, per method from coarse to fine.
     settings: Callable[[], list[Setting]]
-    # What others can be compared with, the first that works to be taken: of a method
-    # each, its steps being half of those before.
+    # Candidates for the reference, the first that works is taken: one method each, with
+    # steps halved each time.
     references: Callable[[], list[list[Setting]]]
-    # Makes it in one way; `OptionError` where the method is not for it.
+    # Runs a setting; raises `OptionError` if the method does not apply.
     run: Callable[[Setting], TrialOutcome]
-    error: ErrorMeasure = ErrorMeasure.RMS  # what settings are judged by
+    error: ErrorMeasure = ErrorMeasure.RMS  # the error that settings are ranked by
     cost: CostMeasure = CostMeasure.SECONDS
-    unit: str = "steps"  # what is counted of the work
-    # Of a shot and a point, its name and time; None names none.
+    unit: str = "steps"  # unit of the counted work
+    # Name and time of a point of a snapshot; None without names.
     where: Callable[[int, int], str] | None = None
-    # The keys of an entry of the file that ask for a setting; None of no entry.
+    # Keys of the file entry that request a setting; None without an entry.
     changes: Callable[[Setting], Mapping[str, Any]] | None = None
-    # How a setting is asked for: lines of the scene file, or options of a command.
+    # How to request a setting: scene file lines, or command options.
     lines: Callable[[Setting], list[str]] | None = None
-    # Writes what a setting gives as USD, to be looked at; None where it cannot be.
+    # Writes a setting's result as USD for viewing; None if unavailable.
     write: Callable[[Setting, Path], None] | None = None
-    size: float = 0.0  # of the figure that is written [m]; 0 is not known
-    notices: tuple[Fault, ...] = ()  # what is odd about it
+    size: float = 0.0  # size of the written figure [m]; 0 is unknown
+    notices: tuple[Fault, ...] = ()  # warnings
 
 
 def ladder(value: float, shares: Sequence[float] = COARSER) -> list[float]:
@@ -174,12 +174,11 @@ class PointDistances:
 
     largest: float  # [m]
     rms: float  # root of the mean of squares [m]
-    median: float  # half of them are nearer [m]
-    unmatched: float = 0.0  # share of the points that only one of the two has [1]
-    # Root of the mean of squares of the angles between their orientations [rad]; None
-    # where they have none.
+    median: float  # [m]
+    unmatched: float = 0.0  # fraction of points that only one of the two has [1]
+    # Root mean square of angles between orientations [rad]; None without any.
     angle: float | None = None
-    at: tuple[int, int] | None = None  # shot and point of the largest; None of none
+    at: tuple[int, int] | None = None  # its snapshot and point; None if empty
     json_keys: ClassVar[str] = "largest rms median apart angle?"
 
     def error(self, measure: ErrorMeasure, reach: float) -> float:
@@ -243,7 +242,7 @@ def distances(truth: Sequence[Snapshot], shots: Sequence[Snapshot]) -> PointDist
 
 def _rms(values: FloatArray) -> float:
     """Return the root mean square of values ``(N,)``, 0 if empty."""
-    # Squares of what has blown up are beyond any number.
+    # Squares of diverged values overflow.
     with np.errstate(over="ignore"):
         return math.sqrt(float(np.mean(values**2))) if len(values) else 0.0
 

@@ -26,22 +26,22 @@ from animtool.systems.crowds.ground import Frame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
 from animtool.systems.particles.emitter import Emitter, uniforms
 
-# Slowest that an agent likes to walk, over the mean; and most deviations from it.
+# Slowest preferred speed over the mean, and most standard deviations from it.
 SLOWEST = 1 / 3
 DEVIATIONS = 2.0
-# How fast agents may be over the mean speed, where nothing is said.
+# Default maximum speed over the mean.
 FASTEST = 1.3
-# Who gives least, over who gives most: were all alike, arches before doors would hold.
+# Least over largest readiness to yield: with equal agents, arches before doors would
+# lock.
 FIRMEST = 0.2
-# Agents go to random places in a goal, no farther from its middle than this part of its
-# radius; those of a group to the same.
+# Agents aim at random points within this fraction of a goal's radius; group members
+# share theirs.
 SPREAD = 0.8
-# Room from one to the next of a group, over both radii.
+# Spacing within a group, over the sum of radii.
 ABREAST = 1.3
-# Rounds in which those that begin in each other are moved apart, and how often others
-# that they come to are looked for.
+# Passes that separate agents at the start, and how often neighbours are rebuilt.
 ROUNDS, SPREADS = 100, 100
-# An overlap that is left, over a radius: less shows nowhere.
+# Remaining overlap over a radius; less is invisible.
 ENOUGH = 0.004
 
 
@@ -63,7 +63,7 @@ class Agents:
     """
 
     populations: Sequence[PopulationModel]
-    ends: Sequence[int]  # where each population ends among all
+    ends: Sequence[int]  # end index of each population
     starts: FloatArray
     speeds: FloatArray
     most: FloatArray
@@ -166,7 +166,7 @@ def _separated(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fau
         before = starts
         nothing = np.zeros(count + 1, np.int32), np.zeros((0, 4))
         starts, overlap = separated(agents, before, *nothing)
-        # Who was moved may be in another now.
+        # Separated agents may now be inside another.
         overlap = overlap if (starts == before).all() else np.inf
     moved = np.linalg.norm(starts - agents.starts, axis=1)
     moved_far = (moved > ENOUGH * agents.radii) & np.asarray(placed, bool)[agents.kinds]
@@ -239,13 +239,13 @@ def _drawn(
         sizes = np.bincount(groups)[groups]
         sides = (rank - (sizes - 1) / 2) * 2 * ABREAST * population.radius
         if parts.get("points") is None:
-            # The others stand about the first, at some angle.
+            # The others stand around the first, at a random angle.
             along = _circle(2 * np.pi * chances[groups * group, 0])
             starts = starts[groups * group] + along * sides[:, None]
         more[:, 2:] = more[groups * group, 2:]
         chances = np.concatenate([chances[groups * group, :5], chances[:, 5:]], axis=1)
     speed = population.speed
-    # Box and Muller.
+    # Box-Muller transform.
     normal = np.sqrt(-2 * np.log1p(-chances[:, 1])) * np.cos(2 * np.pi * chances[:, 2])
     off = np.clip(normal, -DEVIATIONS, DEVIATIONS) * speed.spread
     speeds = np.maximum(speed.mean + off, SLOWEST * speed.mean)

@@ -18,7 +18,7 @@ from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import Steering
 from animtool.systems.framework.simulation import SimContext
 
-# Moves out of obstacles that agents begin in.
+# Passes that move agents out of obstacles at the start.
 MOVES = 20
 
 

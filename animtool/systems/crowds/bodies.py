@@ -19,33 +19,33 @@ from animtool.systems.crowds.ground import turned, wrapped
 from animtool.systems.crowds.reach import MAX_RATE, Reach, Stances, hurried
 from animtool.systems.crowds.shoulders import Trunk
 
-# Slower than this part of the slowest gait agents stand, but for a foot off its place.
+# Below this fraction of the slowest gait agents stand, unless a foot is misplaced.
 STANDS = 0.1
-# Cadence goes with this power of speed, strides take the rest (Grieve and Gear, 1966).
+# Cadence grows with this power of speed, stride with the rest (Grieve and Gear, 1966).
 CADENCE = 0.42
-# Least and most cadence over that of the blend.
+# Bounds of cadence over the blend's.
 SLOWEST, FASTEST = 0.7, 1.6
-# How long what they play takes to follow how fast they go [s].
+# Time constant of gait blending [s].
 PACING = 0.2
-# How long agents take to go from walking to standing [s].
+# Time to blend from walking to standing [s].
 SETTLING = 0.3
-# A foot that lands within this last part of its cycle does not lift any more.
+# A foot that lands within this last part of its cycle does not lift again.
 LAST = 0.95
-# Who is turned faster than its pace by more than this does not hurry for it [rad/s].
+# Yaw rates above the pace by less than this do not speed up steps [rad/s].
 JERK = 0.6
-# Steps get quicker no faster [cycles/s²]: legs that did would jerk.
+# Largest change of cadence [cycles/s²]; faster changes would jerk the legs.
 QUICKENS = 12.0
-# How fast hips rise that legs had lowered, over the length of a leg [1/s].
+# Rising speed of lowered hips, over the leg length [1/s].
 RISES = 0.6
-# From this part of a swing on it is settled where its foot lands.
+# From this fraction of a swing on, its landing is fixed.
 SETTLED = 0.6
-# How far a landing is looked ahead [rad] where a body turns.
+# Largest yaw by which a landing is predicted [rad].
 MAX_YAW = 1.0
-# Whose push makes them go as fast to a side or back, over `STANDS`, walk.
+# Sideways or backward speeds above this, over `STANDS`, count as walking.
 PUSHED = 3.0
-# Steps to a side, and back, go no farther from the hips, over the length of a leg.
+# Largest sideways and backward step from the hips, over the leg length.
 SIDE, BACK = 0.25, 0.3
-# Nor does a body turn farther over a foot that stands [rad].
+# Largest yaw of a body over a planted foot [rad].
 SPUN = 0.8
 
 
@@ -113,7 +113,7 @@ class AgentBodies(Footing):
             np.stack([np.maximum(speeds, 0.0), leg * around], axis=1),
             np.array([[one.speed, leg * one.turning] for one in moving]),
         )
-        # BLAS adds in an order that depends on the number of agents; einsum does not.
+        # BLAS sums in an order that depends on the number of agents; einsum does not.
         paced = np.array([[one.speed, one.period] for one in moving])
         speed, period = np.einsum("ng,gk->kn", weights, paced)
         cadence = (np.hypot(speeds, leftward) / speed) ** CADENCE
@@ -122,8 +122,7 @@ class AgentBodies(Footing):
             "ng,gfk->nfk", weights, np.stack([one.steps for one in moving])
         )
         stands = np.einsum("ng,gf->nf", weights, np.stack([m.stands for m in moving]))
-        # Who is pushed to a side or back makes shorter steps, more of them, and so does
-        # who spins.
+        # Sideways, backward and spinning motion uses shorter steps, and more of them.
         side = leftward * stands.mean(axis=1) / (2 * rate)
         back = -speeds * stands.mean(axis=1) / (2 * rate)
         over = np.maximum(np.abs(side) / (SIDE * leg), back / (BACK * leg))
@@ -149,7 +148,7 @@ class AgentBodies(Footing):
         ``hit``: whom something hit ``(N,)``.
         """
         turning = wrapped(after.headings - before.headings) / dt
-        # As they are moved: who is pushed goes where its own will does not.
+        # Actual motion: pushed agents do not move as they prefer.
         went = turned((after.points - before.points) / dt, -after.headings)
         paces = np.stack([went[:, 1], turning, went[:, 0]], axis=1)
         paces = state.paces + (paces - state.paces) * -np.expm1(-dt / PACING)
@@ -165,7 +164,7 @@ class AgentBodies(Footing):
         speeds = went / self.scales[:, None]
         yaw_rates = np.clip(turning, paces[:, 1] - JERK, paces[:, 1] + JERK)
         rates, ends = hurried(self.reach, stances, speeds, yaw_rates)
-        # Who hurried slows down again as its pace does.
+        # Hurried steps slow down again with the pace.
         slower = state.rates + (blend.rate - state.rates) * -np.expm1(-dt / PACING)
         rates = np.maximum(rates, slower)
         rates = np.minimum(rates, np.maximum(slower, state.rates + QUICKENS * dt))
@@ -321,7 +320,7 @@ class AgentBodies(Footing):
         begin = (phases - 0.5 * k) % 1.0
         end = begin + change
         stands = blend.stands[:, k]
-        # Who stands longer than the gait has it, as that changed, lifts at once.
+        # Bodies that stand longer than their changed gait does lift at once.
         lifts = (swings[:, k] < 0) & (change > 0) & (end >= stands) & (begin < 1)
         late = (begin > stands) & ~(begin < LAST)
         lifts &= ~late
@@ -347,6 +346,6 @@ def _weights(points: FloatArray, known: FloatArray) -> FloatArray:
     squares = (off * off).sum(axis=2)
     squares[squares == 0] = np.inf
     along = np.einsum("nik,ijk->nij", points[:, None] - known[None], off) / squares
-    # The band of the nearest one is half or more: they never add up to 0.
+    # The nearest band has at least half the weight: the sum is never 0.
     bands = np.clip(1 - along, 0.0, 1.0).min(axis=2)
     return np.asarray(bands / bands.sum(axis=1, keepdims=True))

@@ -22,9 +22,9 @@ from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import Frame, about_up
 from animtool.systems.crowds.poses import poses_of
 
-# Samples a second of what those do who stand: it is slow.
+# Samples a second of the idle, which is slow.
 STANDING_RATE = 24.0
-# From and to these parts of a swing on soles are close to the ground.
+# Phases of a swing at which soles are close to the ground.
 LIFTED, LANDING = 0.08, 0.78
 
 
@@ -32,7 +32,7 @@ LIFTED, LANDING = 0.08, 0.78
 class CastGroup:
     """Agents that share a rig, and their character."""
 
-    agents: IntArray  # which agents (n,)
+    agents: IntArray  # indices of agents (n,)
     bodies: AgentBodies
     cast: Cast
 
@@ -42,7 +42,7 @@ class Casting:
     """The bodies of N agents, grouped by rig."""
 
     groups: Sequence[CastGroup]
-    order: IntArray  # of the agents, those of one rig after those of another (N,)
+    order: IntArray  # agent order, rig by rig (N,)
 
     @staticmethod
     def of(
@@ -185,7 +185,7 @@ class Casting:
         only = (state.still >= 1) & ~going.velocities.any(axis=1) & (state.reacts < 0)
         only &= state.shoulders == 0
         only[list(fallen)] = False
-        # Feet that are about to land, or just lifted, are as near the ground.
+        # Feet about to land, or just lifted, are as close to the ground.
         near = (state.swings < LIFTED) | (state.swings > LANDING)
         near[list(fallen)] = False
         stands = near & (state.swings < 0)

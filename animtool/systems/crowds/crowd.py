@@ -40,19 +40,19 @@ if TYPE_CHECKING:
     from animtool.systems.crowds.falls import Falls, FallSimulator
     from animtool.systems.crowds.footing import BodyState
 
-# Rounds in which agents that overlap in a step are moved apart.
+# Passes that separate overlapping agents in a step.
 SEPARATION_PASSES = 100
-# What agents do, as the kernel knows it.
+# Side to pass on, in the kernel's encoding.
 WALKS, STAYS, OUT = np.uint8(0), np.uint8(1), np.uint8(2)
-# Agents look where they go, and by this part where they would like to.
+# Agents face their motion, and by this fraction their preferred velocity.
 FACING = 0.5
-# What a lane to the left, one farther off, costs less where others come against.
+# Discount of the next lane to the left against oncoming agents.
 SIDES = {"right": -0.2, "left": 0.2, "none": 0.0}
-# Who is slower than this part of the speed that it likes turns as much slower.
+# Below this fraction of the preferred speed, agents yaw proportionally slower.
 SLOW = 0.6
-# How long agents take to turn to where they go [s].
+# Time constant of yaw towards motion [s].
 TURNING = 0.25
-# They turn no faster [rad/s]: who turns round takes the best part of a second.
+# Largest yaw rate [rad/s]: turning round takes most of a second.
 MAX_YAW_RATE = 4.0
 
 
@@ -64,9 +64,9 @@ class CrowdState:
     velocities: FloatArray  # of these (N, 2) [m/s]
     headings: FloatArray  # about up, 0 is along z (N,) [rad]
     progress: Progress
-    overlap: float  # the most that two were ever in each other [m]
-    bodies: BodyState | None  # None where they have none
-    falls: Falls | None  # None where nobody can fall
+    overlap: float  # largest overlap of two agents so far [m]
+    bodies: BodyState | None  # None without bodies
+    falls: Falls | None  # None if nobody can fall
 
 
 class Crowd:
@@ -327,7 +327,7 @@ class Crowd:
         x, v = state.points[ids], state.velocities[ids]
         heights, normals = self._ground(x)
         heights = np.where(np.isfinite(heights), heights, 0.0)
-        # They go along the ground.
+        # Along the ground.
         rise = -(normals[:, 0] * v[:, 0] + normals[:, 2] * v[:, 1]) / normals[:, 1]
         points = self._frame.to_world(np.column_stack([x[:, 0], heights, x[:, 1]]))
         velocities = self._frame.turned(np.column_stack([v[:, 0], rise, v[:, 1]]))

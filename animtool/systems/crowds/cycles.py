@@ -31,13 +31,13 @@ from animtool.systems.crowds.gaits import (
 )
 from animtool.systems.crowds.ground import about_up, turned, wrapped
 
-# A clip whose hips go slower stands, over the length of a leg [1/s].
+# Slower clips stand, in leg lengths per second [1/s].
 STANDS = 0.2
-# Cycles of a gait [s]: two steps.
+# Period of a gait [s]: two steps.
 SHORTEST, LONGEST = 0.4, 2.5
-# Ends of a cycle that differ by more than this part of what it moves are none.
+# Cycles with a larger seam, relative to their motion, are rejected.
 SEAM = 0.35
-# A cycle is repeated so often to find its steps: the middle one has both neighbours.
+# Repeats of a cycle for step detection: the middle one has both neighbours.
 REPEATS = 3
 
 
@@ -75,7 +75,7 @@ def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
     return Gaits(walker, tuple(moving), idle[0], tuple(reactions), tuple(notices))
 
 
-# Above this Froude number's root people run.
+# Froude number (square root) above which people run.
 RUNS = 0.7
 
 
@@ -219,7 +219,7 @@ class FootStance:
 
     lands: int
     lifts: int
-    flat: BoolArray  # of all frames
+    flat: BoolArray  # by frame
 
 
 def _stance(
@@ -255,7 +255,7 @@ def _step(
     ends = world.positions[:, toe if toe >= 0 else foot]
     foothold = ends[within].mean(axis=0) - so3.rotate(about_up(np.array(yaw)), ball)
     foothold = foothold[[0, 2]]
-    # As the body sees it: there it lands, and a cycle later again.
+    # In the frame of the body: it lands there, and again a cycle later.
     land = np.array([float(stance.lands)])
     (here,), (look,) = body.positions(land), body.headings(land)
     step = np.append(turned(foothold - here, -look), wrapped(yaw - look))
@@ -279,7 +279,7 @@ def _step(
         positions, 1, ground, axis=1
     )
     lifts = so3.rotate(back, ankles)
-    # The ends of the swing are those of the stance.
+    # The swing ends with the pitches of the stance.
     for end, fade in ((-1, 1 - shares), (0, shares)):
         at = 0 if end else -1
         stood = about_side(pitches[end : end + 1 or None])

@@ -32,11 +32,11 @@ from animtool.systems.rigid.ragdoll_motion import (
 )
 from animtool.systems.rigid.simulation import RigidSimulation
 
-# Small steps of the bodies of who falls [s].
+# Substep of falling bodies [s].
 SMALL_STEP = 0.0025
-# Who moves less than this for so long has come to rest [m/s], [s].
+# Slower than this for this long is at rest [m/s], [s].
 REST_SPEED, REST_TIME = 0.15, 0.3
-# Nobody falls faster [m/s]; who would takes the step in so many parts.
+# Largest speed of a fall [m/s]; faster bodies divide the step into this many.
 FASTEST, PARTS = 60.0, 8
 GRAVITY = 9.81  # [m/s²]
 
@@ -78,7 +78,7 @@ _Pose = tuple[FloatArray, FloatArray]
 class FallingRagdoll:
     """The ragdoll of a falling agent."""
 
-    rig: Rig  # of that one's size, with limits that hold the pose he fell in
+    rig: Rig  # of the agent's size, with limits widened to its pose at the fall
     ragdoll: Ragdoll
     simulation: RigidSimulation
 
@@ -152,7 +152,7 @@ class FallSimulator:
             positions[0, : len(rig.joints)] = first.positions[0]
             rotations[0, : len(rig.joints)] = first.rotations[0]
             falling = self._falling(agent, positions[0], rotations[0])
-            # The speeds of a pose are those of the later one of two.
+            # Velocities of a pose pair belong to the later one.
             pair = WorldTransforms(
                 np.concatenate([last.positions, first.positions]),
                 np.concatenate([last.linear, first.linear]),
@@ -267,7 +267,7 @@ def _moved(
                 break
         else:
             return moved
-    # Squeezed between others that give no way: it goes on from a stop.
+    # Squeezed between immovable bodies: it continues from rest.
     moved = motion.copy()
     moved[:, 7:13] = 0.0
     return moved

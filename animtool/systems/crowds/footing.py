@@ -15,16 +15,15 @@ from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.gaits import Gaits, eased
 from animtool.systems.crowds.ground import turned, wrapped
 
-# A standing foot is off its place if it is farther than this, over the length of a leg,
-# or turned by more [rad].
+# A planted foot is misplaced if farther than this from its target, over the leg length,
+# or rotated by more [rad].
 OFF, OFF_YAW = 0.15, 0.45
-# A foot lands no nearer to the other than this part of how far apart gaits put them.
+# Least step width over the gaits' width.
 STEP_WIDTH = 0.6
-# Feet pass each other with a gap of so much of a leg, where they are nearer than so
-# much along z.
+# Feet pass each other with this gap, over the leg length, if closer than this along z.
 PASSING, LONG = 0.09, 0.35
-# Where a foot in the air is to land changes no faster than moves it by this [m/s], and
-# turns it by this [rad/s], as legs that did would jerk.
+# Largest speeds at which a landing may change [m/s], [rad/s]; faster changes would jerk
+# the legs.
 SWERVES, SWIVELS = 2.5, 6.0
 
 
@@ -40,19 +39,19 @@ class BodyState:
     """Gait phases and feet of N bodies."""
 
     phases: FloatArray  # of the cycle, the left foot lands at 0 (N,)
-    places: FloatArray  # where each foot stands or stood: x, z, heading (N, 2, 3)
-    swings: FloatArray  # how far each is on its swing, -1 as it stands (N, 2)
-    aims: FloatArray  # where each that swings is to land (N, 2, 3)
-    rates: FloatArray  # of their cycles (N,) [1/s]
-    lowered: FloatArray  # hips, that legs reach; they rise slowly (N,) [m]
-    still: FloatArray  # 1 for who stands, 0 for who walks (N,)
-    clocks: FloatArray  # of what they do as they stand (N,) [s]
-    # How fast they go ahead [m/s], turn [rad/s] and go to their left, smoothed (N, 3).
+    places: FloatArray  # last foothold of each foot: x, z, heading (N, 2, 3)
+    swings: FloatArray  # progress of each swing, -1 if planted (N, 2)
+    aims: FloatArray  # landings of swinging feet (N, 2, 3)
+    rates: FloatArray  # cycles per second (N,) [1/s]
+    lowered: FloatArray  # lowering of the hips, which recovers slowly (N,) [m]
+    still: FloatArray  # 1 standing, 0 walking (N,)
+    clocks: FloatArray  # of the idle (N,) [s]
+    # Smoothed forward speed [m/s], yaw rate [rad/s] and speed to the left (N, 3).
     paces: FloatArray
-    reacts: FloatArray  # since when they react, -1 for who does not (N,) [s]
-    shoulders: FloatArray  # how far they are turned (N,) [rad]
-    heels: FloatArray  # how far that of each foot was up as it lifted (N, 2) [rad]
-    spans: FloatArray  # which share of a cycle each had left then (N, 2)
+    reacts: FloatArray  # time since a reaction began, -1 without one (N,) [s]
+    shoulders: FloatArray  # yaw (N,) [rad]
+    heels: FloatArray  # heel pitch of each foot when it lifted (N, 2) [rad]
+    spans: FloatArray  # fraction of the cycle that remained at each lift (N, 2)
 
 
 @dataclass(frozen=True)
@@ -60,11 +59,11 @@ class Blend:
     """Gait weights of N agents, and their blended steps."""
 
     weights: FloatArray  # (N, G)
-    rate: FloatArray  # cycles a second (N,)
-    free: FloatArray  # the same where they only go ahead (N,)
-    stride: FloatArray  # steps over those of the gaits (N,)
+    rate: FloatArray  # cycles per second (N,)
+    free: FloatArray  # the same for straight forward motion (N,)
+    stride: FloatArray  # step length over the gaits' (N,)
     stands: FloatArray  # (N, 2)
-    steps: FloatArray  # where feet land in the frame of the body (N, 2, 3)
+    steps: FloatArray  # footholds in the frame of the body (N, 2, 3)
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,7 @@ class Footing:
         other = turned(footholds[:, 1 - k, :2] - points, -headings)
         wide = STEP_WIDTH * (blend.steps[:, 0, 0] - blend.steps[:, 1, 0]) * self.scales
         near = side * (step[:, 0] - other[:, 0]) < wide
-        # Where the other foot is out of reach of a step nothing is between them.
+        # If the other foot is out of reach, nothing is in between.
         near &= np.abs(other[:, 0]) < 2 * wide
         x = np.where(near, other[:, 0] + side * wide, step[:, 0])
         flat = turned(np.stack([x, step[:, 1]], axis=1), headings)
@@ -196,7 +195,7 @@ class Footing:
             off = local[:, k] - local[:, 1 - k]
             fraction = np.maximum(state.swings[:, k], 0.0)
             near = np.clip(1 - np.abs(off[:, 1]) / long, 0.0, 1.0)
-            # Crossed feet go around by no more: legs that did would jerk.
+            # Crossed feet detour by no more: faster legs would jerk.
             lack = np.clip(wide - side * off[:, 0], 0.0, wide) * near
             out = np.zeros_like(off)
             out[:, 0] = side * lack * 16 * (fraction * (1 - fraction)) ** 2

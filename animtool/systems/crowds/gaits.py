@@ -15,7 +15,7 @@ from animtool.retarget.person import Person
 from animtool.rig.skeleton import Rig
 from animtool.systems.crowds.ground import about_up
 
-# Phases at which a cycle is known; between two it goes straight.
+# Phases at which a cycle is sampled; linear in between.
 PHASES = 64
 SIDES = "lr"
 UP = np.array([0.0, 1.0, 0.0])
@@ -28,7 +28,7 @@ class Walker:
     Attributes:
         rig: With y up.
         legs: Thigh, shin, foot and toe (-1 for none) of the left and the right leg.
-        ahead: Heading of its rest pose [rad].
+        heading: Heading of its rest pose [rad].
         level: How each foot is turned in the world where it stands ``(2, 4)``.
         ankle: How high ankles are where feet stand ``(2,)`` [m].
         ball: From each ankle to the toe's joint, or to the ground where there is none,
@@ -99,7 +99,7 @@ class Gait:
     turn evenly about y.
 
     Attributes:
-        turns: Local rotations of joints ``(P, J, 4)``.
+        rotations: Local rotations of joints ``(P, J, 4)``.
         hips: Of the first joint ``(P, 3)`` [m].
         period: Of the cycle [s].
         velocity: x and z of the body in its frame ``(2,)`` [m/s].

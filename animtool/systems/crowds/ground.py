@@ -11,9 +11,9 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 
-# Cells of the grid of triangles are so many at most along an axis.
+# Largest number of grid cells along an axis.
 MAX_CELLS = 2048
-# Corners that are outside of a triangle by less are on its edge [1].
+# Points outside a triangle by less lie on its edge [1].
 EDGE = 1e-9
 
 
@@ -106,7 +106,7 @@ class Terrain:
         )
         np.maximum.at(heights, rows, at)
         highest = at == heights[rows]
-        # Of two that share an edge, the last in their order.
+        # Of two faces with a common edge, the last one.
         normals[rows[highest]] = normal_table[which[highest]]
         return np.where(np.isfinite(heights), heights, np.nan), normals
 

@@ -18,15 +18,15 @@ from animtool.systems.crowds.ground import Frame, Terrain, walkable
 from animtool.systems.crowds.routes import MAX_NODES, NavGrid
 from animtool.systems.crowds.spec import CrowdsModel, DoorModel
 
-# What faces up or down more than this is a floor or a ceiling: the least part of its
-# normal along the ground.
+# Steeper normals are walls: the least horizontal part of a normal; others are floors or
+# ceilings.
 UPRIGHT = 0.3
-# The grid of routes reaches beyond all starts and goals: by a share of their extent,
-# and by some of the largest radius.
+# Margin of the navigation grid beyond starts and goals: a fraction of their extent, and
+# largest radii.
 BEYOND, RADII_BEYOND = 0.5, 40.0
-# Nodes of the grid that are looked at together: more take gigabytes.
+# Grid nodes sampled at once: more take gigabytes.
 AT_ONCE = 2**18
-# Share of the fastest at which who is inside an obstacle leaves it.
+# Fraction of the top speed at which an agent leaves an obstacle.
 LEAVING = 0.8
 
 
@@ -64,7 +64,7 @@ class Obstacles:
     colliders: Colliders
     doors: Sequence[DoorModel] = ()
     edge: NavGrid | None = None
-    horizon: float = 0.5  # how far ahead agents avoid them [s]
+    horizon: float = 0.5  # look-ahead of avoidance [s]
     ends: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # of doors
 
     def walls(self, t: float, dt: float, x: FloatArray) -> Walls:
@@ -232,7 +232,7 @@ def grids(
                 met, frame, nodes[some], heights[some],
                 radius * ones, tall * ones, t, 0.0,
             ):  # fmt: skip
-                # Whoever is wider than a gap looks is kept out of it by walls.
+                # Gaps narrower than an agent are closed by walls.
                 clear &= far >= radius - cell / 2
             free[some] = clear
     edge = None if on_ground.all() and ground.flat else NavGrid(low, cell, on_ground)

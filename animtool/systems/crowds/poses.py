@@ -27,19 +27,19 @@ from animtool.systems.crowds.gaits import (
 from animtool.systems.crowds.ground import about_up
 from animtool.systems.crowds.reach import AIRBORNE, MOST_LOWERED, STRAIGHT
 
-# How long bodies take to begin and to end a reaction [s].
+# Blend time at both ends of a reaction [s].
 RAMP = 0.2
-# Feet follow ground that is steeper no farther [rad].
+# Largest slope that feet follow [rad].
 TILT = 0.45
-# In this first and last part of a swing hips are lowered for its foot.
+# Hips are lowered in these parts of a swing, for its foot.
 NEARING = 0.4
-# Over this first part of a swing a foot comes from how it stood to how its gait has it.
+# A foot blends from its last stance to its gait in this part of a swing.
 LEAVING = 0.7
-# From here on it turns to how it lands.
+# From here on it rotates towards its landing.
 LANDING = 0.6
-# Of how high ankles are lifted, who lifts a flat foot.
+# Fraction of the ankle lift that a flat foot uses.
 LOW_STEP = 0.35
-# Soles come down as steep as this, from over so much [m].
+# Slope of descending soles, and the height it starts at [m].
 STEEP, CLEAR = 2.0, 0.02
 
 
@@ -48,9 +48,9 @@ class BodyPoses:
     """Poses of N bodies, each in its own frame."""
 
     rotations: FloatArray  # local rotations of joints (N, J, 4)
-    roots: FloatArray  # of the first joint (N, 3) [m]
-    lowered: FloatArray  # hips, so that legs reach (N,) [m]
-    missed: FloatArray  # how far ankles are from where they should be (N, 2) [m]
+    roots: FloatArray  # of the root joint (N, 3) [m]
+    lowered: FloatArray  # lowering of the hips (N,) [m]
+    missed: FloatArray  # distance of ankles from their targets (N, 2) [m]
 
 
 def poses_of(bodies: AgentBodies, state: BodyState, going: AgentMotion) -> BodyPoses:
@@ -63,7 +63,7 @@ def poses_of(bodies: AgentBodies, state: BodyState, going: AgentMotion) -> BodyP
     bodies.trunk.rotate(rig.parents, rotations, state.shoulders)
     feet, normals, away = bodies.feet(state, going)
     goals, soles = _ankles(bodies, state, blend, feet, normals, away)
-    # Hips are over the middle of both feet's ground.
+    # Hips stay above the mean ground of both feet.
     roots[:, 1] += feet[:, :, 1].mean(axis=1)
     lowered, missed = _reach(bodies.gaits.walker, rotations, roots, goals, soles, state)
     roots[:, 1] -= lowered
@@ -249,7 +249,7 @@ def _in_swing(
             for weight, one in zip(weights.T, moving, strict=True)
         )
     )
-    # Before and behind its place it goes as far as its step is long.
+    # Its distance before and after the body scales with the step length.
     ends = [
         sum(
             weight * one.lifts[k, end, 2]
@@ -261,7 +261,7 @@ def _in_swing(
     even = ends[0] + fraction * (ends[1] - ends[0])
     long = np.minimum(blend.stride[up], 1.0)
     lifts[:, 2] = even + long * (lifts[:, 2] - even)
-    # Who just stood lifts a flat foot, and so does who steps fast, less high.
+    # Bodies that just stood lift a flat foot; quick steps lift less.
     standing = state.still[up]
     long = state.spans[up, k] / state.rates[up]
     typical = (1 - blend.stands[up, k]) / blend.free[up]
@@ -303,7 +303,7 @@ def _played(
         played = rows(reaction.rotations[:, bodies.moves], at)
         both = np.stack([1 - weight, weight], axis=1)
         rotations = _mixed([rotations, played], both)
-        # How high the hips are then; where, is where the agent is.
+        # Height of the hips; their ground position is the agent's.
         high = rows(reaction.hips, at)[:, 1] - hips[:, 1]
         hips[:, 1] += weight * high
     return rotations, hips

@@ -21,19 +21,18 @@ from animtool.systems.crowds.gaits import (
 )
 from animtool.systems.crowds.ground import about_up
 
-# A leg that is straighter than this part of its length is not reached for.
+# Largest leg extension, as a fraction of its length.
 STRAIGHT = 0.998
-# Hips are lowered so far at most for a foot that stands, over the length of a leg, and
-# so far in poses, as thighs are not quite where they were looked for.
+# Largest lowering of hips for a planted foot, over the leg length, and in poses, as
+# thighs are approximate.
 LOWERED, MOST_LOWERED = 0.09, 0.11
-# A foot that stands is turned in or out no farther [rad].
+# Largest yaw of a planted foot against the body [rad].
 TURNED_IN, TURNED_OUT = 0.4, 0.6
-# What is left of either counts as so much at least [m], [rad]: who goes slowly does not
-# hurry.
+# Least margin of either [m], [rad]: slow agents do not hurry.
 LEAST_ROOM, LEAST_YAW = 0.05, 0.3
-# So much more they are for a foot in the air.
+# Additional margin of airborne feet.
 AIRBORNE = 0.045
-# Legs step no more often [cycles/s].
+# Largest cadence [cycles/s].
 MAX_RATE = 2.5
 
 
@@ -156,7 +155,7 @@ def hurried(
             _hurry(most - np.abs(twist), LEAST_YAW, twists),
         ) * np.maximum(stand - begin, 0.0)
         ends[:, k] = ~up & (np.maximum(now, last) < 0)
-        # A foot that lifted too soon is to land soon.
+        # A foot that lifted too early lands soon.
         early = (up & (begin < stand)) | ends[:, k]
         need = np.where(early, MAX_RATE, np.where(up, 0.0, need))
         rate = np.maximum(rate, np.minimum(need, MAX_RATE))

@@ -11,12 +11,12 @@ from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 
-# Nodes of a grid at most: what is larger gets wider cells.
+# Largest number of grid nodes: larger areas get larger cells.
 MAX_NODES = 4_000_000
-# A way that is by so many cells longer than straight ahead is straight: the distances
-# are of first order, and agents avoid what they touch.
+# Detours shorter than this many cells count as straight: distances are first-order, and
+# agents avoid what they touch.
 STRAIGHT = 1.5
-# So many cells ahead nothing may be in a way that is straight.
+# A straight path must be free for this many cells.
 LOOKAHEAD_NODES = 8
 TINY = 1e-300
 
@@ -142,7 +142,7 @@ class FlowField:
     """
 
     grid: NavGrid
-    goals: FloatArray  # x and z of where the ways end, by part ``(P, 2)`` [m]
+    goals: FloatArray  # path ends by component, x and z ``(P, 2)`` [m]
     distances: FloatArray
 
     @cached_property
@@ -182,13 +182,14 @@ class FlowField:
         off = goal - points
         far = np.linalg.norm(off, axis=1)
         row, column = grid.at(points).T
-        # Who is outside of the grid sees what its nearest node sees.
+        # Outside the grid, visibility is that of the nearest node.
         to_goal = np.linalg.norm(
             goal - grid.positions_of(row * grid.free.shape[1] + column), axis=1
         )
         within = np.where(grid.depth(points) < 0, np.maximum(far, to_goal), far)
         near = self.distances[row, column] <= within + STRAIGHT * grid.cell
-        # Ways to a goal outside of the grid end at its sides, and go straight on there.
+        # Paths to a goal outside the grid end at its border, and go straight from
+        # there.
         near &= (grid.depth(points) < grid.cell) | (grid.depth(goal) > -grid.cell)
         near[near] = self._sees(points[near], targets[near])
         along[near] = (targets - points)[near]
@@ -231,8 +232,8 @@ def route_to(grid: NavGrid, goal: FloatArray) -> FlowField:
     near: Sequence[int] | IntArray = []
     if grid.free[row, column]:
         goals[goal_part] = goal
-        # From the nodes about the goal itself, so that ways end there and not at a
-        # node; outside of the grid nothing is between it and the sides that face it.
+        # Seeded around the goal, so that paths end there and not at a node; outside the
+        # grid nothing blocks the facing sides.
         close = nodes[(parts == goal_part) & (off < 1.5 * grid.cell)]
         sides = grid.facing(goal)
         near = np.union1d(close, sides[grid.parts.ravel()[sides] == goal_part])

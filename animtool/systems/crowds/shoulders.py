@@ -18,13 +18,13 @@ from animtool.systems.crowds.ground import about_up
 if TYPE_CHECKING:
     from animtool.retarget.person import Person
 
-# They are turned no farther [rad].
+# Largest yaw [rad].
 MOST = 0.9
-# How thick agents are, over the width of their shoulders.
+# Depth of agents over their shoulder width.
 DEPTH = 0.6
-# How long they take to turn them, and to turn them back [s].
+# Time constants of yaw, and of its return [s].
 TURNING, BACK = 0.25, 0.6
-# Who is turned less than this part of the most is not turned.
+# Smaller yaws, over the largest, count as none.
 LEAST = 0.02
 
 
@@ -59,7 +59,7 @@ class Trunk:
     """Joints that rotate the shoulders: the spine; neck and head counter-rotate."""
 
     spine: tuple[int, ...]
-    neck: tuple[int, ...]  # and head
+    neck: tuple[int, ...]  # with the head
 
     @staticmethod
     def of(person: Person) -> Trunk:
@@ -80,7 +80,7 @@ class Trunk:
     ) -> None:
         """Rotate the shoulders of poses by angles ``(N,)`` [rad], in place.
 
-        ``turns`` ``(N, J, 4)`` are local; the head keeps looking ahead.
+        ``rotations`` ``(N, J, 4)`` are local; the head keeps facing forward.
         """
         some = np.flatnonzero(angles)
         if not len(some) or not self.spine:

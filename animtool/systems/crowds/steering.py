@@ -14,16 +14,16 @@ from animtool.systems.crowds.agents import Agents
 from animtool.systems.crowds.routes import FlowField, NavGrid, routes_to
 from animtool.systems.crowds.spec import CrowdGoalModel
 
-# Time that agents take to stop at a goal, and to come back to their place in a group or
-# a queue [s].
+# Time constant of stopping at a goal, and of returning to a slot in a group or queue
+# [s].
 STOPPING = 0.5
-# How fast they go back to their place in a group, over the speed that they like.
+# Speed of returning to a group, over the preferred speed.
 CATCHING_UP = 0.5
-# Who is as near to the end of a queue joins it, over the room from one to the next.
+# Distance at which agents join a queue's end, over its spacing.
 JOINING = 2.0
-# Share of the ground that those who stay at a goal cover: it grows with them.
+# Packing fraction of agents at a goal, whose radius grows with them.
 PACKED = 0.5
-# Part of the radius of a goal that those who stay there come into.
+# Fraction of a goal's radius that staying agents enter.
 INNER = 0.5
 NO_TICKET = -1
 GONE = -1
@@ -57,7 +57,7 @@ class Steering:
     goals: Sequence[CrowdGoalModel]
     points: FloatArray
     lines: FloatArray
-    grid: NavGrid | None  # None where nothing is in the way
+    grid: NavGrid | None  # None without obstacles
 
     @cached_property
     def routes(self) -> list[FlowField]:
@@ -110,7 +110,7 @@ class Steering:
         if self.grid is None:
             at = next_to_goal
         else:
-            # Only where it can be reached from the middle.
+            # Only if it is reachable from the centre.
             nodes = self.grid.at(np.stack([at, next_to_goal]).reshape(-1, 2))
             parts = self.grid.parts[nodes[:, 0], nodes[:, 1]].reshape(2, -1)
             at = np.where((parts[0] == parts[1])[:, None], next_to_goal, at)
@@ -145,7 +145,7 @@ class Steering:
                 directions[assigned] = route.directions(x[assigned], target[assigned])
         speeds = np.minimum(agents.speeds, far / STOPPING)
         speeds = np.where((goal >= 0) & (t - begin >= agents.delays), speeds, 0.0)
-        # Who waits where all are at once makes room for those behind, and stays.
+        # Waiting agents make room for those behind, and stay.
         waits = (progress.waited > 0) & ~queued
         if waits.any():
             radius = self._radius(goal, progress.waited > 0)
@@ -206,7 +206,7 @@ class Steering:
         waited = np.where(there | ((progress.waited > 0) & has & ~queues),
                           progress.waited + dt, 0.0)  # fmt: skip
         last = ~again & ~leaves & (progress.stages + 1 >= counts)
-        # Who stays at its last goal never leaves it behind.
+        # Agents that stay at their last goal never leave it.
         done = there & (waited >= wait) & ~(last & ~queues)
         stages = progress.stages + done
         stages = np.where(done & leaves & (stages >= counts), GONE, stages)
@@ -236,7 +236,7 @@ class Steering:
             near = np.flatnonzero(queuing & ~waiting & (far < JOINING * spacing))
             if len(near):
                 joined = joined.copy()
-                # Who is nearer is first; of two as near, the first of them.
+                # The nearest comes first; equal ones in order.
                 order = near[np.argsort(far[near], kind="stable")]
                 joined[order] = joined.max() + 1 + np.arange(len(order))
         return joined

@@ -33,10 +33,10 @@ from animtool.systems.particles.emitter import uniforms
 from animtool.systems.particles.forces.base import Force
 
 GRAVITY = 9.81  # [m/s²]
-# How long a lean takes to follow what it should be [s].
+# Time constant of banking [s].
 LEANING = 0.15
 _UP = np.array([0.0, 1.0, 0.0])
-_TINY = 1e-9  # what is shorter has no direction
+_TINY = 1e-9  # shorter vectors have no direction
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Heading:
 
     rotations: FloatArray  # unit quaternions x, y, z, w (N, 4)
     spins: FloatArray  # angular velocities, in the world (N, 3) [rad/s]
-    phases: FloatArray  # cycles of what is shown since the beginning (N,)
+    phases: FloatArray  # cycles of the shown animation so far (N,)
 
 
 def first_heading(members: Members, v: FloatArray) -> Heading:
@@ -72,7 +72,7 @@ def next_heading(
     banking = members.each([one.banking for one in members.species])[:, None]
     lift = banking * (v1 - v0) / dt + GRAVITY * _UP
     up = so3.rotate(heading.rotations, _UP)
-    # Across the way, else what is gained along it would count.
+    # Across the velocity; along it is speed gain.
     directions = v1 / np.maximum(np.linalg.norm(v1, axis=1), _TINY)[:, None]
     lift = lift - (lift * directions).sum(axis=1)[:, None] * directions
     size = np.linalg.norm(lift, axis=1)[:, None]
@@ -94,7 +94,7 @@ def _along(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatArray:
     speeds = np.linalg.norm(v, axis=1)[:, None]
     forward = v / np.maximum(speeds, _TINY)
     side = so3.cross(np.broadcast_to(up, v.shape), forward)
-    # Straight up or down, it keeps its side.
+    # Straight up or down, it keeps its right side.
     size = np.linalg.norm(side, axis=1)[:, None]
     right = so3.rotate(before, np.array([1.0, 0.0, 0.0]))
     right = right - (right * forward).sum(axis=1)[:, None] * forward
@@ -120,7 +120,7 @@ class FlockState:
     """Positions, velocities and orientations of members."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
-    heading: Heading | None  # None where points are shown
+    heading: Heading | None  # None if points are shown
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ class Flock:
         )
         check_fit(Equations(self.system), integrator)
         shows = [parts.get("shows") for parts in context.parts["species"]]
-        # Species that show the same share its meshes.
+        # Species with the same meshes share them.
         cycles = {show: show() for show in shows if show is not None}
         self._meshes: tuple[MeshFrame, ...] = tuple(
             m for c in cycles.values() for m in c

@@ -26,11 +26,11 @@ from animtool.systems.framework.matter import check_apart
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
 
-# Moves out of colliders that a member begins in: who needs more is held by several.
+# Passes that move members out of colliders at the start; more means several overlap.
 MOVES = 20
-# How far beyond the surface it is put then, over its radius [1].
+# Clearance beyond the surface, over the radius [1].
 CLEAR = 1e-6
-# What members are moved by, over their radius: less shows nowhere.
+# Least displacement, over the radius, that is reported.
 MOVED = 4e-3
 
 
@@ -39,9 +39,9 @@ class Members:
     """N members of several species, and their start."""
 
     species: Sequence[SpeciesModel]
-    parts: Sequence[Mapping[str, Any]]  # what keys of each are read as
-    ends: Sequence[int]  # where each species ends among all
-    begin: float  # when [s]
+    parts: Sequence[Mapping[str, Any]]  # resolved keys of each species
+    ends: Sequence[int]  # end index of each species
+    begin: float  # start time [s]
     points: FloatArray  # (N, 3) [m]
     velocities: FloatArray  # (N, 3) [m/s]
 

@@ -16,8 +16,8 @@ from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
 Indices: TypeAlias = npt.NDArray[np.int32]
-# Distances that are looked at for one member, on average, and in all: beyond both a
-# flock takes minutes a step, as where thousands see each other.
+# Neighbour pairs per member on average, and in total: beyond both a step takes minutes,
+# as if thousands see each other.
 MAX_PAIRS_EACH, MAX_PAIRS = 20_000, 2_000_000_000
 _NEVER = (0.0, 0.0)
 
@@ -26,11 +26,11 @@ _NEVER = (0.0, 0.0)
 class FlockRule:
     """A rule of one species towards others: arguments of the kernel."""
 
-    members: Indices | None  # (M,); None is all
+    members: Indices | None  # (M,); None for all
     others: Indices | None
     radius: float  # [m]
-    cosine: float  # of half the angle that is seen
-    nearest: int  # 0 is all
+    cosine: float  # of half the angle of view
+    nearest: int  # number of nearest neighbours; 0 for all
     attraction: tuple[float, float]  # [1/s²] and [m]
     alignment: tuple[float, float]  # [1/s] and [m]
     repulsion: tuple[float, float]  # [m²/s²] and [m]

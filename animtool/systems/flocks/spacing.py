@@ -12,14 +12,13 @@ from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.rules import max_pairs, wrapping
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
-# Others are braked for within so many times the least distance.
+# Members brake for others within this many minimum distances.
 SIGHT = 2.0
-# Share of the least distance below which the room to brake in is no smaller.
+# Least braking room, over the minimum distance.
 ROOM = 0.1
-# Rounds in which members are moved apart in a step, and at the beginning; each goes
-# this share of the way.
+# Separation passes in a step, and at the start; each moves by this fraction.
 PASSES, FIRST_PASSES, RELAXATION = 24, 400, 0.6
-# They are moved farther apart than must be by this share of it.
+# Extra clearance, over the minimum distance.
 CLEAR = 1e-4
 
 
@@ -39,8 +38,8 @@ def least_distance(species: SpeciesModel) -> float:
 class Spacing:
     """Minimum distances of N members; pairs use the mean of both."""
 
-    distances: FloatArray  # (N,) [m]; 0 keeps none
-    period: FloatArray  # where axes begin and their lengths (2, 3) [m], 0 for none
+    distances: FloatArray  # minimum distances (N,) [m]; 0 for none
+    period: FloatArray  # origin and length of each axis (2, 3) [m], 0 if not periodic
 
     @staticmethod
     def of(members: Members, domain: DomainModel | None) -> Spacing | None:

@@ -9,7 +9,7 @@ from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.members import Members, max_speed
 from animtool.systems.flocks.spec import PathModel
 
-# Members whose ways are looked at together, so that their distances stay in the cache.
+# Members processed together, so that their distances fit the cache.
 BLOCK = 4096
 _TINY = 1e-12  # lengths and speeds below have no direction [m], [m/s]
 
@@ -70,7 +70,7 @@ def _target(path: PathModel, x: FloatArray) -> FloatArray:
     return np.stack([np.interp(along, marks, each) for each in points.T], axis=1)
 
 
-# Over which colliders' velocities are told [s]: frames are far longer.
+# Interval for measuring velocities of colliders [s]: frames are far longer.
 INSTANT = 2.0**-10
 
 
@@ -125,7 +125,7 @@ def _turned_less(
     requested = requested.copy()
     across = requested[rows] - along
     sizes = np.linalg.norm(across, axis=1)[:, None]
-    # Who stands turns at once.
+    # Members at rest turn at once.
     fraction = np.minimum(most * speeds / np.maximum(sizes, _TINY), 1.0)
     requested[rows] = along + across * np.where(speeds > _TINY, fraction, 1.0)
     return requested

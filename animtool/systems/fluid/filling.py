@@ -17,19 +17,19 @@ from animtool.sim.colliders import Capsule, Collider, Colliders, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
 from animtool.systems.fluid.spec import FillModel, FluidEmitterModel, FluidModel
 
-# Places of a lattice that are looked at for one that is kept.
+# Largest number of tried lattice points for each kept one.
 SPARSE = 8
-# Two that are nearer than this begin at one place, in spacings.
+# Closer particles count as coincident, in spacings.
 MIN_SPACING = 0.25
-# Who comes in nearer than this to another has no room, in spacings.
+# Least distance of inflow to other particles, in spacings.
 ROOM = 0.6
-# Share of a radius, or of the time between layers, that may be lost to rounding.
+# Rounding tolerance of a radius, or of the time between layers.
 ROUNDING = 1e-6
-# Radii of drops whose tension is right within a tenth, in spacings.
+# Radius in spacings above which a drop's tension is right within 10 %.
 RESOLVED = 5.0
-# Radius of a jet's drops over its own (Rayleigh 1879).
+# Radius of a jet's drops over the jet's (Rayleigh 1879).
 JET = 1.89
-# Over which the motion of a nozzle is measured [s].
+# Interval for measuring the motion of a nozzle [s].
 BRIEF = 1e-4
 
 
@@ -196,8 +196,8 @@ class Inflow:
     """Fluid that enters within a step."""
 
     state: FloatArray  # positions and velocities at its end (2, N, 3)
-    births: FloatArray  # when each came (N,) [s]
-    missed: int  # how many more would have come
+    births: FloatArray  # birth times (N,) [s]
+    missed: int  # number that found no room
 
 
 class Nozzle:
@@ -207,7 +207,7 @@ class Nozzle:
         self, spec: FluidModel, emitter: FluidEmitterModel, poses: Poses, begin: float
     ) -> None:
         self._poses, self._speed = poses, emitter.speed
-        self._period = spec.spacing / emitter.speed  # of layers [s]
+        self._period = spec.spacing / emitter.speed  # time between layers [s]
         opens: Sequence[Sequence[float]] = emitter.opens or [(begin, math.inf)]
         self._spans = [(max(a, begin), b) for a, b in opens]
         self._layer_points = self._layer_positions(spec, emitter)

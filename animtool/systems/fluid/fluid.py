@@ -35,16 +35,16 @@ from animtool.systems.framework.simulation import (
 )
 from animtool.systems.particles.state import ParticleState
 
-# Denser than this in the mean it has collapsed, and so it has beyond so many times what
-# is asked for.
+# Mean compression above which a fluid has collapsed, and likewise over the requested
+# compression.
 COLLAPSED, TIMES = 0.1, 5
-# Share of the energy in play that may come from nowhere.
+# Fraction of the energy in play that may appear without a source.
 GROWTH = 0.05
-# Parts are doubled as long as this much less dense results.
+# Substeps are doubled as long as compression falls below this fraction.
 HELPS = 0.8
-# A step that must be this many times shorter is not the cause.
+# If a step must be this many times shorter, the step is not the cause.
 MAX_SHORTENING = 1000
-# How many times shorter still steps are that are tried, and how many of each.
+# Step divisors that are tried for a hint, and trial steps of each.
 ROOM, TRIED = (2.0, 4.0, 8.0, 16.0), 4
 LESS = "use weaker forces, a larger spacing, or slower colliders"
 _NONE = np.zeros((2, 0, 3))
@@ -56,15 +56,15 @@ class FluidState:
 
     ids: IntArray = field(metadata=growing())  # ascending (N,)
     motion: FloatArray = field(metadata=growing(1))  # [m], then [m/s] (2, N, 3)
-    births: FloatArray = field(metadata=growing())  # when each came (N,) [s]
-    pressures: FloatArray = field(metadata=growing())  # means of the step (N,) [Pa]
-    made: int = 0  # how many came so far
-    held: int = 0  # how many did not, for want of room
-    sound: float = 0.0  # how fast pressure went [m/s]
-    energy: float = 0.0  # most that there may be, kinetic and potential [J]
-    compression: float = 0.0  # how much denser than at rest in the mean [1]
-    densest: float = 0.0  # the most that it ever was [1]
-    parts: int = 0  # into how many the last step was parted
+    births: FloatArray = field(metadata=growing())  # birth times (N,) [s]
+    pressures: FloatArray = field(metadata=growing())  # means over the step (N,) [Pa]
+    made: int = 0  # number born so far
+    held: int = 0  # number held back so far, for lack of room
+    sound: float = 0.0  # speed of sound [m/s]
+    energy: float = 0.0  # upper bound of kinetic and potential energy [J]
+    compression: float = 0.0  # mean compression [1]
+    densest: float = 0.0  # largest compression so far [1]
+    parts: int = 0  # substeps of the last step
 
 
 class Fluid:
@@ -93,7 +93,7 @@ class Fluid:
         self._notices: list[Fault] = self._colliders.notices()
         self._notices += coarse_drops(spec, parts.get("fills", ()))
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
-        # Nothing brings energy in, so that there is none but what there was.
+        # No energy can enter: the initial energy is an upper bound.
         static = not self._colliders.bodies and not self._colliders.sheets
         self._closed = static and all(
             len(c.poses.sample_times) == 1 for c in self._colliders
@@ -290,7 +290,7 @@ class Fluid:
         if not known or not self._closed:
             return False
         gain = total - state.energy
-        # What has not fallen yet is in play as well.
+        # Potential energy is in play as well.
         in_play = max(kinetic, state.energy - (total - kinetic))
         in_play += self._mass * len(state.ids) * state.sound**2 * self._spec.compression
         return gain > GROWTH * in_play

@@ -34,7 +34,7 @@ from animtool.systems.framework.fields import (
 )
 from animtool.systems.framework.spec import SystemSpec
 
-# What particles can be written with and coloured by.
+# Quantities that can be written and used as colours.
 Quantity = Literal["age", "density", "pressure", "speed"]
 
 

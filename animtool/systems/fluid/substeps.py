@@ -10,31 +10,30 @@ from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Colliders
 from animtool.systems.fluid.spec import FluidModel
 
-# One round of pressure in each part makes the fluid as stiff as sound that goes one
-# spacing in a part would. Density then rises by pressure over the square of that speed.
-# Of the most of all particles the mean is less than half, which leaves room.
+# One pressure iteration per substep acts like sound that travels one spacing per
+# substep; compression is pressure over that speed squared. The mean of particles is
+# less than half the maximum, which leaves a margin.
 MEAN = 1.1
-# Share of the spacing that anything may move in a part.
+# Largest motion in a substep, in spacings.
 TRAVEL = 0.25
-# Of squares of spacings over the viscosity that a part may last: its diffusion grows
-# beyond 0.23.
+# Largest substep over squared spacing / viscosity: diffusion is unstable above 0.23.
 DIFFUSION = 0.1
-# Of the period of the shortest ripples.
+# Largest substep over the period of the shortest ripples.
 RIPPLE = 0.4
-# Within which it slows down where it need not be as fast any more, and within which it
-# gets faster [s]: where that is sudden, what is pressed then gains energy.
+# Time constants of the speed of sound, falling and rising [s]: sudden changes release
+# elastic energy.
 FORGET, GAIN = 1.0, 0.05
-# It stays as long as it is within this many times what is needed: a fluid that
-# is now more, now less stiff with its pressure swells and sinks as if it were pumped.
+# The speed of sound stays within this factor of the needed one: stiffness that varies
+# with pressure would pump the fluid.
 SLACK = 1.2
-# Particles that may have more speed and pressure than parts are made as stiff for.
+# Quantile of speed and pressure that substeps must resolve.
 FEW = 0.005
-# Moves of sheets between looks, in spacings, and looks in a step.
+# Motion of sheets between collisions, in spacings, and the most collisions in a step.
 PIECE, MAX_PIECES = 0.5, 32
 MAX_PARTS = 4096
-# Pressure of this many layers is always reckoned with.
+# Hydrostatic layers whose pressure is always assumed.
 LAYERS = 2.0
-# Radius of the smallest drop whose pressure is always reckoned with, in spacings.
+# Radius of the smallest drop whose pressure is always assumed, in spacings.
 SMALLEST = 5.0
 
 
@@ -42,9 +41,9 @@ class Substeps:
     """Substeps from speed, pressure and the fluid's properties."""
 
     def __init__(self, spec: FluidModel) -> None:
-        self.most = MAX_PARTS  # parts that a step may have
+        self.most = MAX_PARTS  # largest number of substeps
         self._spec = spec
-        # Laplace's pressure of a drop, over the density [m²/s²].
+        # Laplace pressure of a drop, over the density [m²/s²].
         self._pulled = 2 * spec.tension / (spec.density * SMALLEST * spec.spacing)
 
     def first_sound(self, points: FloatArray, pull: FloatArray) -> float:
@@ -82,7 +81,7 @@ class Substeps:
             return before
         slower, faster = before * math.exp(-dt / FORGET), before * math.exp(dt / GAIN)
         sound = max(slower, min(needed, faster) if before else needed)
-        # Where nothing presses, one part is as stiff as it can be.
+        # Without pressure, one substep is as stiff as possible.
         return sound or self._spec.spacing / dt
 
     def parts(self, dt: float, fastest: float, sound: float) -> float:

@@ -14,9 +14,9 @@ from animtool.core.errors import Fault, OptionError
 from animtool.motion.frames import MeshFrame
 from animtool.systems.fluid.spec import FluidModel
 
-# Of the field within: a particle alone still has a surface.
+# Iso level: a single particle has a surface too.
 LEVEL = 0.35
-# Cells of which the side is not given, in spacings.
+# Default cell size, in spacings.
 CELL = 0.75
 # Integral of H. Wendland's C2 function over a ball of radius 1.
 KERNEL_INTEGRAL = 2 * np.pi / 21
@@ -70,7 +70,7 @@ def surface_of(
             points[:0], points[:0], np.zeros((0, 3), np.int64), vertex_primvars
         )
     vertices, faces, _, _ = marching_cubes(values, LEVEL)
-    # Wound so that the field falls outwards.
+    # Winding so that the field decreases outwards.
     vertices, faces = vertices.astype(np.float64) * cell + low, faces[:, ::-1]
     _, nearest = cKDTree(points).query(vertices)
     vertex_primvars = {name: values[nearest] for name, values in primvars.items()}

@@ -17,13 +17,13 @@ from animtool.systems.particles.emitter import uniforms
 
 # Boltzmann's constant [kJ/(mol K)].
 BOLTZMANN = 0.00831446261815324
-# Coulomb's [kJ nm/(mol e²)].
+# Coulomb constant [kJ nm/(mol e²)].
 COULOMB = 138.935457644
-# Charges that add up to less are neutral [e].
+# Smaller total charges count as neutral [e].
 NEUTRAL = 1e-9
-# Sites of a lattice over the atoms that they are for, at most.
+# Largest number of lattice sites over the atoms placed on them.
 SPARSE = 64
-# Seed of velocities over that of lattices.
+# Seed offset of velocities.
 _SPEEDS = 1000
 _FCC = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]) + 0.25
 
@@ -136,7 +136,7 @@ def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
         np.meshgrid(*[np.arange(n) for n in cells], indexing="ij"), axis=-1
     ).reshape(-1, 3)
     sites = (corners[:, None] + basis).reshape(-1, 3)
-    # Evenly thinned where there are more than atoms.
+    # Thinned evenly if there are more sites than atoms.
     kept = np.arange(total) * len(sites) // total
     order = np.arange(total)
     if len(counts) > 1 and spec.lattice == "fcc":

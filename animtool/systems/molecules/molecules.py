@@ -29,15 +29,15 @@ from animtool.systems.particles.emitter import uniforms
 
 # Pressure of 1 kJ/(mol nm³) [MPa].
 MEGAPASCALS = 1.66053906717
-# Energy over the depth of a pair from which on atoms overlap at the beginning.
+# Pair energy over the well depth above which atoms overlap at the start.
 OVERLAP = 1000.0
-# Steps over 1/ω of the stiffest crystal, from which on they are refused, and advised.
+# Steps over 1/ω of the stiffest crystal: refused above, and recommended.
 LONGEST, ADVISED = 1.0, 0.1
-# Seed of the numbers of a bath over that of the system.
+# Seed offset of the thermostat.
 _BATH = 2000
-# Share of the box that an atom may go through in a step.
+# Largest motion of an atom in a step, over the box.
 FARTHEST = 0.25
-# Neighbours of an atom that are listed, on average: atoms are as dense in no matter.
+# Largest average neighbour count: no matter is denser.
 MAX_NEIGHBOURS = 5000
 
 
@@ -110,13 +110,13 @@ class MoleculeState:
     """Positions and velocities of atoms, and the forces there."""
 
     motion: FloatArray  # positions [nm], then velocities [nm/ps] (2, N, 3)
-    reference: FloatArray  # places of the list of neighbours (N, 3) [nm]
+    reference: FloatArray  # positions of the neighbour list (N, 3) [nm]
     acting: Acting
-    heat: float  # that the bath gave so far [kJ/mol]
+    heat: float  # from the thermostat so far [kJ/mol]
     steps: int
 
 
-# What atoms do, and the places of the list that says who are near.
+# Forces, and the positions of the neighbour list.
 Listed: TypeAlias = tuple[Acting, FloatArray]
 
 
@@ -146,7 +146,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
         self._interactions = Interactions(spec, self.atoms, placing)
         self._freedom = max(3 * len(self.bodies.masses) - 3, 1)
         rates = [57.15 * a.epsilon / a.sigma**2 / a.mass for a in spec.species]
-        # The fastest vibration of a crystal of any of the kinds [rad/ps].
+        # The fastest crystal vibration of all species [rad/ps].
         self._stiffest = math.sqrt(8 * max(rates))
         start, refusals = self.initial(), Refusals()
         with refusals.collect():
@@ -322,7 +322,7 @@ def bath_factor(
         uniforms(seed + _BATH, np.array([step]), 2)[0], 2.0**-53, 1 - 2.0**-53
     )
     normal = float(normals(first))
-    # The sum of the squares of all normal numbers but one.
+    # The sum of squares of all normal numbers but one.
     squares = 2 * float(gammaincinv((freedom - 1) / 2, others)) if freedom > 1 else 0.0
     kept = float(np.exp(-dt / model.relaxation))
     exchange = target / kinetic * (1 - kept)

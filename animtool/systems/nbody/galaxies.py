@@ -33,11 +33,11 @@ from animtool.systems.particles.emitter import uniforms
 
 # Radii at which profiles are tabulated.
 RADII = 4096
-# Of the escape velocity: no body is faster than this share.
+# Largest speed over the escape velocity.
 BOUND = 0.95
-# Toomre's constant of stars.
+# Toomre's constant for stars.
 TOOMRE = 3.36
-# Radial dispersions are no larger than this share of the circular velocity.
+# Largest radial dispersion over the circular velocity.
 WARMEST = 0.7
 
 
@@ -54,7 +54,7 @@ class MassProfile:
             if one is not None:
                 within = within + enclosed(one, self.r)
         around = within
-        # Softened bodies pull as if each were spread over a sphere of Plummer.
+        # Softened bodies attract as Plummer spheres.
         soft = (self.r**2 / (self.r**2 + softening**2)) ** 1.5
         speeds = constant * within / self.r * soft
         if galaxy.disc is not None:
@@ -82,7 +82,7 @@ def _from_outside(values: FloatArray, r: FloatArray) -> FloatArray:
     return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
 
-# Share of the mass of an endless profile within radii, in scale radii.
+# Fraction of an infinite profile's mass within radii, in scale radii.
 _WITHIN: dict[str, Callable[[Any], Any]] = {
     "exponential": lambda x: 1 - (1 + x) * np.exp(-x),
     "hernquist": lambda x: (x / (1 + x)) ** 2,
@@ -144,7 +144,7 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodi
         if part is not None:
             parts.append(_spheroid(part, profile, galaxy.seed + 1000 * (number + 1)))
     joined = Bodies.joined(parts)
-    # Its centre of mass is where it is put, and as fast.
+    # Its centre of mass is at the position and velocity of the file.
     weights = joined.masses / joined.masses.sum()
     x, v = (each + -weights @ each for each in (joined.points, joined.velocities))
     return Bodies(x, v, joined.masses)
@@ -173,7 +173,7 @@ def _disc(disc: DiscModel, profile: MassProfile, seed: int) -> Bodies:
     normal = matter.normals(u[:, 3:6])
     out, along = radial * normal[:, 0], mean + around * normal[:, 1]
     cos, sin = np.cos(angles), np.sin(angles)
-    # About y, as a right hand has it: from z to x.
+    # Right-handed about y: from z to x.
     points = np.stack([r * sin, up, r * cos], axis=1)
     x, z = out * sin + along * cos, out * cos - along * sin
     velocities = np.stack([x, upward * normal[:, 2], z], axis=1)
@@ -207,7 +207,7 @@ def on_orbit(
     e, r = orbit.eccentricity, orbit.separation
     width = orbit.pericentre * (1 + e)
     cosine = np.clip((width / r - 1) / e, -1.0, 1.0) if e > 0 else 1.0
-    # Before the pericentre, so the true anomaly is below 0.
+    # Before the pericentre: the true anomaly is negative.
     anomaly = -np.arccos(cosine)
     speed = np.sqrt(constant * total / width)
     separation = r * np.array([np.sin(anomaly), 0.0, np.cos(anomaly)])

@@ -21,20 +21,19 @@ from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.nbody.galaxies import built_galaxies
 from animtool.systems.nbody.spec import AttractorModel, NbodyModel
 
-# Bodies from which on a tree is faster than a direct sum, at an accuracy; cells that
-# it looks at go with the accuracy to about this power.
+# Number of bodies above which a tree is faster than direct sums, at an accuracy;
+# visited cells grow with the accuracy to about this power.
 CROSSOVER, CROSSOVER_ACCURACY, CROSSOVER_POWER = 1000, 2e-4, 0.4
-# Pairs of the tree are float32: nothing below this can be asked of it.
+# Tree forces are float32: no finer accuracy is possible.
 FINEST_TREE = 1e-6
-# Bodies whose accelerations by the tree are compared with direct sums.
+# Sampled bodies for the error of tree forces.
 SAMPLES = 16
-# Most of the phase of a close pair that a step goes through [rad]: softened, whose pull
-# ends at a distance, and without, where energies at a meeting are a hundredfold.
+# Largest orbital phase of a close pair in a step [rad]: softened, with bounded forces,
+# and unsoftened, where energies grow a hundredfold in an encounter.
 PHASE, BARE_PHASE = 0.15, 0.03
-# It is looked at before steps; within them it may become this many times as much.
+# Encounters are checked before steps; within one the rate may grow by this factor.
 LATITUDE = 1.5
-# Share of the time in which accelerations would bring bodies to the centre that a step
-# is advised to be.
+# Recommended step over the free-fall time to the centre.
 ADVISED = 0.1
 
 
@@ -44,7 +43,7 @@ class Pulls:
 
     accelerations: FloatArray  # (N, 3) [m/s²]
     potentials: FloatArray  # (N,) [J/kg]
-    # Largest squared frequency at which each would circle another ``(N,)`` [1/s²].
+    # Largest squared orbital frequency with any other body ``(N,)`` [1/s²].
     rates: FloatArray
 
 
@@ -54,8 +53,8 @@ class NbodyState:
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
     pulls: Pulls
-    encounters: int  # steps so far that were divided, as two came close
-    divided: int  # the most parts that one was
+    encounters: int  # number of divided steps so far
+    divided: int  # largest number of substeps
 
 
 class TooCloseError(Exception):
@@ -184,7 +183,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         """Return the substeps that resolve the closest pair, a power of two."""
         if not self._fixed or not len(rates):
             return 1
-        # A state that somebody else wrote may hold any rates.
+        # A state from a file may hold any rates.
         phase = dt * math.sqrt(max(float(rates.max()), 0.0)) / self._phase
         if not phase < self._spec.substeps:
             return 2 * int(self._spec.substeps)

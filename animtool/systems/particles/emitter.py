@@ -49,14 +49,14 @@ def uniforms(seed: int, keys: IntArray, count: int) -> FloatArray:
     return np.asarray((bits >> np.uint64(11)).astype(np.float64) * 2.0**-53)
 
 
-# Keys of what bursts make, apart from those of the steady rate.
+# Key space of bursts, distinct from that of the steady rate.
 _BURST = 1 << 40
-# Of a burst, so that numbers of all bursts are apart.
+# Key space of one burst.
 MAX_AT_ONCE = 10**12
 _CHANCES = 8
-# Over which the motion of an emitter is measured [s].
+# Interval for measuring the motion of an emitter [s].
 _BRIEF = 1e-4
-# A direction that is no longer than this has no certain length.
+# Shorter directions are not well defined.
 SHORTEST = 1e-150
 
 
@@ -64,9 +64,9 @@ SHORTEST = 1e-150
 class Births:
     """The next N particles of an emitter."""
 
-    times: FloatArray  # when ``(N,)`` [s]
-    keys: IntArray  # which of the emitter's they are ``(N,)``
-    missed: int  # how many more there would be, for which there is no room
+    times: FloatArray  # birth times ``(N,)`` [s]
+    keys: IntArray  # random keys ``(N,)``
+    missed: int  # number without room
 
 
 @described
@@ -150,7 +150,7 @@ class Emitter(Emission, Checked):
         """Return directions in a cone, uniform by solid angle ``(N, 3)``."""
         axis = np.array([0.0, 1.0, 0.0] if self.direction is None else self.direction)
         if not LEAST < np.linalg.norm(axis) < 1 / LEAST:
-            # Its square is not held by float64.
+            # Its square overflows or underflows.
             axis = axis / np.abs(axis).max()
         middle = np.broadcast_to(axis.astype(np.float64), (len(chances), 3))
         if outwards is not None and self.direction is None:

@@ -12,7 +12,7 @@ from animtool.core.options import OF_ENTRY, Range, range_faults
 from animtool.core.record import dataclass
 from animtool.sim.colliders.shapes import Mesh
 
-# Of a place: points ``(N, 3)``, and the way out there or None where there is none.
+# Points ``(N, 3)``, and outward normals or None.
 Placed: TypeAlias = tuple[FloatArray, FloatArray | None]
 
 
@@ -119,7 +119,7 @@ class MeshSurface:
         ends = np.cumsum(areas)
         chosen = np.searchsorted(ends, chances[:, 0] * ends[-1], side="right")
         chosen = np.minimum(chosen, len(areas) - 1)
-        # Folded over the diagonal, a square of chances is a triangle.
+        # Folded along the diagonal, the unit square is a triangle.
         u, v = chances[:, 1], chances[:, 2]
         over = u + v > 1
         u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
@@ -134,7 +134,7 @@ class MeshSurface:
 EmitterShape: TypeAlias = Point | Disc | SphereShape | BoxShape | MeshSurface
 
 
-# What entries of places name; a mesh becomes its surface.
+# By their names in files; a mesh becomes its surface.
 EMITTER_SHAPES: dict[str, type[Any]] = {
     "box": BoxShape,
     "disc": Disc,

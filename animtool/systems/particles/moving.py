@@ -32,7 +32,7 @@ class _Living:
         self.setup, self.particles = setup, particles
         self.settles = colliders.active
         self.contacts: Contacts | None = None
-        # What bodies were pushed by so far, those of each system.
+        # Impulses on the bodies of each system so far.
         self.wrenches = [Wrenches.none(system.count) for system in colliders.bodies]
         self._colliders = colliders
         self._state = state
@@ -80,7 +80,7 @@ class ParticleForces(_Living, SecondOrder):
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
         """Return the energy of a state; None if a force has no potential."""
-        # A state that is resumed may hold masses whose energies are beyond numbers.
+        # Resumed states may hold masses whose energies overflow.
         with np.errstate(over="ignore", invalid="ignore"):
             sums, known = energies(self.setup, self.particles, state)
             if not known:
@@ -93,7 +93,7 @@ class ParticleForces(_Living, SecondOrder):
         """Return the fastest modes of the forces ``(M, 2)``."""
         if not len(self.particles):
             return None
-        # Not as a float: a state that is resumed may hold a mass of 0.
+        # Not as a float: resumed states may hold a mass of 0.
         forces, mass = self.setup.forces, self.particles.masses.min()
         stiffness = sum(force.stiffness() for force in forces) / mass
         damping = (
@@ -234,7 +234,7 @@ class DivergenceCheck:
         self._setup, self._colliders = setup, colliders
         self._particles = ParticleState.none()
         self._ids: IntArray = np.zeros(0, np.int64)
-        # Kinetic and potential energy of each, where it was first seen.
+        # Kinetic and potential energy of each when first observed.
         self._first: FloatArray = np.zeros((2, 0))
         self.too_long = False
 

@@ -12,7 +12,7 @@ from animtool.core.options import Range, above, key
 from animtool.core.record import dataclass
 
 _AMOUNT = Range("above 0", "SIM021", 0.0, reached=False, finite=True)
-# As light as particles of springs may be: less divides forces into infinity.
+# Least mass, as in springs: less overflows divided forces.
 _MASS = Range("1e-30 or more", "SIM021", 1e-30, finite=True)
 _SPREAD = Range("0 or more", "SIM021", 0.0, finite=True)
 _FINITE = Range("finite", "SIM021", -math.inf, finite=True)

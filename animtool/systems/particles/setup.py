@@ -22,7 +22,7 @@ from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.table import FORCES
 from animtool.systems.particles.velocity_field import VelocityField
 
-# Twice over for a film frame, and for its half.
+# Two steps per film frame, and half of it.
 STEP = 1 / 96
 
 

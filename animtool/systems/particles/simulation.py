@@ -41,7 +41,7 @@ from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
 
 _NONE = np.zeros((2, 0, 3))
-# Motions that are faster by less than this share need no other steps [1].
+# Frequency growth below this does not change the stable step [1].
 NOTABLE = 0.05
 
 
@@ -49,14 +49,14 @@ NOTABLE = 0.05
 class ParticleRunState:
     """The state at the end of a step."""
 
-    particles: ParticleState = field(metadata=growing())  # who lives
+    particles: ParticleState = field(metadata=growing())  # living particles
     # Positions, then velocities ``(2, N, 3)``.
     state: FloatArray = field(metadata=growing(1))
-    born: int = 0  # how many were born so far
-    missed: int = 0  # how many were not, for want of room
-    # What the method takes along, as long as the same particles live.
+    born: int = 0  # number born so far
+    missed: int = 0  # number without room so far
+    # The method's memory, valid as long as the same particles live.
     memory: object = field(default=None, metadata=later(Before))
-    # The step to try next [s].
+    # The next trial step [s].
     trial: float | None = field(default=None, metadata=later())
 
 
@@ -150,7 +150,7 @@ class ParticleSimulation:
             end = np.stack([end, system.rate(until, end)])
         self.contacts = met = system.contacts
         if met is not None:
-            # Of colliders that change their shape nobody knows how fast they are.
+            # The speed of deforming colliders is unknown.
             driven = met.colliders >= len(self.colliders)
             self._watch.restart(driven | (met.touches == Touch.UNRESOLVED), end)
             notices += self._stuck_notices(state.particles, met, until)
@@ -184,7 +184,7 @@ class ParticleSimulation:
     def _stop(
         self, run: Run, status: Status, samples: list[tuple[float, FloatArray]]
     ) -> None:
-        # A force that is no number at once is no blow-up.
+        # Forces that are not finite at the start are no divergence.
         check_start(run.equations, *samples[0])
         stats = stats_of(run, status, samples)
         why = [*self._too_long, ending(self._integrator, self.setup.options, stats)]
@@ -214,9 +214,7 @@ class ParticleSimulation:
             notices.append(
                 warning("SIM121", f"{message}no more", hint, self.setup.name)
             )
-        state = replace(
-            state, born=state.born + total, missed=state.missed + missed
-        )
+        state = replace(state, born=state.born + total, missed=state.missed + missed)
         kept = np.arange(len(particles))[:room]
         particles, born = particles.select(kept), born[:, kept]
         if not len(particles):

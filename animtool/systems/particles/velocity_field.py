@@ -14,7 +14,7 @@ from animtool.rig.expressions import Expression, parse_expression
 from animtool.systems.particles.records import Velocity
 from animtool.systems.particles.state import ParticleState
 
-# What expressions of fields may name: place [m], velocity [m/s], time and age [s].
+# Variables of field expressions: position [m], velocity [m/s], time and age [s].
 VARIABLES = ("x", "y", "z", "vx", "vy", "vz", "t", "age", "mass", "charge")
 _VARIABLES = ("x", "y", "z", "t", "age")
 

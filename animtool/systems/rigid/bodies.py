@@ -40,9 +40,9 @@ class Outlines:
     """C collision shapes of all bodies, for other systems."""
 
     colliders: Sequence[Collider]
-    of: IntArray  # the body of each (C,)
+    of: IntArray  # body of each shape (C,)
     at: FloatArray  # origins in the frames of the bodies (C, 3) [m]
-    rotations: FloatArray  # quaternions there (C, 4)
+    rotations: FloatArray  # their quaternions (C, 4)
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class RigidBodies:
     moved: BoolArray
     poses: Sequence[Poses]
     begin: float
-    dynamic: IntArray = field(init=False)  # which are moved (N,)
+    dynamic: IntArray = field(init=False)  # numbers of dynamic bodies (N,)
 
     def __post_init__(self) -> None:
         """Number the dynamic bodies."""

@@ -11,16 +11,16 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Box, Capsule, Mesh, Shape, Sphere
 
-# Faces of a hull are one where their normals differ by less [rad].
+# Hull faces with normals closer than this are merged [rad].
 FLAT = 1e-6
-# A mesh is its hull where its volume is that of the hull, but for this share.
+# A mesh whose volume equals its hull's within this fraction is convex.
 CONVEX = 1e-3
 
-# Faces of a box: +x, -x and so on; corner i is high along x where i is odd, and so on.
+# Box faces: +x, -x and so on; corner i is on +x if its bit 0 is set, and so on.
 _BOX_FACES = (
     (1, 3, 7, 5), (0, 4, 6, 2), (2, 6, 7, 3), (0, 1, 5, 4), (4, 5, 7, 6), (0, 2, 3, 1),
 )  # fmt: skip
-# Faces about a ball or the ends of a capsule, as it is shown.
+# Facets around a sphere or capsule end, as drawn.
 ROUND = 16
 
 
@@ -95,7 +95,7 @@ def _hull(points: FloatArray) -> Core:
         hull = ConvexHull(points)
     except QhullError:
         raise ValueError("its points are coplanar: it has no volume") from None
-    # Triangles in one plane are one face.
+    # Coplanar triangles are merged to one face.
     normals, planes = hull.equations[:, :3], []
     rest = list(range(len(normals)))
     while rest:
@@ -143,7 +143,7 @@ def solid_of(shape: Shape, core: Core) -> SolidProperties:
 def _capsule(shape: Capsule) -> SolidProperties:
     r, length = shape.radius, shape.length
     middle, ends = np.pi * r * r * length, 4 / 3 * np.pi * r**3
-    # Two half-balls, whose centres are 3/8 of the radius off the ends of the segment.
+    # Two hemispheres, with centres 3/8 of the radius beyond the ends of the segment.
     along = 0.5 * middle * r * r + 0.4 * ends * r * r
     across = middle * (r * r / 4 + length**2 / 12)
     across += ends * (0.4 * r * r + length**2 / 4 + 3 / 8 * length * r)
@@ -202,7 +202,7 @@ def shown(core: Core) -> tuple[FloatArray, IntArray, IntArray]:
             axis=1,
         )
         rings.append((first if i < half else last) + core.radius * ring @ frame)
-    # A ball has one ring about its middle.
+    # A sphere has one ring at its equator.
     rings = rings if length else rings[:half] + rings[half + 1 :]
     poles = np.stack([first - core.radius * up, last + core.radius * up])
     points = np.concatenate([*rings, poles])

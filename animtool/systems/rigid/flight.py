@@ -22,21 +22,22 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths.phi import phi_functions
 
-# What a force that is not linear may be off by in a part, of the motion in it.
+# Error tolerance of a substep under a nonlinear force, over the motion in it.
 TOLERANCE = 2e-5
-# No part is shorter than this share of a step, and parts grow so that there are at most
-# so many: where a force jumps it is met so well.
+# Shortest substep over the step, and largest growth of substeps: this resolves
+# discontinuous forces.
 FLOOR, MAX_PARTS = 1 / 2048, 128
-# A part that is off by as much of the motion goes by the slopes alone, and is too long.
+# A substep with a larger error, over the motion, follows the Jacobian alone and is too
+# long.
 COARSE = 0.5
-AT_REST = 1e-9  # motion that is none [m]
-LARGEST = 1e300  # error of what is not finite
-# The change of the next part by the error of the last: at least, at most, and caution.
+AT_REST = 1e-9  # least motion [m]
+LARGEST = 1e300  # error of non-finite motion
+# Bounds and safety factor of the next substep's change.
 SHRINK, GROW, CAUTION = 0.1, 4.0, 0.8
 
-# Accelerations at a time, of positions and velocities ``(N, 3)``.
+# Accelerations at a time, positions and velocities ``(N, 3)``.
 Rate: TypeAlias = Callable[[float, FloatArray, FloatArray], FloatArray]
-# How they grow with positions [1/s²] and with velocities [1/s], both ``(N, 3, 3)``.
+# Their Jacobians by positions [1/s²] and by velocities [1/s], both ``(N, 3, 3)``.
 Slopes: TypeAlias = Callable[
     [float, FloatArray, FloatArray], tuple[FloatArray, FloatArray]
 ]
@@ -128,7 +129,7 @@ def _inertias(
     begin: FloatArray, grown: FloatArray, change: FloatArray, dt: float, v: FloatArray
 ) -> FloatArray:
     """Return factors on mass so that an impulse changes velocity as the flow does."""
-    # Of drag that is linear both are the same.
+    # Equal for linear drag.
     z = np.maximum(-np.trace(grown, axis1=1, axis2=2) / 3 * dt, 0.0)
     ratios = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)
     squared, along = (begin * begin).sum(axis=1), (begin * change).sum(axis=1)

@@ -16,21 +16,21 @@ from animtool.sim.colliders import Poses
 from animtool.systems.rigid.bodies import NO_PAIRS, RigidBodies, refuse_unknown
 from animtool.systems.rigid.spec import BodyModel, JointDriveModel, RigidJointModel
 
-# What the kernel has of a joint.
+# Width of the kernel's joint table.
 NUMBERS = 27
-# Of a motor that is as hard as its most force or torque lets it [N s/m, N m s/rad].
+# Damping of a motor that is limited by its force or torque alone [N s/m, N m s/rad].
 HARD = 1e15
 KINDS = {"fixed": 0, "pin": 1, "ball": 2, "prismatic": 3}
-# What only some types have.
+# Options that only some types support.
 _OPTION_TYPES = {
     "limits": ("pin", "prismatic"),
     "swing": ("ball",),
     "twist": ("ball",),
     "drive": ("pin", "ball", "prismatic"),
 }
-# A joint farther from its body than so many times what this reaches is a warning.
+# Joints farther from their body than this many of its radii are a warning.
 FAR = 4.0
-# Half-angles of a swing are at most so much below 180 degrees, where it has no axis.
+# Largest half-angle of a swing, below 180 degrees, where its axis is undefined.
 SWING = np.radians(179.0)
 
 
@@ -40,18 +40,18 @@ class Joints:
 
     rows: IntArray  # type and both bodies (K, 3)
     numbers: FloatArray  # (K, 27)
-    anchors: Sequence[Poses]  # frames of the animation, of those that have one
+    anchors: Sequence[Poses]  # animated frames, for joints that have one
     names: Sequence[str] = ()
-    above: Sequence[int] = ()  # of all bodies, the one that each hangs on; -1 is none
+    above: Sequence[int] = ()  # parent body of each body, of all; -1 for none
     notices: Sequence[Fault] = ()
-    # Of each the bodies that it keeps from colliding, as all are numbered; -1 is none
-    # (K, 2).
+    # Pair of bodies that each joint excludes from collision, numbered as all; -1 for
+    # none (K, 2).
     pairs: IntArray = field(default_factory=lambda: NO_PAIRS)
-    # Other bodies that do not collide (P, 2).
+    # Other excluded pairs (P, 2).
     others: IntArray = field(default_factory=lambda: NO_PAIRS)
-    # Most force [N] and torque [N m] that each holds (K, 2); none is any.
+    # Break force [N] and torque [N m] (K, 2); empty if none breaks.
     breaks: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-    # Returns numbers at a time [s], where drives change; None is that they do not.
+    # Returns numbers at a time [s] if drives change; else None.
     driven: Callable[[float], FloatArray] | None = None
 
     def some(self, which: IntArray) -> Joints:
@@ -209,8 +209,8 @@ def joints_in(
 
     Args:
         joints: Of all bodies when all of them are moved.
-        whole: The bodies then.
-        bodies: As they are.
+        full: All dynamic bodies of the joints.
+        bodies: The subset.
     """
     if bodies is full:
         return joints, np.arange(len(joints.rows))
@@ -226,7 +226,7 @@ def joints_in(
         if b not in numbers_of:
             if a not in numbers_of:
                 continue
-            # What hangs on the other is the first, and is turned the other way.
+            # Swapped: the joint's second body becomes the first.
             anchor, a, b = bodies.poses[b], b, a
             on_a, on_b = in_body(full, second, on_b), on_a
             rest = turned_round(rest)
@@ -271,7 +271,7 @@ def joint_loads(joints: Joints, impulses: FloatArray) -> FloatArray:
 
     Args:
         joints: The joints.
-        held: Of each what its equations hold ``(K, 12)``.
+        impulses: Constraint impulses of each joint ``(K, 12)``.
     """
     force, torque = impulses[:, :3].copy(), impulses[:, 3:6].copy()
     slides = joints.rows[:, 0] == KINDS["prismatic"]
@@ -352,7 +352,7 @@ def _drive(model: RigidJointModel, at: str) -> list[float]:
     if not rotation.any():
         refuse("SIM061", "the rotation of a drive is a zero quaternion", f"{at}.drive")
     target = drive.target if model.type == "prismatic" else np.radians(drive.target)
-    # The drive sees the joint's own axes.
+    # Drives act in the joint's axes.
     axis = _axis(model, model.name, at)
     rotation = so3.multiply(
         so3.multiply(so3.conjugate(axis), so3.normalize(rotation)), axis

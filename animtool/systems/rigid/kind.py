@@ -42,14 +42,14 @@ from animtool.systems.rigid.pieces import (
 )
 from animtool.systems.rigid.spec import BodyModel
 
-# What moments of inertia may break the triangle inequality by, of their sum: rounding.
+# Tolerance of the triangle inequality of moments, over their sum: rounding.
 ROUNDING = 1e-9
-# Less divides impulses into infinity.
+# Smaller masses overflow impulses.
 LIGHTEST = 1e-30  # [kg]
 LEAST_MOMENT = 1e-100  # [kg m²]
-# What is beside the diagonal and less than this share of the sum is rounding.
+# Off-diagonal elements below this fraction of the trace are rounding.
 DIAGONAL_TOLERANCE = 1e-12
-# Bodies of a system; more take gigabytes.
+# Largest number of bodies of a system; more take gigabytes.
 MAX_BODIES = 1_000_000
 
 
@@ -58,7 +58,7 @@ class BodyKind:
     """Shared properties of copies of a body, in the body's frame."""
 
     model: BodyModel
-    shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]  # with origin and quaternion
+    shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]  # with origin, quaternion
     cores: Sequence[Core]
     mass: float  # [kg]
     centre: FloatArray  # of mass (3,) [m]
@@ -229,14 +229,14 @@ def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     if np.abs(inertia - np.diag(np.diag(inertia))).max() <= DIAGONAL_TOLERANCE * size:
         return np.diag(inertia).copy(), so3.IDENTITY.copy()
     moments, axes = np.linalg.eigh(inertia)
-    # The axis nearest to x comes first and so on, so that small changes change little.
+    # The axis nearest to x comes first, and so on: small changes stay small.
     order = [int(np.argmax(np.abs(axes[0])))]
     rest = [k for k in range(3) if k not in order]
     order += sorted(rest, key=lambda k: -abs(float(axes[1, k])))
     axes = axes[:, order] * np.sign(np.diag(axes[:, order]) + 1e-300)
     if np.linalg.det(axes) < 0:
         axes[:, 2] = -axes[:, 2]
-    # Rounding of what is far from its centre would make small ones negative.
+    # Rounding far from the centre may make small ones negative.
     return np.maximum(moments[order], 0.0), so3.from_matrix(axes)
 
 

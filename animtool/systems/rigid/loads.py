@@ -14,19 +14,19 @@ from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.flight import Flight, fly
 from animtool.systems.rigid.surroundings import BodyForces
 
-# What swings, or turns, goes by less than this in a part of a step [rad].
+# Largest rotation or phase of a swing in a substep [rad].
 ANGLE = 0.5
 MAX_PARTS = 256
-# Whom drag makes heavier than this takes shorter parts where something holds him, so
-# that he bounces as he is, and is not too heavy for his moments of inertia.
+# Constrained bodies with a larger inertia factor from drag take shorter substeps, so
+# that they bounce right and keep their inertia ratio.
 MAX_INERTIA_RATIO, MAX_CONSTRAINED_PARTS = 2.0, 64
-# Heavier ones in the most parts do not stay where contacts hold them.
+# Constrained bodies with larger factors at the most substeps would drift from contacts.
 HEAVIEST = 64.0
-# Masses that forces change by less stay as they are, as a share.
+# Smaller relative changes of mass are ignored.
 LIGHT = 1e-3
-# Who is as much heavier by drag meets others so in the step that he comes to them.
+# Bodies with a larger factor collide at the velocity of their free flight.
 HEAVY = 1.25
-# Of the velocity, by which one who met nothing may differ from where he was to come.
+# Velocity difference, relative, below which a body flew freely.
 OFF = 1e-6
 
 
@@ -108,7 +108,7 @@ class BodyLoads:
     ) -> StepForces:
         """Return the forces of a step.
 
-        Bodies that are ``held`` ``(N,)``, by contacts or joints, feel the force that
+        ``constrained`` bodies ``(N,)``, by contacts or joints, feel the force that
         there is, and yield to all others as much less as it would have gone down with
         their velocity. The others come where they fly.
 
@@ -136,7 +136,7 @@ class BodyLoads:
         inertias = np.where(heavy, flight.inertias, 1.0)
         forces = self._forces.pushes_over(t, dt, motion)
         with np.errstate(all="ignore"):
-            # The kernel goes as far as the mean of the velocities at both ends.
+            # The kernel moves bodies by the mean of both velocities.
             begin = 2 * (flight.points - x) / dt - flight.velocities
             begin = np.where(constrained[:, None], v, begin)
             masses = (self._bodies.masses * inertias)[:, None]
@@ -228,7 +228,7 @@ class BodyLoads:
 
 def _swings(by_position: FloatArray, by_speed: FloatArray, dt: float) -> FloatArray:
     """Return angular frequencies ``(N,)`` [rad/s] of force gradients ``(N, 3, 3)``."""
-    # An upper bound, so that few are looked at.
+    # An upper bound, so that few need eigenvalues.
     bound = np.sqrt(np.linalg.norm(by_position, axis=(1, 2)))
     bound += np.linalg.norm(by_speed - by_speed.swapaxes(1, 2), axis=(1, 2)) / 2
     swings = np.zeros(len(by_position))

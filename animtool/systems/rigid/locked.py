@@ -21,14 +21,14 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.systems.rigid.bodies import RigidBodies
 
-# Motion of a joint that is less than this, over what it could be, is none.
+# Joints with less motion, over the possible motion, are locked.
 NONE = 1e-6
-# Singular values below this share of the largest are 0.
+# Smaller singular values, over the largest, count as 0.
 RANK = 1e-9
-# Most bodies of loops that are looked at together.
+# Largest number of bodies in a loop that is analysed.
 MOST = 64
-# Equations of a joint in its first frame by kind, of the way and the turn: those of
-# the others are left free.
+# Constrained translations and rotations of a joint in its first frame, by type; the
+# other axes are free.
 _LOCKED_TRANSLATIONS = {0: (0, 1, 2), 1: (0, 1, 2), 2: (0, 1, 2), 3: (1, 2)}
 _LOCKED_ROTATIONS: dict[int, tuple[int, ...]] = {
     0: (0, 1, 2),
@@ -135,7 +135,7 @@ def _loops(rows: IntArray, count: int) -> list[list[int]]:
         left -= open_ends
     groups: list[tuple[set[int], list[int]]] = []
     for k in sorted(left):
-        # What does not move joins nothing.
+        # A body that never moves connects nothing.
         members, joints = {i for i in ends[k] if i < count}, [k]
         for group in [one for one in groups if one[0] & members]:
             groups.remove(group)

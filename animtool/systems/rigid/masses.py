@@ -69,7 +69,7 @@ def _of_parts(
         centres.append(so3.rotate(back, at - world.positions[0, body]))
         rotation = so3.multiply(so3.multiply(back, rotations[j]), np.array(mass.axes))
         matrix = so3.to_matrix(rotation)
-        # One without moments is a point among the others.
+        # One without inertia is a point mass.
         local_inertia = np.diag(mass.inertia or (0.0, 0.0, 0.0))
         inertias.append(matrix @ local_inertia @ matrix.T)
     weights = np.array([mass.mass for mass in masses])

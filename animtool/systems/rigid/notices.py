@@ -11,9 +11,9 @@ from animtool.core.quantities import floored, plain
 from animtool.systems.rigid.joints import Joints
 from animtool.systems.rigid.shared import RigidState
 
-# Bodies that begin deeper in each other than this share of their size are a warning.
+# Deeper penetration at the start, over the size, is a warning.
 DEEP = 0.02
-# What is that deep, over its size, is held from several sides.
+# Bodies that stay this deep, over their size, are squeezed from several sides.
 KEPT_OVERLAP = 0.25
 
 

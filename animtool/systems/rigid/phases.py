@@ -15,7 +15,7 @@ from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.joints import Joints
 from animtool.systems.rigid.surroundings import StepColliders
 
-# Share of a step that a release may be before its end.
+# Tolerance of release times before the end of a step, in steps.
 ON_TIME = 1e-9
 
 

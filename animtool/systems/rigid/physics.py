@@ -246,7 +246,7 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
         target, speed = (0.0, 0.0) if drive is None else (drive.target, drive.speed)
         rotation = so3.IDENTITY if drive is None else drive.turn
         if pair[1] not in dynamic_numbers:
-            # What hangs on the other is the first, and is turned the other way.
+            # Swapped: the joint's second body becomes the first.
             pair.reverse()
             frames.reverse()
             limits = None if limits is None else (-limits[1], -limits[0])

@@ -12,9 +12,9 @@ from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Mesh
 from animtool.systems.rigid.cores import Core, SolidProperties, core_of, filled
 
-# How much pieces may differ from the mesh, over its size: the usual of coacd.
+# Largest deviation of pieces from the mesh, over its size: coacd's default.
 THRESHOLD = 0.05
-# Points of surfaces that are looked at to tell it.
+# Sampled surface points to measure it.
 SAMPLES = 400
 EXTRA = "pip install 'animtool[convex]'"
 
@@ -57,7 +57,7 @@ def _decomposed(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Cor
         try:
             pieces.append((piece, core_of(piece)))
         except ValueError:
-            # A piece so thin that it has no volume holds nothing up.
+            # Pieces without volume support nothing.
             continue
     return pieces
 

@@ -42,29 +42,29 @@ _TYPES = {
 class RagdollOptions:
     """Options of a ragdoll."""
 
-    start: float | None = None  # frame that it begins in; None is the first
-    end: float | None = None  # frame from which the take comes back; None is never
-    # Frames over which it takes over, and the take behind `end` [frames].
+    start: float | None = None  # start frame; None for the first
+    end: float | None = None  # frame at which the take returns; None for never
+    # Blend frames at the start, and after `end` [frames].
     blend: Annotated[float, within(0.0, "SIM062", 1e6)] = 4.0
-    # Of all [kg], in the shares that the rig states.
+    # Total mass [kg], distributed as the rig states.
     mass: Annotated[float | None, within(0.0, "SIM062", reached=False)] = None
-    # Where neither this nor the rig gives a mass [kg/m³].
+    # Density if neither this nor the rig gives a mass [kg/m³].
     density: Annotated[float, within(0.0, "SIM062", reached=False)] = 1000.0
-    # How strongly joints are drawn to the pose of the take [N m/rad].
+    # Stiffness towards the pose of the take [N m/rad].
     stiffness: Annotated[float, within(0.0, "SIM062")] = 0.0
-    # What slows joints [N m s/rad].
+    # Damping of joints [N m s/rad].
     damping: Annotated[float, within(0.0, "SIM062")] = 0.5
-    # Passive stiffness and damping of joints towards the pose of `start`, as of muscles
-    # and ligaments [1]; 0 is limp.
+    # Passive stiffness and damping towards the pose of `start`, as of muscles and
+    # ligaments [1]; 0 is limp.
     tone: Annotated[float, within(0.0, "SIM062", 100.0)] = 1.0
-    # Whether fingers without colliders have some, that go with the hand.
+    # Whether fingers without colliders get capsules attached to the hand.
     fingers: bool = True
-    # Downwards along the rig's up axis [m/s²].
+    # Along the rig's negative up axis [m/s²].
     gravity: Annotated[float, within(-LARGEST, "SIM062")] = 9.81
-    friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # Coulomb's coefficient [1]
-    colliders: ColliderEntries = ()  # what it falls onto
+    friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # friction coefficient [1]
+    colliders: ColliderEntries = ()  # what it collides with
     step: Annotated[float, within(0.0, "SIM062", 1.0, reached=False)] = 0.005  # [s]
-    substeps: Annotated[int, within(1.0, "SIM062", 1000.0)] = 8  # small steps in each
+    substeps: Annotated[int, within(1.0, "SIM062", 1000.0)] = 8  # substeps of each step
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Ragdoll:
         bodies: In the same order.
         frames: Of each the frame of its joint at rest, as the body above sees it:
             origin and quaternion, whose x is the joint's axis ``(N, 7)``.
-        turns: Of each its joint's own axes in its frame ``(N, 4)``.
+        axes: Rotation of each body's frame to its joint's axes ``(N, 4)``.
     """
 
     rig: Rig
@@ -161,7 +161,7 @@ def _above(rig: Rig, joints: IntArray) -> IntArray:
     tops: dict[int, int] = {}
     for i, j in enumerate(joints.tolist()):
         over = [numbers[k] for k in rig.upwards(j)[1:] if k in numbers]
-        # Branches below a joint that is no body hang on the first of them.
+        # Branches below a joint without a body are attached to the first of them.
         above[i] = over[0] if over else tops.setdefault(movable(rig, j), i)
         if above[i] == i:
             above[i] = -1

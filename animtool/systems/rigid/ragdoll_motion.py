@@ -34,7 +34,7 @@ def ragdoll_simulation(
     ``name`` is for messages; ``keys`` of rigid bodies say how they step.
     """
     force: Any = find_force("gravity")
-    # Its own bodies are those of the rig: a spec has one at least.
+    # The spec needs one body; the simulation's bodies are the rig's.
     body = {"name": "body", "shape": {"sphere": {"radius": 1}}}
     spec = RigidModel.model_validate(
         {"name": name, "bodies": [body], "sleep": {"speed": 0}, **keys}

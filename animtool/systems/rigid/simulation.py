@@ -50,9 +50,9 @@ from animtool.systems.rigid.shared import RigidState, SharedBodies
 from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.rigid.surroundings import BodyForces
 
-# Beyond these a simulation blew up: keys hold 1e18, and squares are held by float64.
-FARTHEST = 1e24  # of places [m] and velocities [m/s]
-FASTEST = 1e100  # of angular momenta [kg m²/s]
+# Beyond these a simulation diverged: keys allow 1e18, and squares must be finite.
+FARTHEST = 1e24  # positions [m] and velocities [m/s]
+FASTEST = 1e100  # angular momenta [kg m²/s]
 
 
 class RigidSimulation(SharedBodies):

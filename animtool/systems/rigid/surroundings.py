@@ -17,7 +17,7 @@ from animtool.systems.particles.state import ParticleState
 from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.spec import PushModel
 
-# A force that changes by more of itself in a step wakes who sleeps.
+# Forces that change by more, relative, in a step wake sleepers.
 CHANGES = 1e-9
 
 
@@ -28,7 +28,7 @@ class BodyForces:
         self, bodies: RigidBodies, forces: Sequence[Force], begin: float
     ) -> None:
         self._bodies, self.forces, self._begin = bodies, forces, begin
-        # Whether forces depend on where bodies are, how fast, or when.
+        # Whether forces depend on position, velocity or time.
         self.vary = any(force.varies for force in forces)
         self._pushes = [
             (number, push)
@@ -169,7 +169,7 @@ class StepColliders:
 
     def __init__(self, colliders: Colliders, first: int = 0) -> None:
         self.colliders, self.first = colliders, first
-        # Points of surfaces in the last step, and these as colliders.
+        # Surface points of the last step, and their colliders.
         self._known: tuple[list[FloatArray], Colliders] | None = None
 
     def arrays(self, t: float, end: float) -> tuple[Any, ...]:

@@ -41,9 +41,9 @@ from animtool.systems.rigid.ragdoll_motion import (
 )
 from animtool.systems.rigid.shared import RigidState
 
-# A limit that a joint is beyond by less is kept [rad].
+# Tolerance of limits, as their overshoot [rad].
 KEPT = math.radians(1.0)
-KEPT_SLIDE = 0.001  # likewise of a slide [m]
+KEPT_SLIDE = 0.001  # likewise of slides [m]
 
 
 def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:

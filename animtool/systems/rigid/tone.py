@@ -12,14 +12,14 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import Capsules
 
-# Of the torque that the weight of what hangs on a joint has on it when it is level, the
-# share that tone has a radian away from the pose; and the damping ratio of that spring.
+# Passive stiffness per radian, as a fraction of the gravity torque of a level limb, and
+# the damping ratio of that spring.
 STIFFNESS_FRACTION, DAMPING_RATIO = 0.15, 0.35
 GRAVITY = 9.81  # [m/s²]
-# Radius of a finger over the mean length of its bones; how much longer the last one is
-# than the bone above, where no joint ends it.
+# Radius of a finger over its mean bone length, and length of its last bone over the
+# previous one if no joint ends it.
 THICKNESS, TIP = 0.2, 0.8
-# A joint with so many chains of two joints or more below it is a hand, by any name.
+# A joint with this many chains of two or more joints is a hand, whatever its name.
 DIGITS = 3
 _NAMES = re.compile(r"thumb|finger|index|middle|ring|pinky|little|digit", re.IGNORECASE)
 

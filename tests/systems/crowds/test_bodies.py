@@ -69,7 +69,9 @@ def path(step: float, count: int) -> list[AgentMotion]:
     v = speeds[:, None] * np.stack([np.sin(headings), np.cos(headings)], axis=1)
     x = np.cumsum(v, axis=0) * step
     return [
-        AgentMotion(*(np.tile(one, (count, 1)) for one in (x[i], v[i])), np.full(count, turn))
+        AgentMotion(
+            *(np.tile(one, (count, 1)) for one in (x[i], v[i])), np.full(count, turn)
+        )
         for i, turn in enumerate(headings)
     ]  # fmt: skip
 
@@ -248,7 +250,9 @@ def test_a_clip_at_its_own_speed_is_the_clip() -> None:
     bodies = AgentBodies(gaits, np.ones(1), level)
     step = 1 / 60
     goings = [
-        AgentMotion(*(np.array([[0.0, walk.speed * s]]) for s in (step * i, 1)), np.zeros(1))
+        AgentMotion(
+            *(np.array([[0.0, walk.speed * s]]) for s in (step * i, 1)), np.zeros(1)
+        )
         for i in range(300)
     ]  # fmt: skip
     states, places = walked(bodies, goings, step)

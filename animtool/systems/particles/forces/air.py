@@ -21,9 +21,7 @@ class Drag(Force):
     """Drag against the velocity, linear and quadratic."""
 
     linear: NotNegative = 0.0  # [kg/s]
-    quadratic: NotNegative = (
-        0.0  # half of density, area and coefficient together [kg/m]
-    )
+    quadratic: NotNegative = 0.0  # density · area · coefficient / 2 [kg/m]
 
     drains = True
 
@@ -56,7 +54,7 @@ class Drag(Force):
 class Viscosity(Force):
     """Stokes drag: ``6 π η r v``, for small, slow spheres."""
 
-    viscosity: NotNegative = 1e-3  # of the fluid [Pa s]; of water 1e-3, of air 1.8e-5
+    viscosity: NotNegative = 1e-3  # of the medium [Pa s]; water 1e-3, air 1.8e-5
 
     drains = True
 
@@ -83,7 +81,7 @@ class Wind(Force):
     """Drag relative to moving air."""
 
     velocity: Vector = (0.0, 0.0, 0.0)  # of the air [m/s]
-    drag: NotNegative = 0.0  # of particles in it [kg/s]
+    drag: NotNegative = 0.0  # drag coefficient [kg/s]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -111,7 +109,7 @@ class Friction(Force):
     """
 
     deceleration: NotNegative = 0.0  # [m/s²]
-    # Speed below which it goes to 0, so that nothing is pushed back [m/s].
+    # Below this speed it fades to 0, so that it never reverses the motion [m/s].
     smooth: Positive = 0.01
 
     drains = True

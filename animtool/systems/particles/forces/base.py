@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.options import Range, at_least, range_faults
 from animtool.systems.particles.state import ParticleState
 
-# What options may be.
+# Types of options.
 _THREE = Range("three finite numbers", "SIM022", -math.inf, finite=True, count=3)
 Vector: TypeAlias = Annotated[tuple[float, float, float], _THREE]
 AnyVector: TypeAlias = Annotated[tuple[float, float, float] | None, _THREE]
@@ -21,11 +21,11 @@ NotNegative: TypeAlias = Annotated[float, at_least(0.0, "SIM022", finite=True)]
 Positive: TypeAlias = Annotated[
     float, Range("above 0", "SIM022", 0.0, reached=False, finite=True)
 ]
-# One for all particles, or one each ``(N,)`` [s].
+# One for all particles, or one per particle ``(N,)`` [s].
 Time: TypeAlias = "float | FloatArray"
 
-# Of positions and velocities, at which forces are compared for their slopes; at least
-# of one [m], [m/s].
+# Relative step of finite differences, of positions and velocities of at least 1 [m],
+# [m/s].
 DIFFERENCE = 1e-6
 
 

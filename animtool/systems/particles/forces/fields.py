@@ -56,11 +56,11 @@ class Turbulence(Force):
     """Divergence-free noise accelerations, zero on average."""
 
     strength: NotNegative = 1.0  # about the root mean square [m/s²]
-    size: Positive = 1.0  # of the largest swirls [m]
-    change: NotNegative = 0.5  # how often a second they become others [1/s]
-    # Sizes of swirls, each half of the one before and half as strong.
+    size: Positive = 1.0  # of the largest eddies [m]
+    change: NotNegative = 0.5  # rate of change [1/s]
+    # Octaves: each half the size and strength of the previous.
     octaves: Annotated[int, at_least(1, "SIM022", finite=True)] = 2
-    seed: int = 0  # of what is random
+    seed: int = 0  # random seed
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -113,7 +113,7 @@ class Electromagnetic(Force):
         )
 
 
-# Pairs at once: this bounds memory.
+# Pairs at once: bounds the memory.
 _ROWS = 256
 
 
@@ -121,8 +121,8 @@ _ROWS = 256
 class Charges(Force):
     """Coulomb forces between all particles, softened at short range."""
 
-    constant: NotNegative = 8.9875517862e9  # coulomb's [N m²/C²]
-    softening: Positive = 0.01  # length that keeps it finite [m]
+    constant: NotNegative = 8.9875517862e9  # Coulomb constant [N m²/C²]
+    softening: Positive = 0.01  # softening length [m]
 
     pairs = True
 

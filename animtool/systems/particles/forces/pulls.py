@@ -20,7 +20,7 @@ from animtool.systems.particles.forces.base import (
 )
 from animtool.systems.particles.state import ParticleState
 
-# What a brake has slowed down to this is at rest [m/s].
+# Slower particles count as stopped by a brake [m/s].
 STOPPED = 1e-9
 
 
@@ -67,9 +67,9 @@ class Central(Force):
     """Acceleration towards a centre."""
 
     centre: Vector = (0.0, 0.0, 0.0)  # [m]
-    strength: Finite = 1.0  # acceleration at one metre [m/s²]; below 0 it pushes
-    power: Finite = -2.0  # of the distance: -2 is that of gravity and of charges
-    softening: NotNegative = 0.01  # length that keeps it finite at the centre [m]
+    strength: Finite = 1.0  # acceleration at one metre [m/s²]; negative repels
+    power: Finite = -2.0  # exponent of the distance: -2 for gravity and charges
+    softening: NotNegative = 0.01  # softening length [m]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -108,10 +108,10 @@ class Central(Force):
 class Spring(Force):
     """A spring to a point, or to each particle's birth position."""
 
-    anchor: AnyVector = None  # the point [m]; None is where each was born
+    anchor: AnyVector = None  # the point [m]; None for each particle's birth position
     k: NotNegative = 1.0  # stiffness [N/m]
-    rest: NotNegative = 0.0  # length at which it pulls nobody [m]
-    kd: NotNegative = 0.0  # damping against change of its length [kg/s]
+    rest: NotNegative = 0.0  # rest length [m]
+    kd: NotNegative = 0.0  # damping along the spring [kg/s]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -164,9 +164,9 @@ class Spring(Force):
 class Propulsion(Force):
     """Thrust along the velocity, or in a fixed direction."""
 
-    thrust: Finite = 0.0  # [N]; below 0 it brakes
-    direction: AnyVector = None  # of any length above 0; None is along the velocity
-    # From birth on [s].
+    thrust: Finite = 0.0  # [N]; negative brakes
+    direction: AnyVector = None  # of any length above 0; None for along the velocity
+    # Duration after birth [s].
     duration: Annotated[float, Range("finite and at least 0", "SIM022", 0.0)] = math.inf
 
     def force(
