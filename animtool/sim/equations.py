@@ -13,9 +13,9 @@ from animtool.sim.system import FirstOrder, Matrix, SecondOrder
 class Equations:
     """The rate of a first- or second-order system.
 
-    A rate at the state that was anchored, or at the one asked for last, is not
-    evaluated again: so a step that is tried again costs less, and the last stage of
-    one step is the first of the next. Arrays are told apart by identity.
+    Rates at the anchored state and at the last evaluated one are cached: this saves
+    evaluations in retried steps, and where the last stage of a step is the first of
+    the next. Arrays are compared by identity.
     """
 
     def __init__(self, system: FirstOrder | SecondOrder) -> None:

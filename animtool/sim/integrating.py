@@ -45,7 +45,7 @@ def checkpoint_of(
 ) -> Checkpoint:
     """Return a checkpoint to resume the integration from.
 
-    scipy's solvers are bound to the end that they were begun with, and begin anew.
+    SciPy's solvers are bound to their end time, and are built again.
     """
     if status is not Status.OK or run.integrator.control is Control.SCIPY:
         return Checkpoint(time, state)
@@ -96,8 +96,8 @@ def integrate(
 
     Args:
         system: Where it starts, and how it changes.
-        times: Ascending ``(F,)`` [s]; the first is that of the start. Where a time
-            stands twice, so does the state, bit for bit.
+        times: Ascending ``(F,)`` [s]; the first is that of the start. Duplicate
+            times return equal states, bit for bit.
         options: Method, step or tolerance, bounds.
         checkpoint: Where to begin in place of the system's start: what an earlier
             trajectory carried; its time is the first one then. With fixed steps at

@@ -26,14 +26,13 @@ class IntegrateOptions:
 
     Attributes:
         method: A name of `INTEGRATORS`.
-        step: Of methods with a fixed step, the longest [s]: steps divide the time
-            between two values evenly. Of those that choose theirs, a bound; None is
-            no bound.
-        tolerance: Of methods that choose their steps: most error of a step in any
-            component, as a share of it [1]; None is 1e-6.
+        step: Longest step [s]: fixed-step methods divide the time between two
+            samples equally; for adaptive methods it is a bound, None for no bound.
+        tolerance: Largest relative error of an adaptive step in any component [1];
+            None is 1e-6.
         absolute: The same, in the state's own units, added; None is `tolerance`.
         base: Method that ``adaptive_doubling`` takes its steps with.
-        floor: Of methods that choose their steps, the shortest they may take [s].
+        floor: Shortest step of adaptive methods [s].
         budget: Most evaluations of rates or accelerations.
         growth: Energy gained, in those of the start and what may be supplied, from
             which on a motion has blown up. Just below their limits, steps that are

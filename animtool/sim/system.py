@@ -72,10 +72,10 @@ class System(Protocol):
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:
         """Return the fastest modes: angular frequency [rad/s], damping ratio.
 
-        Of ``x'' + 2 ζ ω x' + ω² x = 0`` one row (ω, ζ) a motion ``(M, 2)``; a rate
-        ``y' = -k y`` is (k, 1), a turning ``y' = i ω y`` is (ω, 0). Those whose steps
-        must be the shortest are enough: the stiffest, and of methods that damping
-        steadies also the least damped.
+        One row (ω, ζ) of ``x'' + 2 ζ ω x' + ω² x = 0`` a mode ``(M, 2)``; a decay
+        ``y' = -k y`` is (k, 1), a rotation ``y' = i ω y`` is (ω, 0). Only modes that
+        limit the step are needed: the stiffest, and for methods stabilised by damping
+        also the least damped.
         """
         return None
 

@@ -112,7 +112,7 @@ class Trajectory:
         """Velocities ``(F, N, d)`` [m/s].
 
         Raises:
-            AttributeError: The system is one of rates, whose states have none.
+            AttributeError: The system is of first order.
         """
         if not self.second_order:
             raise AttributeError("states of a system of rates have no velocities")

@@ -138,14 +138,14 @@ def exchange_impulses(
 ) -> tuple[FloatArray, Wrenches]:
     """Transfer the momentum that points lose in contacts to the bodies.
 
-    A contact that takes a body for immovable changes the velocity of a point by d. Both
-    are changed so that they part as fast as the point would from that: by a share of d,
-    and of the way that comes of it since the contact. Points that meet a body at once
-    have a part of its mass each, so that no energy comes in (Tonge, Benevolenski and
-    Voroshilov 2012, "Mass splitting for jitter-free parallel rigid body simulation").
+    A contact with an immovable body changes a point's velocity by d. With a movable
+    body both change so that they separate at the same speed: the point by a fraction
+    of d, and of the displacement since the contact. Simultaneous contacts with a body
+    share its mass, so that no energy is gained (Tonge, Benevolenski and Voroshilov
+    2012, "Mass splitting for jitter-free parallel rigid body simulation").
 
     Args:
-        bodies: What is met.
+        bodies: The bodies.
         t: When [s].
         shapes: Number of the shape that each point met, below 0 for none ``(N,)``.
         free: Positions, then velocities without contacts ``(2, N, 3)``.

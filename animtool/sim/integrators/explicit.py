@@ -33,8 +33,8 @@ class Tableau:
     ) -> Step:
         """Return the state after a step; each product starts with step times weight.
 
-        A last stage at the step's end is the state itself, whose rate the next step
-        begins with.
+        A last stage at the step's end is the state itself; its rate is reused by the
+        next step.
         """
         rates: list[FloatArray] = []
         at = y

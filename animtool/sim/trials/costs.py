@@ -68,7 +68,7 @@ def recommended_of(
 def cheapest_of(costs: Sequence[Cost | None], budget: float) -> int | None:
     """Return the cheapest setting within an error budget [m]; None if none is.
 
-    Of those whose costs are alike, it is the one with the least work.
+    Among equal costs, the one with the least work.
 
     >>> cheapest_of([Cost(1.1, 0.01, 50), Cost(1.0, 0.01, 80), Cost(0.2, 0.3)], 0.1)
     0

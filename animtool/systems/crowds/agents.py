@@ -156,7 +156,7 @@ def agents_of(
 def _separated(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]:
     """Return agents moved until none overlap at the start.
 
-    Those whose places a file gives are named.
+    Agents with positions from a file are reported.
     """
     count, starts, overlap = len(agents), agents.starts, np.inf
     radius = float(agents.radii.max(initial=1.0))

@@ -145,7 +145,7 @@ class AgentBodies(Footing):
     ) -> BodyState:
         """Return bodies after a step [s]; feet land and lift within it.
 
-        ``hit``: whom something hit ``(N,)``.
+        ``hit``: agents hit in the step ``(N,)``.
         """
         turning = wrapped(after.headings - before.headings) / dt
         # Actual motion: pushed agents do not move as they prefer.

@@ -160,10 +160,10 @@ class Casting:
             heights: Of the ground below them ``(N,)`` [m].
             placed: Where the ground is, and the velocities of agents in the world
                 ``(N, 3)`` [m/s].
-            visible: Who is to be seen ``(N,)``.
-            primvars: Of each.
-            fallen: Of who fell, by number, local places and turns of joints, those of
-                the first in the world.
+            visible: Which agents are visible ``(N,)``.
+            primvars: Values per agent.
+            fallen: Local translations and rotations of fallen agents, by number; the
+                root's are in the world.
         """
         frame, velocities = placed
         rotations, roots = [], []

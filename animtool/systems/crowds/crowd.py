@@ -282,7 +282,7 @@ class Crowd:
     def _shoulders(self, state: CrowdState, down: BoolArray) -> FloatArray:
         """Return shoulder yaws ``(N,)`` [rad].
 
-        Those who are shown as points or meshes have none, and who fell keeps its room.
+        Agents shown as points or meshes have none; fallen ones keep their space.
         """
         if state.bodies is None:
             return np.zeros(len(self._agents))

@@ -141,8 +141,8 @@ class Footing:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return feet in the frame of bodies ``(N, 2, 4)``, and ground normals.
 
-        x, y, z and how far each is turned; in lengths of the rig. And how far each is
-        from where it stood or will stand, whichever is nearer ``(N, 2)``.
+        x, y, z and yaw, in lengths of the rig. Also the distance of each from its last
+        or next foothold, whichever is nearer ``(N, 2)``.
         """
         feet = np.zeros((len(state.phases), 2, 4))
         normals = np.zeros((len(state.phases), 2, 3))
@@ -220,7 +220,7 @@ def followed(
 ) -> FloatArray:
     """Return landings of foot ``k`` ``(N, 3)``, limited to the speed of a foot.
 
-    ``new``: whose foot stood before ``(N,)``.
+    ``new``: feet that were planted before ``(N,)``.
     """
     gone = np.where(new, 0.0, eased(np.clip(swings[:, k], 0.0, 1.0)))
     correction = lands - aims[:, k]

@@ -29,10 +29,10 @@ class Walker:
         rig: With y up.
         legs: Thigh, shin, foot and toe (-1 for none) of the left and the right leg.
         heading: Heading of its rest pose [rad].
-        level: How each foot is turned in the world where it stands ``(2, 4)``.
-        ankle: How high ankles are where feet stand ``(2,)`` [m].
-        ball: From each ankle to the toe's joint, or to the ground where there is none,
-            level and heading along z ``(2, 3)`` [m].
+        level: World rotation of each planted foot ``(2, 4)``.
+        ankle: Height of the ankles of planted feet ``(2,)`` [m].
+        ball: From each ankle to the toe joint, or to the ground without one; level,
+            heading along z ``(2, 3)`` [m].
         leg: Length of thigh and shin [m].
     """
 
@@ -95,8 +95,8 @@ def _ground(person: Person) -> float:
 class Gait:
     """One cycle of a clip: the left foot lands first, the right in the middle.
 
-    Of the frame of the body: on the ground below the hips, which go evenly along z and
-    turn evenly about y.
+    In the frame of the body: on the ground below the hips, at constant speed along z
+    and constant yaw rate.
 
     Attributes:
         rotations: Local rotations of joints ``(P, J, 4)``.
@@ -104,14 +104,14 @@ class Gait:
         period: Of the cycle [s].
         velocity: x and z of the body in its frame ``(2,)`` [m/s].
         turning: Of the body [rad/s].
-        stands: For which share of the cycle each foot stands ``(2,)``.
-        steps: Where each foot lands in the frame of the body: x, z and how far it is
-            turned ``(2, 3)`` [m], [rad].
-        pitches: How far each foot is turned about its own x over its stance, at even
-            shares ``(2, P)``; more than 0 has the heel up [rad].
-        swings: How it is turned over its swing, as seen from a place that goes from one
-            to the next by `eased` shares ``(2, P, 4)``.
-        lifts: Where its ankle is then, over the ground of that place ``(2, P, 3)`` [m].
+        stands: Fraction of the cycle that each foot is planted ``(2,)``.
+        steps: Landing of each foot in the frame of the body: x, z and yaw ``(2, 3)``
+            [m], [rad].
+        pitches: Pitch of each foot about its local x over its stance, at equal
+            intervals ``(2, P)``; positive is heel up [rad].
+        swings: Rotation over its swing, relative to a point that moves from one
+            foothold to the next by `eased` progress ``(2, P, 4)``.
+        lifts: Its ankle then, above that point ``(2, P, 3)`` [m].
     """
 
     name: str
@@ -137,10 +137,10 @@ class Gaits:
     """The clips of a rig's agents: moving, idle, reactions.
 
     Attributes:
-        moving: Cycles that go somewhere, the slowest first; never none.
-        idle: What they do as they stand.
-        reactions: What they do once, as they are hit.
-        notices: What is missing, and what is done instead.
+        moving: Locomotion cycles, the slowest first; at least one.
+        idle: Clip of standing agents.
+        reactions: Clips played once when hit.
+        notices: Warnings about missing clips, and the fallback.
     """
 
     walker: Walker

@@ -15,7 +15,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 def open_to(rig: Rig, rotations: FloatArray) -> Rig:
     """Return a rig with limits widened to contain local rotations ``(J, 4)``.
 
-    Who walks may be beyond limits of his rig, which would pull him back at once.
+    A walking pose may exceed its rig's limits, which would snap it back at once.
     """
     joints = zip(rig.joints, _motions(rig, rotations), strict=True)
     return replace(rig, joints=tuple(_open_to(*one) for one in joints))

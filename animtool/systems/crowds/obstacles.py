@@ -35,12 +35,12 @@ class Walls:
     """Obstacles near N agents, sorted by agent.
 
     Attributes:
-        starts: Where those of each agent begin ``(N + 1,)``.
-        rows: Unit normal (x, z), least velocity along it [m/s], least place along it
-            [m] ``(M, 4)``.
-        whose: The agent of each ``(M,)``.
-        gaps: From its surface to the agent's ``(M,)`` [m].
-        closing: How fast it comes towards the agent ``(M,)`` [m/s].
+        starts: Index of each agent's first wall ``(N + 1,)``.
+        rows: Unit normal (x, z), least velocity along it [m/s], least position along
+            it [m] ``(M, 4)``.
+        whose: Agent of each wall ``(M,)``.
+        gaps: Distance from its surface to the agent's ``(M,)`` [m].
+        closing: Closing speed towards the agent ``(M,)`` [m/s].
     """
 
     starts: npt.NDArray[np.int32]
@@ -55,7 +55,7 @@ class Obstacles:
     """All obstacles of a crowd.
 
     Attributes:
-        edge: The grid whose nodes are on the ground; None where that has no end.
+        edge: Grid of nodes on the ground; None for infinite ground.
     """
 
     agents: Agents
@@ -151,10 +151,10 @@ def upright(
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Return horizontal distances of colliders from upright capsules.
 
-    Of each collider distances ``(K,)`` from the axes [m], infinite where it is a floor,
-    unit vectors off ``(K, 2)`` and speeds along them ``(K,)`` [m/s]. Capsules of some
-    radii ``(K,)`` stand at x and z ``(K, 2)`` on heights ``(K,)`` and are so tall
-    ``(K,)`` [m].
+    Per collider: distances ``(K,)`` from the axes [m], infinite for floors, unit
+    vectors away from it ``(K, 2)`` and speeds along them ``(K,)`` [m/s]. The capsules
+    have positions x and z ``(K, 2)``, base heights ``(K,)``, radii ``(K,)`` and total
+    heights ``(K,)`` [m].
     """
     count = len(x)
     lows, highs = base + radii, base + np.maximum(tall - radii, radii)

@@ -200,7 +200,7 @@ def _low(
 ) -> FloatArray:
     """Return how far airborne soles are below their clearance ``(K,)`` [m].
 
-    ``away``: how far their places are from where they stand ``(K,)`` [m].
+    ``away``: distance to their nearest foothold ``(K,)`` [m].
     """
     heel = lifts - so3.rotate(pitched, walker.ankle[k] * UP)
     ball = lifts + so3.rotate(pitched, walker.ball[k])

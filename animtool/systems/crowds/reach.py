@@ -43,7 +43,7 @@ class Reach:
     Attributes:
         gaits: Of the rig.
         walking: Thighs of both legs by gait and phase ``(P, 2, 3)`` [m].
-        standing: In the mean of who stands ``(2, 3)`` [m].
+        standing: Mean thighs of the idle ``(2, 3)`` [m].
     """
 
     gaits: Gaits
@@ -111,13 +111,13 @@ class Stances:
     """Planted feet of N bodies at two phases.
 
     Attributes:
-        begins: Phases of each foot since it landed ``(N, 2)``.
-        stands: For which share of a cycle each stands ``(N, 2)``.
+        begins: Phase of each foot since its landing ``(N, 2)``.
+        stands: Fraction of the cycle that each is planted ``(N, 2)``.
         swings: Which are in the air ``(N, 2)``.
         feet: x, y, z and heading of each ``(N, 2, 4)``.
-        thighs: Where their legs begin ``(N, 2, 3)``.
-        pitches: How far heels are up now, and as they lift ``(2, N, 2)`` [rad].
-        rate: Of cycles as nothing hurries them ``(N,)`` [1/s].
+        thighs: Thigh joints ``(N, 2, 3)``.
+        pitches: Heel pitches now, and at lift-off ``(2, N, 2)`` [rad].
+        rate: Undisturbed cycle rate ``(N,)`` [1/s].
     """
 
     begins: FloatArray

@@ -169,8 +169,8 @@ class FlowField:
     def directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
         """Return unit vectors ``(K, 2)`` along the path from x and z ``(K, 2)``.
 
-        To ``targets`` near the goal, where nothing is between. Who stands where nobody
-        may goes back first.
+        Straight to ``targets`` near the goal if nothing is between. Agents on blocked
+        nodes return to a free one first.
         """
         grid = self.grid
         rows, columns, shares = grid.corners(points)

@@ -43,8 +43,8 @@ def turned_shoulders(
 ) -> FloatArray:
     """Return shoulder yaws after a step ``(N,)`` [rad].
 
-    ``pressed`` ``(N,)``: how far they are to be, of the most; below 0 for who turns
-    to its right. Whoever turned to a side stays turned to that side.
+    ``pressed`` ``(N,)``: target yaw over the largest; negative is to the right. Yawed
+    shoulders keep their side.
     """
     side = np.where(shoulders != 0, np.sign(shoulders), np.sign(pressed))
     target = MOST * side * np.abs(pressed)

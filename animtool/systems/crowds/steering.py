@@ -34,8 +34,8 @@ class Progress:
     """The progress of N agents on their routes.
 
     Attributes:
-        stages: How many goals each has left behind; `GONE` for who left ``(N,)``.
-        waited: How long each has waited at its goal ``(N,)`` [s].
+        stages: Number of passed goals; `GONE` for agents that left ``(N,)``.
+        waited: Time waited at the goal ``(N,)`` [s].
         tickets: Order in the queue at its goal, `NO_TICKET` in none ``(N,)``.
     """
 

@@ -89,7 +89,7 @@ def next_heading(
 def _along(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatArray:
     """Return rotations ``(N, 4)`` with z along velocities, and y near an up vector.
 
-    Who stands stays as it was.
+    Members at rest keep their rotation.
     """
     speeds = np.linalg.norm(v, axis=1)[:, None]
     forward = v / np.maximum(speeds, _TINY)

@@ -147,7 +147,7 @@ class Members:
     def spread(self, points: FloatArray, overlap: float) -> list[Fault]:
         """Return warnings about members that were separated ``(N, 3)``.
 
-        Those whose places a file gives are named, and an overlap [m] that is left
+        Members with positions from a file are named, and so is a remaining overlap [m]
         (SIM147).
         """
         moved = np.linalg.norm(points - self.points, axis=1)

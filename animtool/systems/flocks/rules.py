@@ -124,7 +124,7 @@ def flocking(
     ``x`` ``(N, 3)`` [m], ``v`` ``(N, 3)`` [m/s].
 
     Raises:
-        ToleranceError: They are so many at one place that a step would take minutes
+        ToleranceError: Too many members are so close that a step would take minutes
             (SIM107).
     """
     period = wrapping(domain)

@@ -25,7 +25,7 @@ CLEAR = 1e-4
 def least_distance(species: SpeciesModel) -> float:
     """Return the minimum distance of a species [m]; 0 for none.
 
-    Twice their radius: those that are given none and show no shape are points.
+    Twice the radius; members without a stated radius or shape are points.
     """
     repulsion = species.repulsion
     if repulsion.least is not None:
@@ -55,7 +55,7 @@ class Spacing:
         room that is left, the more the nearer they are.
 
         Raises:
-            ToleranceError: They are so many that a step would take minutes (SIM107).
+            ToleranceError: So many pairs are close that a step would take minutes (SIM107).
         """
         most = max_pairs(len(x))
         brakes, looked = _kernels.flock_braking(
@@ -70,7 +70,7 @@ class Spacing:
         """Return separated positions ``(N, 3)`` [m], and the remaining overlap.
 
         Raises:
-            ToleranceError: They are so many that a step would take minutes (SIM107).
+            ToleranceError: So many pairs are close that a step would take minutes (SIM107).
         """
         most = max_pairs(len(x))
         moved, overlap, looked = _kernels.flock_apart(

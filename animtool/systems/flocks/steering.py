@@ -79,9 +79,8 @@ def avoidance(
 ) -> FloatArray:
     """Return accelerations away from colliders ``(N, 3)`` [m/s²].
 
-    Near a surface they are pushed off; who goes towards it is also braked as much as
-    stops it there: by the square of its speed against the collider's over twice the
-    distance.
+    Surfaces repel nearby members, and brake approaching ones to a stop: by the square
+    of the relative speed over twice the distance.
     """
     accelerations = np.zeros_like(x)
     reach = members.each([one.avoidance.distance for one in members.species])

@@ -316,7 +316,7 @@ class Fluid:
     ) -> float | None:
         """Return a shorter step that works from a state; None if none does.
 
-        At least so many times ``shorter``, with as much room again.
+        At least ``shorter`` times shorter, with a margin.
         """
         steps = (floored(dt / (shorter * room)) for room in ROOM)
         return next((step for step in steps if self._goes_on(state, t, step)), None)

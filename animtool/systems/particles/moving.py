@@ -186,8 +186,8 @@ def spawned(
 ) -> FloatArray:
     """Return particles at the end of the step they are born in.
 
-    Each begins at a time of its own, so that streams have no lumps at every step. They
-    go by the classical method of Runge and Kutta whatever the method of the others is,
+    Each starts at its birth time, so that streams have no clumps at every step. They
+    are integrated by the classical Runge-Kutta method, whatever the others' method is,
     and do not act on others before the next step.
 
     ``born`` ``(2, N, 3)``, ``t0`` [s], ``t1`` [s].

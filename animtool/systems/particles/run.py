@@ -37,11 +37,11 @@ class ParticleRun(SimulationRun):
     """A particle simulation in fixed steps.
 
     Attributes:
-        state: At the end of the last whole step.
-        notices: What is odd so far.
+        state: At the end of the last full step.
+        notices: Warnings so far.
 
     Args:
-        setup: What there is.
+        setup: The particle system.
         begin: Time of the first step [s].
         state: Where to go on from, in place of the beginning.
 
@@ -65,7 +65,7 @@ class ParticleRun(SimulationRun):
     def contacts(self) -> Contacts | None:
         """Contacts of the last step; None before the first.
 
-        Those who were born in it are not among them.
+        Particles born in it are not included.
         """
         return self._particles.contacts
 

@@ -48,17 +48,17 @@ class Particles:
     """A particle system: emitters, forces, colliders and kill regions.
 
     Attributes:
-        emitters: What makes them.
-        forces: What moves them.
-        velocity: A field that they go with in place of forces.
-        colliders: What they run into.
-        kills: Where they are removed.
+        emitters: Sources of particles.
+        forces: Forces on them.
+        velocity: A field that advects them in place of forces.
+        colliders: Colliders.
+        kills: Regions that remove them.
         options: Method, and step [s]: steps are of that length from the beginning on,
             whatever times are asked for.
-        max_particles: Particles at once; who would be born beyond is not.
+        max_particles: Largest number of living particles; further births are skipped.
         name: For messages.
-        sheets: Surfaces that change their shape, which they run into too.
-        bodies: Bodies that another simulation moves, which they run into and push.
+        sheets: Deforming surfaces as colliders.
+        bodies: Bodies of another simulation, as colliders that particles push.
     """
 
     emitters: Sequence[Emitter]

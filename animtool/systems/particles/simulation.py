@@ -93,7 +93,7 @@ class ParticleSimulation:
     ) -> Stepped[ParticleRunState]:
         """Return the state after a step [s], or a part of one.
 
-        Those who are born in the step push nothing yet.
+        Particles born in the step push nothing yet.
 
         Raises:
             OptionError: A force or a field is no number (SIM003).

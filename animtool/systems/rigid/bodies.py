@@ -50,11 +50,11 @@ class RigidBodies:
     """All bodies of a system: N dynamic, the others kinematic.
 
     Attributes:
-        kinds: Of each entry of the file.
-        names: Of all.
-        of: The kind of each ``(B,)``.
-        moved: Whether each is moved ``(B,)``.
-        poses: Of each, over time; of those that are moved only where they begin.
+        kinds: Body kind of each entry of the file.
+        names: Names of all bodies.
+        of: Kind index of each ``(B,)``.
+        moved: Whether each is dynamic ``(B,)``.
+        poses: Poses of each over time; of dynamic ones the initial pose.
     """
 
     kinds: Sequence[BodyKind]

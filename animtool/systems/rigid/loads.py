@@ -49,7 +49,7 @@ class StepForces:
     def missed(self, velocities: FloatArray, constrained: BoolArray) -> BoolArray:
         """Return bodies with contacts that were not expected ``(N,)``.
 
-        As far as that counts: of those that drag makes much heavier.
+        Only bodies that drag makes much heavier count.
         """
         flight = self.flight
         if flight is None:

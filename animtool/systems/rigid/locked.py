@@ -1,8 +1,8 @@
 """Joints that other joints prevent from moving.
 
-The equations of joints are velocities that must be 0: what is left of all velocities
-is their null space. A joint without any of its own motion in there cannot move, however
-hard a drive pulls: two slides of one body along different ways, a pin across another.
+Joint constraints are velocities that must be 0; the possible motion is their null
+space. A joint without relative motion in it cannot move, however strong its drive: two
+slides of one body in different directions, a pin across another.
 
 References:
     J. Angeles, "Fundamentals of Robotic Mechanical Systems", 2014, section 9.2:

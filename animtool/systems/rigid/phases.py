@@ -24,14 +24,14 @@ class BodyPhase:
     """Dynamic bodies and active joints during one phase.
 
     Attributes:
-        number: Of the phase; contacts of another one are of other shapes.
-        bodies: Those that are held go as they are told.
-        free: Which of all that are ever moved ``(N,)``.
-        joints: Those that hold.
-        holding: Which these are of all ``(H,)``.
-        surroundings: Colliders, with bodies that go as they are told.
-        kernel: All of it.
-        shapes: What shapes and colliders are numbered without phases ``(S,)``.
+        number: Of the phase; contacts of other phases refer to other shapes.
+        bodies: The bodies, those not released yet kinematic.
+        free: Which bodies are dynamic, of all that ever are ``(N,)``.
+        joints: Intact joints.
+        holding: Their indices among all joints ``(H,)``.
+        surroundings: Colliders, with kinematic bodies.
+        kernel: The kernel's arrays.
+        shapes: Numbers of shapes and colliders in the full system ``(S,)``.
     """
 
     number: int

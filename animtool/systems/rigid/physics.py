@@ -50,7 +50,7 @@ def described(
 ) -> Physics:
     """Return bodies, joints and static colliders as records.
 
-    Of colliders those that never move; of forces gravity.
+    Only colliders that never move, and gravity of the forces.
     """
     gravity = [f.acceleration for f in forces if isinstance(f, Gravity)]
     static = [one for one in colliders if len(one.poses.sample_times) == 1]

@@ -73,11 +73,11 @@ class Ragdoll:
 
     Attributes:
         rig: With the colliders.
-        joints: That became bodies, ascending ``(N,)``.
-        above: Of each the body that it hangs on, -1 for none ``(N,)``.
+        joints: Joints with bodies, ascending ``(N,)``.
+        above: Parent body of each, -1 for none ``(N,)``.
         bodies: In the same order.
-        frames: Of each the frame of its joint at rest, as the body above sees it:
-            origin and quaternion, whose x is the joint's axis ``(N, 7)``.
+        frames: Rest frame of each joint relative to the parent body: origin and
+            quaternion, with x along the joint's axis ``(N, 7)``.
         axes: Rotation of each body's frame to its joint's axes ``(N, 4)``.
     """
 

@@ -98,8 +98,8 @@ def ragdoll_transforms(
 ) -> tuple[FloatArray, FloatArray]:
     """Return local transforms of all joints, with constant bone lengths.
 
-    What is between two bodies stays as it was at the beginning; what is below the last
-    one goes on as the take has it.
+    Joints between two bodies keep their initial transform; joints below the last body
+    follow the take.
     """
     rig = bodies.rig
     numbers = {int(j): i for i, j in enumerate(bodies.joints)}

@@ -164,7 +164,7 @@ class StepColliders:
 
     Attributes:
         colliders: All of them.
-        first: How many come before those of bodies that go as they are told.
+        first: Number of colliders before those of kinematic bodies.
     """
 
     def __init__(self, colliders: Colliders, first: int = 0) -> None:
