@@ -55,7 +55,7 @@ class Spacing:
         room that is left, the more the nearer they are.
 
         Raises:
-            ToleranceError: So many pairs are close that a step would take minutes (SIM107).
+            ToleranceError: Too many close pairs: a step would take minutes (SIM107).
         """
         most = max_pairs(len(x))
         brakes, looked = _kernels.flock_braking(
@@ -70,7 +70,7 @@ class Spacing:
         """Return separated positions ``(N, 3)`` [m], and the remaining overlap.
 
         Raises:
-            ToleranceError: So many pairs are close that a step would take minutes (SIM107).
+            ToleranceError: Too many close pairs: a step would take minutes (SIM107).
         """
         most = max_pairs(len(x))
         moved, overlap, looked = _kernels.flock_apart(

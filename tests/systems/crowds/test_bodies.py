@@ -79,9 +79,9 @@ def path(step: float, count: int) -> list[AgentMotion]:
 def joints(bodies: AgentBodies, state: BodyState, going: AgentMotion) -> np.ndarray:
     """Return joints in the world ``(N, J, 3)`` [m]."""
     rig, made = bodies.gaits.walker.rig, poses_of(bodies, state, going)
-    places = np.repeat(rig.rest_translations[None], len(made.turns), axis=0)
+    places = np.repeat(rig.rest_translations[None], len(made.rotations), axis=0)
     places[:, 0] = made.roots
-    local = forward(rig, places, made.turns).positions * bodies.scales[:, None, None]
+    local = forward(rig, places, made.rotations).positions * bodies.scales[:, None, None]
     heights = bodies.ground(going.points)[0]
     origin = np.insert(going.points, 1, heights, axis=1)
     return so3.rotate(about_up(going.headings)[:, None], local) + origin[:, None]
@@ -114,7 +114,7 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
     found = casting.world(of_all, going, frame, bumpy, 2)
     wanted = so3.rotate(frame.rotation, joints(bodies, state, some)[1])
     np.testing.assert_allclose(found.positions[0], wanted + frame.origin, atol=1e-12)
-    root = so3.multiply(turn, made.turns[1, 0])
+    root = so3.multiply(turn, made.rotations[1, 0])
     np.testing.assert_allclose(found.linear[0, 0], so3.to_matrix(root), atol=1e-12)
 
 
@@ -256,12 +256,12 @@ def test_a_clip_at_its_own_speed_is_the_clip() -> None:
         for i in range(300)
     ]  # fmt: skip
     states, places = walked(bodies, goings, step)
-    rig, phases = gaits.walker.rig, len(walk.turns)
+    rig, phases = gaits.walker.rig, len(walk.rotations)
     errors = []
     for i in range(200, 299):
         at = states[i].phases[0] * phases
         low, share = int(at), at % 1
-        turns = so3.slerp(walk.turns[[low]], walk.turns[[(low + 1) % phases]], share)
+        turns = so3.slerp(walk.rotations[[low]], walk.rotations[[(low + 1) % phases]], share)
         root = walk.hips[low] + share * (walk.hips[(low + 1) % phases] - walk.hips[low])
         rest = rig.rest_translations[None].copy()
         rest[0, 0] = root
@@ -292,7 +292,7 @@ def test_part_of_a_crowd_moves_as_in_the_whole() -> None:
         poses_of(bodies, state, goings[-1]),
         poses_of(alone, own, part(goings[-1], row)),
     )
-    np.testing.assert_array_equal(whole.turns[1], single.turns[0])
+    np.testing.assert_array_equal(whole.rotations[1], single.rotations[0])
     np.testing.assert_array_equal(whole.roots[1], single.roots[0])
 
 
@@ -300,11 +300,11 @@ def test_who_is_hit_plays_the_reaction_once() -> None:
     bodies = AgentBodies(library("walk", "stand", "stumble"), np.ones(2), level)
     here = AgentMotion(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2))
     state = bodies.first(here, np.zeros(2))
-    quiet = poses_of(bodies, state, here).turns
+    quiet = poses_of(bodies, state, here).rotations
     state = bodies.next(state, here, here, 0.1, np.array([True, False]))
     for _ in range(4):
         state = bodies.next(state, here, here, 0.1)
-    hit = poses_of(bodies, state, here).turns
+    hit = poses_of(bodies, state, here).rotations
     off = np.degrees(2 * np.arccos(np.clip(np.abs((hit * quiet).sum(axis=-1)), 0, 1)))
     assert off[0].max() > 15
     assert off[1].max() < 5

@@ -23,7 +23,7 @@ def test_nodes_are_numbered_along_z_and_then_x() -> None:
         [[10, -4], [10, -3.5], [10.5, -4], [10.5, -3.5]],
     )
     assert_allclose(
-        own.place(np.array([0, 3, 4, 11])),
+        own.positions_of(np.array([0, 3, 4, 11])),
         [[10, -4], [10, -2.5], [10.5, -4], [11, -2.5]],
     )
     assert_allclose(own.high, [11, -2.5])

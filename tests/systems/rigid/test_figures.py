@@ -307,7 +307,7 @@ def test_bodies_of_a_rig_and_their_speeds() -> None:
         {
             "above": own.above,
             "frames": own.frames,
-            "turns": own.turns,
+            "turns": own.axes,
             "rows": joints.rows,
             "numbers": joints.numbers,
             "pairs": joints.pairs,
