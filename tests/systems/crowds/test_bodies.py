@@ -81,7 +81,8 @@ def joints(bodies: AgentBodies, state: BodyState, going: AgentMotion) -> np.ndar
     rig, made = bodies.gaits.walker.rig, poses_of(bodies, state, going)
     places = np.repeat(rig.rest_translations[None], len(made.rotations), axis=0)
     places[:, 0] = made.roots
-    local = forward(rig, places, made.rotations).positions * bodies.scales[:, None, None]
+    local = forward(rig, places, made.rotations).positions
+    local = local * bodies.scales[:, None, None]
     heights = bodies.ground(going.points)[0]
     origin = np.insert(going.points, 1, heights, axis=1)
     return so3.rotate(about_up(going.headings)[:, None], local) + origin[:, None]
@@ -261,7 +262,8 @@ def test_a_clip_at_its_own_speed_is_the_clip() -> None:
     for i in range(200, 299):
         at = states[i].phases[0] * phases
         low, share = int(at), at % 1
-        turns = so3.slerp(walk.rotations[[low]], walk.rotations[[(low + 1) % phases]], share)
+        steps = walk.rotations[[low]], walk.rotations[[(low + 1) % phases]]
+        turns = so3.slerp(*steps, share)
         root = walk.hips[low] + share * (walk.hips[(low + 1) % phases] - walk.hips[low])
         rest = rig.rest_translations[None].copy()
         rest[0, 0] = root

@@ -21,8 +21,8 @@ from animtool.sim.colliders import (
 )
 from animtool.systems.fluid.filling import (
     Nozzle,
-    _check_distinct,
     _check_count,
+    _check_distinct,
     _check_outside,
     _lattice,
     coarse_drops,
