@@ -161,7 +161,9 @@ def test_a_folder_that_is_not_there_is_an_output_error(tmp_path: Path) -> None:
 
 def simulated(reference: Reference | None) -> Panel:
     rows = [
-        TrialRow(Setting(name, ()), seconds, error=error and PointDistances(9.0, error, 8.0))
+        TrialRow(
+            Setting(name, ()), seconds, error=error and PointDistances(9.0, error, 8.0)
+        )
         for name, seconds, error in (
             ("rk4", 0.1, 1e-3), ("euler", 0.2, 1e-1), ("rk4", 0.3, 1e-5), ("x", 9, None)
         )
