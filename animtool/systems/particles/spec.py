@@ -9,24 +9,19 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from annotated_types import Len
 from pydantic import Field
 
-from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.errors import Fault, OptionError
 from animtool.documents.fields import Real, key, with_fields
 from animtool.systems.framework.fields import (
-    Characters,
-    Colliders,
-    Forces,
     Integrator,
     MaxParticles,
-    Meshes,
     PlacedModel,
     PlaceEntry,
     PrimName,
     RecordModel,
-    Surfaces,
     SystemColliderModel,
     Tolerance,
 )
-from animtool.systems.framework.spec import SystemSpec
+from animtool.systems.framework.spec import CollidingSpec
 from animtool.systems.particles.records import Emission, Velocity
 
 if TYPE_CHECKING:
@@ -57,26 +52,22 @@ class VelocityModel(RecordModel):
     makes: ClassVar[str] = "animtool.systems.particles.velocity_field:VelocityField"
 
 
-class ParticlesModel(SystemSpec):
+class ParticlesModel(CollidingSpec):
     """Particles: born, moved, stopped and removed. Lengths are in metres."""
 
     methods: ClassVar[Sequence[str] | None] = None
     exact: ClassVar[str] = "rk4"
+    acted_on: ClassVar[Sequence[str]] = ("emitters", "forces")
 
     name: PrimName = Field(default="particles", examples=["embers"])
     emitters: Annotated[list[EmitterModel], Len(1)] = key(
         "Emitters.", [{"rate": 100, "speed": 2, "lifetime": 1}]
     )
-    forces: Forces = Field([])
     velocity: VelocityModel | None = key(
         "A velocity field to follow, instead of forces.",
         {"x": "-z", "z": "x"},
         default=None,
     )
-    colliders: Colliders = Field([])
-    characters: Characters = Field([])
-    systems: Surfaces = Field([])
-    meshes: Meshes = Field([])
     kill: list[SystemColliderModel] = key(
         "Regions where they are removed.",
         [{"shape": {"plane": {"offset": -1}}}],
@@ -99,8 +90,7 @@ class ParticlesModel(SystemSpec):
     @property
     def reads(self) -> list[str]:
         """What acts on them, for messages."""
-        field = ["a velocity field"] if self.velocity else []
-        return [counted(len(self.emitters), "emitter"), *super().reads, *field]
+        return [*super().reads, *(["a velocity field"] if self.velocity else [])]
 
     @property
     def counts(self) -> dict[str, int]:
