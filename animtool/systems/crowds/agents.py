@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import (
     Fault,
     Problem,
@@ -24,6 +24,7 @@ from animtool.core.errors import (
 from animtool.core.record import dataclass
 from animtool.systems.crowds.ground import Frame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
+from animtool.systems.framework.groups import Groups, duplicate_names
 from animtool.systems.particles.emitter import Emitter, uniforms
 
 # Slowest preferred speed over the mean, and most standard deviations from it.
@@ -46,7 +47,7 @@ ENOUGH = 0.004
 
 
 @dataclass(frozen=True)
-class Agents:
+class Agents(Groups):
     """N agents of several populations, in the frame of the ground.
 
     Attributes:
@@ -62,8 +63,7 @@ class Agents:
         chances: Where in its clips each begins, from 0 to 1 ``(N,)``.
     """
 
-    populations: Sequence[PopulationModel]
-    ends: Sequence[int]  # end index of each population
+    noun: ClassVar[str] = "agent"
     starts: FloatArray
     speeds: FloatArray
     most: FloatArray
@@ -75,35 +75,10 @@ class Agents:
     sizes: FloatArray
     chances: FloatArray
 
-    def __len__(self) -> int:
-        """Return the number of agents."""
-        return len(self.starts)
-
-    @cached_property
-    def kinds(self) -> IntArray:
-        """Return each agent's population index ``(N,)``."""
-        counts = np.diff([0, *self.ends])
-        return np.repeat(np.arange(len(self.populations)), counts)
-
-    def each(self, values: Sequence[float]) -> FloatArray:
-        """Return a per-population value for each agent ``(N,)``."""
-        return np.asarray(values, np.float64)[self.kinds]
-
-    @cached_property
-    def radii(self) -> FloatArray:
-        """Return each agent's radius ``(N,)`` [m]."""
-        return self.each([one.radius for one in self.populations])
-
     @cached_property
     def heights(self) -> FloatArray:
         """Return each agent's height ``(N,)`` [m]."""
-        return self.each([one.height for one in self.populations])
-
-    def named(self, i: int) -> str:
-        """Return an agent's name, for messages."""
-        kind = int(self.kinds[i])
-        first = [0, *self.ends][kind]
-        return f"agent {i - first} of {self.populations[kind].name!r}"
+        return self.each([one.height for one in self.entries])
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,8 +249,8 @@ def _check(spec: CrowdsModel) -> None:
 
 def _problems(spec: CrowdsModel) -> Iterator[Problem]:
     goals = [goal.name for goal in spec.goals]
-    yield from _same_names("goals", goals)
-    yield from _same_names("populations", [one.name for one in spec.populations])
+    yield from duplicate_names("goals", goals)
+    yield from duplicate_names("populations", [one.name for one in spec.populations])
     for k, population in enumerate(spec.populations):
         where = f"populations[{k}]"
         for name in population.route:
@@ -300,9 +275,3 @@ def _problems(spec: CrowdsModel) -> Iterator[Problem]:
             if not first < last:
                 message = f"{door.name!r} is open from {first:g} s to {last:g} s"
                 yield message, f"doors[{k}]", "write the earlier time first"
-
-
-def _same_names(kind: str, names: Sequence[str]) -> Iterator[Problem]:
-    for k, name in enumerate(names):
-        if name in names[:k]:
-            yield f"two {kind} are named {excerpt(name)}", f"{kind}[{k}]", None

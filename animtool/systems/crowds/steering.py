@@ -67,7 +67,7 @@ class Steering:
     @cached_property
     def _plans(self) -> tuple[IntArray, IntArray, BoolArray, BoolArray]:
         """Return each agent's route, its length, and whether it repeats or leaves."""
-        populations = self.agents.populations
+        populations = self.agents.entries
         names = [goal.name for goal in self.goals]
         longest = max((len(one.route) for one in populations), default=0)
         table = np.full((len(populations), longest + 1), -1)

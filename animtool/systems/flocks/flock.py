@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame, PointsFrame, TransformsFrame
@@ -54,7 +55,7 @@ def first_heading(members: Members, v: FloatArray) -> Heading:
     identity = np.broadcast_to(so3.IDENTITY, (count, 4))
     phases = [
         uniforms(species.seed, np.arange(rows.stop - rows.start), 1)[:, 0]
-        for species, rows in zip(members.species, members.parted, strict=True)
+        for species, rows in zip(members.entries, members.parted, strict=True)
     ]
     return Heading(
         _along(identity, v, _UP), np.zeros((count, 3)), np.concatenate(phases)
@@ -69,7 +70,7 @@ def next_heading(
     What carries a wing is at right angles to the way, and makes up for gravity and for
     the turn: so is the up that they lean to.
     """
-    banking = members.each([one.banking for one in members.species])[:, None]
+    banking = members.each([one.banking for one in members.entries])[:, None]
     lift = banking * (v1 - v0) / dt + GRAVITY * _UP
     up = so3.rotate(heading.rotations, _UP)
     # Across the velocity; along it is speed gain.
@@ -81,7 +82,7 @@ def next_heading(
     rotations = so3.align_signs(turned[None], heading.rotations)[0]
     change = so3.multiply(rotations, so3.conjugate(heading.rotations))
     spins = so3.log(change) / dt
-    beats = members.each([one.beat / one.speed.cruise for one in members.species])
+    beats = members.each([one.beat / one.speed.cruise for one in members.entries])
     speeds = (np.linalg.norm(v0, axis=1) + np.linalg.norm(v1, axis=1)) / 2
     return Heading(rotations, spins, heading.phases + beats * speeds * dt)
 
@@ -181,72 +182,83 @@ class FlockForces(SecondOrder):
         return np.where(acts, before + h * braking, v)
 
 
-class Flock:
-    """A flock, in steps.
-
-    Attributes:
-        system: They and what moves them, as integrators see them at the beginning.
+def build(spec: FlocksModel, context: SimContext) -> Flock:
+    """Return the flock of a spec, its members apart and out of colliders.
 
     Raises:
         OptionError: Something of the spec makes no sense (SIM001, SIM005, SIM006,
             SIM060).
     """
-
-    def __init__(self, spec: FlocksModel, context: SimContext) -> None:
-        check_species(spec)
-        self._options = IntegrateOptions(spec.method, spec.step, spec.tolerance)
-        integrator = check_options(self._options)
-        colliders = context.colliders
-        if spec.domain is not None and not spec.domain.wrap:
-            walls = Collider(
-                Box(spec.domain.size),
-                Poses.fixed(spec.domain.at),
-                name="domain",
-                container=True,
-            )
-            colliders = Colliders(
-                [*colliders, walls], colliders.sheets, colliders.bodies
-            )
-        self._members = Members.of(spec, context.parts["species"], context.begin)
-        spacing = Spacing.of(self._members, spec.domain)
-        points, self._notices = self._members.outside(colliders)
-        if spacing is not None:
-            points, overlap = spacing.separated(points, FIRST_PASSES)
-            self._notices += self._members.spread(points, overlap)
-            points, _ = replace(self._members, points=points).outside(colliders)
-        forces = context.parts.get("forces", ())
-        start = np.stack([points, self._members.velocities])
-        self._domain = spec.domain
-        rules = rules_of(self._members)
-        self.system = FlockForces(
-            self._members,
-            spec.domain,
-            colliders,
-            forces,
-            rules,
-            self._within(start),
-            spacing,
+    check_species(spec)
+    options = IntegrateOptions(spec.method, spec.step, spec.tolerance)
+    integrator, colliders = check_options(options), context.colliders
+    if spec.domain is not None and not spec.domain.wrap:
+        walls = Collider(
+            Box(spec.domain.size),
+            Poses.fixed(spec.domain.at),
+            name="domain",
+            container=True,
         )
-        check_fit(Equations(self.system), integrator)
-        shows = [parts.get("shows") for parts in context.parts["species"]]
-        # Species with the same meshes share them.
-        cycles = {show: show() for show in shows if show is not None}
-        self._meshes: tuple[MeshFrame, ...] = tuple(
-            m for c in cycles.values() for m in c
-        )
-        ends = dict(
-            zip(cycles, np.cumsum([len(c) for c in cycles.values()]), strict=True)
-        )
-        self._shown = np.array(
+        colliders = Colliders([*colliders, walls], colliders.sheets, colliders.bodies)
+    parts = context.parts["species"]
+    members = Members.of(spec, parts, context.begin)
+    spacing = Spacing.of(members, spec.domain)
+    points, notices = members.outside(colliders)
+    if spacing is not None:
+        points, overlap = spacing.separated(points, FIRST_PASSES)
+        notices += members.spread(points, overlap)
+        points, _ = replace(members, points=points).outside(colliders)
+    system = FlockForces(
+        members,
+        spec.domain,
+        colliders,
+        context.parts.get("forces", ()),
+        rules_of(members),
+        wrapped(np.stack([points, members.velocities]), spec.domain),
+        spacing,
+    )
+    check_fit(Equations(system), integrator)
+    shows = [part.get("shows") for part in parts]
+    # Species with the same meshes share them.
+    cycles = {show: show() for show in shows if show is not None}
+    ends = dict(zip(cycles, np.cumsum([len(c) for c in cycles.values()]), strict=True))
+    return Flock(
+        system,
+        options,
+        notices,
+        tuple(mesh for cycle in cycles.values() for mesh in cycle),
+        np.array(
             [(ends[s] - len(cycles[s]), len(cycles[s])) if s else (0, 0) for s in shows]
-        )
+        ),
+    )
+
+
+def wrapped(motion: FloatArray, domain: DomainModel | None) -> FloatArray:
+    """Return a motion ``(2, N, 3)`` with positions wrapped into a periodic domain."""
+    if domain is None or not domain.wrap:
+        return motion
+    size = np.array(domain.size)
+    low = np.array(domain.at) - size / 2
+    wraps = np.floor((motion[0] - low) / size)
+    return np.stack([motion[0] - wraps * size, motion[1]]) if wraps.any() else motion
+
+
+@dataclass(frozen=True, eq=False)
+class Flock:
+    """A flock, in steps."""
+
+    system: FlockForces  # members and their forces at the start
+    options: IntegrateOptions
+    notices: Sequence[Fault]
+    meshes: tuple[MeshFrame, ...]  # of all species
+    shown: IntArray  # first mesh and number of meshes of each species (S, 2)
 
     def initial(self) -> FlockState:
         """Return the initial state."""
         motion = self.system.motion
-        if not self._meshes:
+        if not self.meshes:
             return FlockState(motion, None)
-        return FlockState(motion, first_heading(self._members, motion[1]))
+        return FlockState(motion, first_heading(self.system.members, motion[1]))
 
     def step(self, state: FlockState, t: float, dt: float) -> FlockState:
         """Return the state after a step [s].
@@ -255,31 +267,20 @@ class Flock:
             StoppedError: The method could not go on (SIM102 to SIM105).
         """
         system = replace(self.system, motion=state.motion)
-        motion = integrated(system, replace(self._options, step=dt), t, dt)
+        motion = integrated(system, replace(self.options, step=dt), t, dt)
         heading = state.heading
         if heading is not None:
             heading = next_heading(
-                self._members, heading, state.motion[1], motion[1], dt
+                self.system.members, heading, state.motion[1], motion[1], dt
             )
-        return FlockState(self._within(motion), heading)
-
-    def _within(self, motion: FloatArray) -> FloatArray:
-        """Return positions wrapped into a periodic domain."""
-        if self._domain is None or not self._domain.wrap:
-            return motion
-        size = np.array(self._domain.size)
-        low = np.array(self._domain.at) - size / 2
-        wraps = np.floor((motion[0] - low) / size)
-        return (
-            np.stack([motion[0] - wraps * size, motion[1]]) if wraps.any() else motion
-        )
+        return FlockState(wrapped(motion, system.domain), heading)
 
     def frame(self, state: FlockState, t: float) -> PointsFrame | TransformsFrame:  # noqa: ARG002
         """Return points and meshes at a time."""
-        members, heading = self._members, state.heading
+        members, heading = self.system.members, state.heading
         points, velocities = state.motion
         ids = np.arange(len(members))
-        several = len(members.species) > 1
+        several = len(members.entries) > 1
         primvars = {"species": members.kinds} if several else {}
         if heading is None:
             return PointsFrame(ids, points, velocities, members.radii, primvars)
@@ -290,8 +291,8 @@ class Flock:
             heading.rotations,
             heading.spins,
             np.ones((len(members), 3)),
-            shown(members, self._shown, heading.phases),
-            self._meshes,
+            shown(members, self.shown, heading.phases),
+            self.meshes,
             primvars,
         )
 
@@ -305,4 +306,4 @@ class Flock:
             directions = velocities[moving] / speeds[moving, None]
             values["speed"] = float(speeds.mean())
             values["order"] = float(np.linalg.norm(directions.mean(axis=0)))
-        return Diagnostics(values=values, notices=self._notices)
+        return Diagnostics(values=values, notices=self.notices)

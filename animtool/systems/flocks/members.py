@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import (
     Fault,
     Problem,
@@ -22,6 +22,7 @@ from animtool.core.errors import (
 from animtool.core.record import dataclass
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
+from animtool.systems.framework.groups import Groups, duplicate_names
 from animtool.systems.framework.matter import check_apart
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
@@ -35,12 +36,11 @@ MOVED = 4e-3
 
 
 @dataclass(frozen=True)
-class Members:
+class Members(Groups):
     """N members of several species, and their start."""
 
-    species: Sequence[SpeciesModel]
+    noun: ClassVar[str] = "member"
     parts: Sequence[Mapping[str, Any]]  # resolved keys of each species
-    ends: Sequence[int]  # end index of each species
     begin: float  # start time [s]
     points: FloatArray  # (N, 3) [m]
     velocities: FloatArray  # (N, 3) [m/s]
@@ -57,46 +57,16 @@ class Members:
         refusals.check()
         points, velocities = (np.concatenate(each) for each in zip(*drawn, strict=True))
         ends = np.cumsum([len(each[0]) for each in drawn]).tolist()
-        members = Members(spec.species, parts, ends, begin, points, velocities)
+        members = Members(spec.species, ends, parts, begin, points, velocities)
         members.check_distinct()
         return members
-
-    def __len__(self) -> int:
-        """Return the number of members."""
-        return len(self.points)
-
-    @cached_property
-    def parted(self) -> list[slice]:
-        """Return the members of each species."""
-        starts = [0, *self.ends[:-1]]
-        return [slice(a, b) for a, b in zip(starts, self.ends, strict=True)]
-
-    @cached_property
-    def kinds(self) -> IntArray:
-        """Return each member's species index ``(N,)``."""
-        counts = np.diff([0, *self.ends])
-        return np.repeat(np.arange(len(self.species)), counts)
-
-    def each(self, values: Sequence[float]) -> FloatArray:
-        """Return a per-species value for each member ``(N,)``."""
-        return np.asarray(values, np.float64)[self.kinds]
-
-    @cached_property
-    def radii(self) -> FloatArray:
-        """Return collision radii of members ``(N,)`` [m]."""
-        return self.each([one.radius for one in self.species])
 
     @cached_property
     def particles(self) -> ParticleState:
         """Return members as particles, for forces."""
-        masses = self.each([one.mass for one in self.species])
+        masses = self.each([one.mass for one in self.entries])
         ids = np.arange(len(self))
         return ParticleState.lasting(ids, masses, self.radii, self.begin, self.points)
-
-    def named(self, i: int) -> str:
-        """Return a member's name, for messages."""
-        kind = int(self.kinds[i])
-        return f"member {i - self.parted[kind].start} of {self.species[kind].name!r}"
 
     def check_distinct(self) -> None:
         """Refuse two members at the same position (SIM060)."""
@@ -208,10 +178,9 @@ def check_species(spec: FlocksModel) -> None:
 
 def _problems(spec: FlocksModel) -> Iterator[Problem]:
     names = [species.name for species in spec.species]
+    yield from duplicate_names("species", names)
     for k, species in enumerate(spec.species):
         where = f"species[{k}]"
-        if species.name in names[:k]:
-            yield f"two species are named {excerpt(species.name)}", where, None
         others = [*species.joins, *(one.species for one in species.flees)]
         others += [one.species for one in species.chases]
         for name in others:

@@ -40,8 +40,8 @@ class FlockRule:
 def rules_of(members: Members) -> list[FlockRule]:
     """Return the rules of all species, without those that have no effect."""
     rules = []
-    names = [species.name for species in members.species]
-    for number, species in enumerate(members.species):
+    names = [species.name for species in members.entries]
+    for number, species in enumerate(members.entries):
         subjects = _some(members, [number])
         mates = [number, *(names.index(name) for name in species.joins)]
         rules.append(_flocking(species, subjects, _some(members, sorted({*mates}))))
@@ -96,7 +96,7 @@ def _acts(rule: FlockRule) -> bool:
 
 def _some(members: Members, numbers: Sequence[int]) -> Indices | None:
     """Return the members of some species ``(M,)``; None for all."""
-    if len(numbers) == len(members.species):
+    if len(numbers) == len(members.entries):
         return None
     every = [np.arange(len(members))[members.parted[number]] for number in numbers]
     return np.concatenate(every).astype(np.int32)

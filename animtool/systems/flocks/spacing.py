@@ -44,7 +44,7 @@ class Spacing:
     @staticmethod
     def of(members: Members, domain: DomainModel | None) -> Spacing | None:
         """Return the spacing of members; None without minimum distances."""
-        distances = members.each([least_distance(one) for one in members.species])
+        distances = members.each([least_distance(one) for one in members.entries])
         keeps = len(distances) > 1 and distances.max() > 0
         return Spacing(distances, wrapping(domain)) if keeps else None
 

@@ -20,7 +20,7 @@ def goal_accelerations(
     """Return accelerations by goals, paths and speeds ``(N, 3)`` [m/s²]."""
     accelerations = np.zeros_like(x)
     for species, parts, members_rows in zip(
-        members.species, members.parts, members.parted, strict=True
+        members.entries, members.parts, members.parted, strict=True
     ):
         here, speed = x[members_rows], species.speed
         if speed.weight:
@@ -83,8 +83,8 @@ def avoidance(
     of the relative speed over twice the distance.
     """
     accelerations = np.zeros_like(x)
-    reach = members.each([one.avoidance.distance for one in members.species])
-    push = members.each([one.avoidance.weight for one in members.species])
+    reach = members.each([one.avoidance.distance for one in members.entries])
+    push = members.each([one.avoidance.weight for one in members.entries])
     samples = colliders.sample(x, t, t + INSTANT)
     for distances, normals, speeds in zip(
         samples.distances, samples.normals, samples.velocities, strict=True
@@ -105,7 +105,7 @@ def avoidance(
 def steered(members: Members, v: FloatArray, requested: FloatArray) -> FloatArray:
     """Return accelerations within each species' limits ``(N, 3)`` [m/s²]."""
     limits = requested
-    for species, rows in zip(members.species, members.parted, strict=True):
+    for species, rows in zip(members.entries, members.parted, strict=True):
         if species.turning is not None:
             limits = _turned_less(limits, v, rows, float(np.radians(species.turning)))
         if species.acceleration is not None:
@@ -138,8 +138,8 @@ def limited(values: FloatArray, most: float) -> FloatArray:
 
 def kept_speeds(members: Members, v: FloatArray) -> FloatArray:
     """Return velocities clamped to each species' speeds ``(N, 3)`` [m/s]."""
-    least = members.each([one.speed.least for one in members.species])
-    most = members.each([max_speed(one) for one in members.species])
+    least = members.each([one.speed.least for one in members.entries])
+    most = members.each([max_speed(one) for one in members.entries])
     speeds = np.linalg.norm(v, axis=1)
     outside = (speeds > most) | ((speeds < least) & (speeds > _TINY))
     if not outside.any():

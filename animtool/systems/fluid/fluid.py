@@ -33,6 +33,7 @@ from animtool.systems.framework.simulation import (
     StoppedError,
     growing,
 )
+from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.state import ParticleState
 
 # Mean compression above which a fluid has collapsed, and likewise over the requested
@@ -67,41 +68,58 @@ class FluidState:
     parts: int = 0  # substeps of the last step
 
 
-class Fluid:
-    """An incompressible fluid of particles, in steps.
+def build(spec: FluidModel, context: SimContext) -> Fluid:
+    """Return the fluid of a spec, its fills made.
 
     Raises:
         OptionError: Something of the spec makes no sense (SIM064).
     """
+    parts, colliders, begin = context.parts, context.colliders, context.begin
+    start = filled(spec, parts.get("fills", ()), colliders, begin)
+    emitters = zip(spec.emitters, parts.get("emitters", ()), strict=True)
+    nozzles = [Nozzle(spec, one, part["poses"], begin) for one, part in emitters]
+    notices = colliders.notices()
+    notices += coarse_drops(spec, parts.get("fills", ()))
+    if spec.surface is not None:
+        from animtool.systems.fluid.surface import check_surface
 
-    def __init__(self, spec: FluidModel, context: SimContext) -> None:
-        self._spec, self._begin = spec, context.begin
-        self._colliders, parts = context.colliders, context.parts
-        self._forces = parts.get("forces", ())
+        check_surface()
+    return Fluid(
+        spec,
+        begin,
+        colliders,
+        parts.get("forces", ()),
+        start,
+        nozzles,
+        [Colliders([drain.volume()]) for drain in parts.get("drains", ())],
+        notices,
+    )
+
+
+class Fluid:
+    """An incompressible fluid of particles, in steps."""
+
+    def __init__(
+        self,
+        spec: FluidModel,
+        begin: float,
+        colliders: Colliders,
+        forces: Sequence[Force],
+        start: FloatArray,
+        nozzles: Sequence[Nozzle],
+        drains: Sequence[Colliders],
+        notices: list[Fault],
+    ) -> None:
+        """``start``: positions and velocities at ``begin`` [s] ``(2, N, 3)``."""
+        self._spec, self._begin, self._start = spec, begin, start
+        self._colliders, self._forces = colliders, forces
+        self._nozzles, self._drains, self._notices = nozzles, drains, notices
         self._mass = spec.density * spec.spacing**3
-        self._start = filled(spec, parts.get("fills", ()), self._colliders, self._begin)
-        self._nozzles = [
-            Nozzle(spec, emitter, part["poses"], self._begin)
-            for emitter, part in zip(
-                spec.emitters, parts.get("emitters", ()), strict=True
-            )
-        ]
-        self._drains = [
-            Colliders([drain.volume()]) for drain in parts.get("drains", ())
-        ]
         self._substeps = Substeps(spec)
-        self._notices: list[Fault] = self._colliders.notices()
-        self._notices += coarse_drops(spec, parts.get("fills", ()))
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
         # No energy can enter: the initial energy is an upper bound.
-        static = not self._colliders.bodies and not self._colliders.sheets
-        self._closed = static and all(
-            len(c.poses.sample_times) == 1 for c in self._colliders
-        )
-        if spec.surface is not None:
-            from animtool.systems.fluid.surface import check_surface
-
-            check_surface()
+        static = not colliders.bodies and not colliders.sheets
+        self._closed = static and all(len(c.poses.sample_times) == 1 for c in colliders)
 
     def initial(self) -> FluidState:
         """Return the initial state."""
@@ -148,11 +166,11 @@ class Fluid:
 
     def _pull(self, state: FluidState, t: float) -> FloatArray:
         """Return accelerations of forces ``(N, 3)`` [m/s²]."""
-        accelerations: FloatArray = np.zeros_like(state.motion[0])
-        particles = self._particles(state)
+        (x, v), particles = state.motion, self._particles(state)
+        accelerations: FloatArray = np.zeros_like(x)
         with np.errstate(all="ignore"):
             for force in self._forces:
-                accelerations += force.force(t, *state.motion, particles) / self._mass
+                accelerations += force.force(t, x, v, particles) / self._mass
         return accelerations
 
     def _energy(self, state: FluidState) -> tuple[float, float, bool]:

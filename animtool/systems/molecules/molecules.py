@@ -120,24 +120,39 @@ class MoleculeState:
 Listed: TypeAlias = tuple[Acting, FloatArray]
 
 
-class Molecules(Interacting[MoleculeState, Listed]):
-    """Atoms in a periodic box, in steps.
-
-    Attributes:
-        atoms: Which there are.
+@np.errstate(all="ignore")
+def build(spec: MoleculesModel, context: SimContext) -> Molecules:
+    """Return the atoms of a spec in their box.
 
     Raises:
         OptionError: Something of the spec makes no sense (SIM001, SIM005, SIM006,
             SIM071).
     """
+    box = PeriodicBox(spec)
+    atoms = Atoms.of(spec, context.parts["species"], box)
+    molecules = Molecules(spec, context, box, atoms)
+    molecules.begin()
+    return molecules
+
+
+class Molecules(Interacting[MoleculeState, Listed]):
+    """Atoms in a periodic box, in steps.
+
+    Attributes:
+        atoms: Atoms of all species.
+    """
 
     unit = "kJ/mol"
 
-    @np.errstate(all="ignore")
-    def __init__(self, spec: MoleculesModel, context: SimContext) -> None:
+    def __init__(
+        self,
+        spec: MoleculesModel,
+        context: SimContext,
+        placing: PeriodicBox,
+        atoms: Atoms,
+    ) -> None:
         super().__init__(spec, context, "traps", spec.pace)
-        placing, parts = PeriodicBox(spec), context.parts
-        self.bodies = self.atoms = Atoms.of(spec, parts["species"], placing)
+        self.bodies = self.atoms = atoms
         self.radii, self.species = self.atoms.radii, self.atoms.kinds
         self.several = len(spec.species) > 1
         self.inertia = self.atoms.masses[:, None]
@@ -148,13 +163,16 @@ class Molecules(Interacting[MoleculeState, Listed]):
         rates = [57.15 * a.epsilon / a.sigma**2 / a.mass for a in spec.species]
         # The fastest crystal vibration of all species [rad/ps].
         self._stiffest = math.sqrt(8 * max(rates))
+
+    def begin(self) -> None:
+        """Check the initial state, and choose colours by it."""
         start, refusals = self.initial(), Refusals()
         with refusals.collect():
             self._check_numbers(start)
         with refusals.collect():
             self._check_distinct(start)
         refusals.check()
-        self.begin()
+        super().begin()
 
     def _check_numbers(self, start: MoleculeState) -> None:
         """Refuse a step that is too long, and overflowing numbers (SIM071)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -67,30 +67,50 @@ def _check_close(limit: float, t: float, x: FloatArray, pulls: Pulls) -> None:
         raise TooCloseError(t, x, pulls.rates)
 
 
-class Nbody(Interacting[NbodyState, Pulls]):
-    """Gravitating bodies, in steps.
-
-    Attributes:
-        tree: Whether a tree is faster than a direct sum, and as accurate as is asked.
+@np.errstate(all="ignore")
+def build(spec: NbodyModel, context: SimContext) -> Nbody:
+    """Return the bodies of a spec, those of files and generated galaxies.
 
     Raises:
         OptionError: Something of the spec makes no sense (SIM001, SIM005, SIM006,
             SIM070).
     """
+    parts, refusals = [], Refusals()
+    for body, part in zip(spec.bodies, context.parts.get("bodies", ()), strict=True):
+        with refusals.collect():
+            parts.append(Bodies.read(part, body.mass, "body", spec.code, "bodies"))
+    refusals.check()
+    nbody = Nbody(spec, context, [*parts, *built_galaxies(spec)])
+    _check_start(spec, nbody.bodies)
+    nbody.begin()
+    return nbody
 
-    @np.errstate(all="ignore")
-    def __init__(self, spec: NbodyModel, context: SimContext) -> None:
+
+def _check_start(spec: NbodyModel, bodies: Bodies) -> None:
+    where, hint = "bodies", "move one of them"
+    whys = "their attraction is infinite", "they cannot be told apart"
+    pair, why = "bodies {} and {}".format, whys[spec.softening > 0]
+    check_apart(bodies.points, pair, spec.code, where, hint, why)
+    if not np.isfinite([bodies.points, bodies.velocities]).all():
+        message = "galaxies are so small, large or heavy that numbers overflow"
+        refuse(spec.code, message, "bodies")
+
+
+class Nbody(Interacting[NbodyState, Pulls]):
+    """Gravitating bodies, in steps.
+
+    Attributes:
+        tree: Whether a tree is faster than a direct sum, and as accurate as is asked.
+    """
+
+    def __init__(
+        self, spec: NbodyModel, context: SimContext, parts: Sequence[Bodies]
+    ) -> None:
+        """``parts``: bodies of each entry, those of galaxies last."""
         super().__init__(spec, context, "attractors")
         self._fixed = self._integrator.control is Control.FIXED
         self._phase = PHASE if spec.softening else BARE_PHASE
-        read = zip(spec.bodies, context.parts.get("bodies", ()), strict=True)
-        parts, refusals = [], Refusals()
-        for body, part in read:
-            with refusals.collect():
-                parts.append(Bodies.read(part, body.mass, "body", spec.code, "bodies"))
-        refusals.check()
-        parts += built_galaxies(spec)
-        bodies = self.bodies = Bodies.joined(parts)
+        self.bodies = Bodies.joined(parts)
         counts = [len(one.masses) for one in parts]
         self.several = len(parts) > 1
         self.species = np.repeat(np.arange(len(parts)), counts)
@@ -99,17 +119,9 @@ class Nbody(Interacting[NbodyState, Pulls]):
         dark = [0] * len(spec.bodies) + [one.dark for one in spec.galaxies]
         numbers = [np.arange(n) < n - k for n, k in zip(counts, dark, strict=True)]
         self.shown = np.flatnonzero(np.concatenate(numbers))
-        where, hint = "bodies", "move one of them"
-        whys = "their attraction is infinite", "they cannot be told apart"
-        pair, why = "bodies {} and {}".format, whys[spec.softening > 0]
-        check_apart(bodies.points, pair, spec.code, where, hint, why)
-        if not np.isfinite([bodies.points, bodies.velocities]).all():
-            message = "galaxies are so small, large or heavy that numbers overflow"
-            refuse(spec.code, message, "bodies")
         opening = CROSSOVER_ACCURACY / max(spec.accuracy, FINEST_TREE)
-        many = len(bodies.masses) > CROSSOVER * opening**CROSSOVER_POWER
+        many = len(self.bodies.masses) > CROSSOVER * opening**CROSSOVER_POWER
         self.tree = spec.accuracy >= FINEST_TREE and many
-        self.begin()
 
     def _start(self, motion: FloatArray) -> NbodyState:
         return NbodyState(motion, self.summed(motion[0]), 0, 1)

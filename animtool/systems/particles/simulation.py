@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -40,7 +42,10 @@ from animtool.systems.particles.moving import (
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
 
-_NONE = np.zeros((2, 0, 3))
+if TYPE_CHECKING:
+    from animtool.systems.framework.simulation import SimContext
+    from animtool.systems.particles.spec import ParticlesModel
+
 # Frequency growth below this does not change the stable step [1].
 NOTABLE = 0.05
 
@@ -60,6 +65,25 @@ class ParticleRunState:
     trial: float | None = field(default=None, metadata=later())
 
 
+_NOBODY = ParticleRunState(ParticleState.none(), np.zeros((2, 0, 3)))
+
+
+def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
+    """Return the simulation of a spec.
+
+    Raises:
+        OptionError: As of `ParticleSimulation`.
+    """
+    setup, around = spec.setup(context.parts), context.colliders
+    setup = replace(
+        setup, colliders=around[:], sheets=around.sheets, bodies=around.bodies
+    )
+    if context.budget is not None:
+        options = replace(setup.options, budget=context.budget)
+        setup = replace(setup, options=options)
+    return ParticleSimulation(setup, context.begin)
+
+
 class ParticleSimulation:
     """Particles stepped by one method; step statistics only serve warnings.
 
@@ -76,17 +100,20 @@ class ParticleSimulation:
         self._taken = 0  # steps of the method so far
         self._kills = [Colliders([kill.region.volume()]) for kill in setup.kills]
         self._integrator = check_options(setup.options)
-        nobody = ParticleRunState(ParticleState.none(), _NONE)
-        check_fit(Equations(self._system(nobody)), self._integrator)
+        check_fit(Equations(self._system(_NOBODY)), self._integrator)
         self._watch = DivergenceCheck(setup, self.colliders)
         self._fastest: FloatArray | None = None
         self._too_long: list[Fault] = []
         self._notices: list[Fault] = self.colliders.notices()
-        self._start = self._with_born(nobody, None, begin, begin, self._notices)
 
     def initial(self) -> ParticleRunState:
         """Return the particles born at the start."""
         return self._start
+
+    @cached_property
+    def _start(self) -> ParticleRunState:
+        begin = self.begin
+        return self._with_born(_NOBODY, None, begin, begin, self._notices)
 
     def step(
         self, state: ParticleRunState, t: float, dt: float

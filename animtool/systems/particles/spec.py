@@ -25,9 +25,7 @@ from animtool.systems.framework.spec import CollidingSpec
 from animtool.systems.particles.records import Emission, Velocity
 
 if TYPE_CHECKING:
-    from animtool.systems.framework.simulation import SimContext
     from animtool.systems.particles.setup import Particles
-    from animtool.systems.particles.simulation import ParticleSimulation
 
 
 @with_fields(Emission)
@@ -123,17 +121,3 @@ class ParticlesModel(CollidingSpec):
         except OptionError as error:
             return [replace(one, where=one.where or "method") for one in error.faults]
         return ()
-
-
-def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
-    """Return the simulation; its modules are imported on first use."""
-    from animtool.systems.particles.simulation import ParticleSimulation
-
-    setup, around = spec.setup(context.parts), context.colliders
-    setup = replace(
-        setup, colliders=around[:], sheets=around.sheets, bodies=around.bodies
-    )
-    if context.budget is not None:
-        options = replace(setup.options, budget=context.budget)
-        setup = replace(setup, options=options)
-    return ParticleSimulation(setup, context.begin)

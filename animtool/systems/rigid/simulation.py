@@ -55,6 +55,39 @@ FARTHEST = 1e24  # positions [m] and velocities [m/s]
 FASTEST = 1e100  # angular momenta [kg m²/s]
 
 
+def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
+    """Return the simulation of a spec.
+
+    Raises:
+        OptionError: Something of it makes no sense (SIM020, SIM061).
+    """
+    parts, colliders = context.parts, context.colliders
+    stages: Sequence[Physics] = parts.get("stages", ())
+    models, entries = list(spec.bodies), list(parts.get("bodies", ()))
+    for k, stage in enumerate(stages):
+        more = body_entries(stage, f"stages[{k}].prim")
+        models += more[0]
+        entries += more[1]
+    refusals = Refusals()
+    with refusals.collect():
+        bodies = RigidBodies.of_models(models, entries, context.begin)
+    with refusals.collect():
+        check_joints(spec.joints, models)
+    refusals.check()
+    joints = [joints_of(spec.joints, parts.get("joints", ()), bodies)]
+    first = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
+    static: list[Collider] = []
+    for stage in stages:
+        joints.append(stage_joints(stage, bodies, first))
+        first += len(stage.bodies)
+        static += static_colliders(stage)
+    forces = parts.get("forces", ())
+    joined = together(joints) if stages else joints[0]
+    return RigidSimulation(
+        spec, context.begin, bodies, joined, colliders, forces, static
+    )
+
+
 class RigidSimulation(SharedBodies):
     """Bodies and joints in steps, among colliders and forces."""
 
@@ -90,39 +123,6 @@ class RigidSimulation(SharedBodies):
             spec.residual,
             spec.sleep.speed,
             spec.sleep.time,
-        )
-
-    @staticmethod
-    def of(spec: RigidModel, context: SimContext) -> RigidSimulation:
-        """Return the simulation of a spec.
-
-        Raises:
-            OptionError: Something of it makes no sense (SIM020, SIM061).
-        """
-        parts, colliders = context.parts, context.colliders
-        stages: Sequence[Physics] = parts.get("stages", ())
-        models, entries = list(spec.bodies), list(parts.get("bodies", ()))
-        for k, stage in enumerate(stages):
-            more = body_entries(stage, f"stages[{k}].prim")
-            models += more[0]
-            entries += more[1]
-        refusals = Refusals()
-        with refusals.collect():
-            bodies = RigidBodies.of_models(models, entries, context.begin)
-        with refusals.collect():
-            check_joints(spec.joints, models)
-        refusals.check()
-        joints = [joints_of(spec.joints, parts.get("joints", ()), bodies)]
-        first = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
-        static: list[Collider] = []
-        for stage in stages:
-            joints.append(stage_joints(stage, bodies, first))
-            first += len(stage.bodies)
-            static += static_colliders(stage)
-        forces = parts.get("forces", ())
-        joined = together(joints) if stages else joints[0]
-        return RigidSimulation(
-            spec, context.begin, bodies, joined, colliders, forces, static
         )
 
     def initial(self) -> RigidState:

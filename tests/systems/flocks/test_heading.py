@@ -17,9 +17,11 @@ from animtool.systems.flocks.flock import (
     FlockForces,
     FlockState,
     Heading,
+    build,
     first_heading,
     next_heading,
     shown,
+    wrapped,
 )
 from animtool.systems.flocks.members import (
     Members,
@@ -48,7 +50,7 @@ def members(points: Any, *models: SpeciesModel, parts: Any = None) -> Members:
     x = np.asarray(points, float)
     ends = (np.arange(len(models)) + 1) * (len(x) // len(models))
     given = parts or [{}] * len(models)
-    return Members(list(models), given, ends.tolist(), 2.0, x, 0 * x)
+    return Members(list(models), ends.tolist(), given, 2.0, x, 0 * x)
 
 
 def up_of(heading: Heading) -> np.ndarray:
@@ -256,7 +258,7 @@ def test_rules_without_an_effect_are_left_out() -> None:
     assert other.others is not None
     assert other.others.tolist() == [2, 3]
     # Nobody is there to heed.
-    empty = Members(friends, [{}] * 2, [4, 4], 0.0, rows, rows)
+    empty = Members(friends, [4, 4], [{}] * 2, 0.0, rows, rows)
     (first,) = rules_of(empty)
     assert first.members is not None
     assert first.members.tolist() == [0, 1, 2, 3]
@@ -325,7 +327,7 @@ def flock(rows: Any, v: Any, *, shows: Any = None, **keys: Any) -> Flock:
     }  # fmt: skip
     if shows is not None:
         parts["shows"] = shows
-    return Flock(spec, _Context(parts, colliders=colliders, forces=forces))  # type: ignore[arg-type]
+    return build(spec, _Context(parts, colliders=colliders, forces=forces))  # type: ignore[arg-type]
 
 
 def test_who_leaves_a_domain_comes_in_again_on_the_other_side() -> None:
@@ -334,11 +336,11 @@ def test_who_leaves_a_domain_comes_in_again_on_the_other_side() -> None:
     rows = [[3.5, 0, 0], [-1.5, 2, 0], [1, 10, -4.5]]
     made = flock(rows, np.ones((3, 3)), domain=domain)
     motion = np.stack([[[21.5, 0, 0], [-19.5, 31, 0], [1, 100, -45]], np.ones((3, 3))])
-    found = made._within(motion)
+    found = wrapped(motion, made.system.domain)
     assert_allclose(found[0], [[-18.5, 0, 0], [20.5, -29, 0], [1, -20, 35]])
     assert_array_equal(found[1], motion[1])
     within = np.stack([np.zeros((3, 3)), np.ones((3, 3))])
-    assert made._within(within) is within
+    assert wrapped(within, made.system.domain) is within
 
 
 def test_members_show_points_and_the_order_of_those_that_move() -> None:

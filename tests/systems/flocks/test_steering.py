@@ -32,7 +32,7 @@ def members(*species: dict[str, Any], count: int = 1, goals: int = 0) -> Members
     places = {"goals": [{"poses": Poses.fixed((1.0, 0.0, 0.0))}] * goals}
     ends = (np.arange(len(models)) + 1) * count
     rows = np.zeros((len(models) * count, 3))
-    return Members(models, [places] * len(models), ends.tolist(), 0.0, rows, rows)
+    return Members(models, ends.tolist(), [places] * len(models), 0.0, rows, rows)
 
 
 def ways(x: list[float], v: list[float], goals: int = 0, **keys: Any) -> np.ndarray:
@@ -209,7 +209,7 @@ def test_who_is_moved_apart_is_named_where_a_file_gave_the_place() -> None:
     model = SpeciesModel.model_validate({"name": "s", "radius": 0.1})
     rows = np.array([[0.0, 0, 0], [1, 0, 0], [1.05, 0, 0]])
     for parts, codes in (({"points": rows}, ["SIM147"]), ({}, [])):
-        own = Members([model], [parts], [3], 0.0, rows, 0 * rows)
+        own = Members([model], [3], [parts], 0.0, rows, 0 * rows)
         moved = rows + np.array([[0.0, 0, 0], [0, 0, 0], [0.15, 0, 0]])
         found = own.spread(moved, 0.0)
         assert [fault.code for fault in found] == codes

@@ -31,6 +31,7 @@ from animtool.systems.molecules.molecules import (
     Molecules,
     MoleculeState,
     bath_factor,
+    build,
 )
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel
 
@@ -49,7 +50,7 @@ def molecules(**keys: Any) -> Molecules:
     spec = MoleculesModel.model_validate({**given, "step": 0.01, **keys})
     parts = {"species": [{}] * len(spec.species), "traps": [{"poses": Poses.fixed()}]}
     parts["traps"] *= len(spec.traps)
-    return Molecules(spec, _Context(parts))
+    return build(spec, _Context(parts))
 
 
 def after(made: Molecules, steps: int, dt: float) -> list[MoleculeState]:

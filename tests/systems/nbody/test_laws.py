@@ -25,7 +25,7 @@ from animtool.systems.nbody.galaxies import (
     enclosed,
     on_orbit,
 )
-from animtool.systems.nbody.nbody import BARE_PHASE, PHASE, Nbody, Pulls
+from animtool.systems.nbody.nbody import BARE_PHASE, PHASE, Pulls, build
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
 from animtool.systems.particles.emitter import uniforms
 
@@ -153,7 +153,7 @@ def test_what_is_kept_is_told_over_what_there_is() -> None:
         "bodies": [{"points": X}],
         "attractors": [{"poses": Poses.fixed((9, 9, 9))}],
     }
-    outside = Nbody(placed, _Context(parts))
+    outside = build(placed, _Context(parts))
     assert "energy_drift" not in outside._values(outside.initial(), 0.0)
     # At an attractor without softening nothing is infinite.
     found = outside.from_placed(placed.attractors[0], X[0], X[:1])
@@ -301,7 +301,7 @@ def test_galaxies_are_turned_and_put_and_moved() -> None:
     moved = so3.rotate(turn, own.velocities) + np.array([4, 5, 6])
     assert_allclose(first.velocities, moved, atol=1e-12)
     assert second.masses.tolist() == [7]
-    made = Nbody(spec, _Context({}))
+    made = build(spec, _Context({}))
     assert made.several
     assert made.species.tolist() == [0] * 20 + [1]
     assert_array_equal(made.shown, np.arange(21))

@@ -25,7 +25,7 @@ from animtool.systems.nbody.galaxies import (
     enclosed,
     on_orbit,
 )
-from animtool.systems.nbody.nbody import ADVISED, PHASE, Nbody
+from animtool.systems.nbody.nbody import ADVISED, PHASE, build
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
 
 DISC = {"count": 700, "mass": 1, "radius": 1, "cutoff": 4}
@@ -404,7 +404,7 @@ def test_what_attracts_from_outside_counts_in_energies_and_accelerations() -> No
         "bodies": [{"points": x, "velocities": v}],
         "attractors": [{"poses": Poses.fixed((3.0, 0.0, 0.0))}],
     }
-    made = Nbody(spec, _Context(parts))
+    made = build(spec, _Context(parts))
     state = made.initial()
     found = made._quantities(state, 0.0)
     far = np.array([5.0, np.sqrt(9 + 64 + 16)])
@@ -455,7 +455,7 @@ def test_one_body_beyond_numbers_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
     far = Bodies(np.array([[np.inf, 0, 0]]), np.zeros((1, 3)), np.ones(1))
     monkeypatch.setattr("animtool.systems.nbody.nbody.built_galaxies", lambda _: [far])
     with pytest.raises(AnimtoolError, match="numbers overflow") as error:
-        Nbody(spec, context)
+        build(spec, context)
     assert error.value.faults[0].code == "SIM070"
 
 
