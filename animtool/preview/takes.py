@@ -17,7 +17,7 @@ from animtool.motion.take import TakeStream
 from animtool.preview.draft import Draft, number
 from animtool.preview.streams import Quantized, plain, quantized_range, quantized_units
 from animtool.retarget.anatomy import anatomy
-from animtool.retarget.person import Person
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
@@ -278,24 +278,24 @@ def _measure(
 Legs = dict[str, tuple[int, int, int, int]]
 
 
-def _legs(draft: Draft, rig: Rig) -> tuple[Person | None, Legs]:
+def _legs(draft: Draft, rig: Rig) -> tuple[RoledSkeleton | None, Legs]:
     """Return a rig as a person, and its legs; None where it has none."""
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
     if key not in draft.known:
         draft.known[key] = _found_legs(rig)
-    found: tuple[Person | None, Legs] = draft.known[key]
+    found: tuple[RoledSkeleton | None, Legs] = draft.known[key]
     return found
 
 
-def _found_legs(rig: Rig) -> tuple[Person | None, Legs]:
-    person = Person.of(rig, anatomy(rig).roles)
+def _found_legs(rig: Rig) -> tuple[RoledSkeleton | None, Legs]:
+    person = RoledSkeleton.of(rig, anatomy(rig).roles)
     legs = {side: leg for side in "lr" if (leg := person.leg(side)) is not None}
     return (person if legs else None), legs
 
 
 def _contacts(
-    person: Person,
+    person: RoledSkeleton,
     legs: Legs,
     feet: dict[int, FloatArray],
     rate: float,

@@ -30,8 +30,8 @@ from animtool.retarget.roles import (
     base_role,
 )
 from animtool.retarget.structure import (
-    Body,
-    Limb,
+    LimbShape,
+    SkeletonTree,
     left_of,
     limb_pairs,
     split_limb,
@@ -41,7 +41,7 @@ from animtool.rig.skeleton import Rig
 
 _LIMBS = {"arm": ARM, "leg": LEG}
 _SHAPES = {
-    f"{name}_{side}": Limb(
+    f"{name}_{side}": LimbShape(
         (*(f"{role}_{side}" for role in roles), *[""] * (5 - len(roles))),
         *lengths,
     )
@@ -62,20 +62,20 @@ MAX_NAMED = 4
 # What reaches less far ahead, over the longest toe, is a heel and no toe.
 _TOE = 0.4
 # Joints of a skeleton that is one more person, at least.
-_PERSON = 8
+MIN_BODY_JOINTS = 8
 
 
 @dataclass(slots=True)
 class _Search:
     """What is known of a skeleton's joints while it is searched."""
 
-    body: Body
+    body: SkeletonTree
     roles: list[str]
     tips: dict[str, int] = field(default_factory=dict)  # lowest known joint, by limb
     unsided: list[str] = field(default_factory=list)  # kinds of limbs without a name
     guessed: bool = False  # whether the sides are those of the file's order
 
-    def put(self, joint: int, role: str) -> None:
+    def set_role(self, joint: int, role: str) -> None:
         """Give a joint a role, where it has none yet."""
         if joint >= 0 and not self.roles[joint]:
             self.roles[joint] = role
@@ -104,8 +104,8 @@ def anatomy(
     names = [joint.source_name or joint.name for joint in rig.joints]
     if preset is None:
         # What the file says goes before what a name may mean.
-        own = zip(rig.joints, names, strict=True)
-        names = [joint.humanoid or name for joint, name in own]
+        pairs = zip(rig.joints, names, strict=True)
+        names = [joint.humanoid or name for joint, name in pairs]
     read = read_names(names, rig.parents)
     chosen: Preset | None = None
     if preset is not None:
@@ -114,25 +114,25 @@ def anatomy(
         chosen = best_preset(names, read)
     votes = role_votes(read, chosen) if by_names else [{} for _ in names]
     kinds = [name.kind if by_names else "" for name in read]
-    body = Body.of(rig, votes, kinds)
+    body = SkeletonTree.of(rig, votes, kinds)
     search = _Search(body, [""] * len(names))
-    notices = _one_person(search)
+    notices = _largest_tree(search)
     _find_limbs(search)
     up = upright(body, search.tips)
     if up is None and positions is not None:
         search.body = replace(body, positions=positions)
         up = upright(search.body, search.tips)
     at_rest = search.body is body
-    _sides_by_place(search, left_of(search.body, search.tips, up, at_rest=at_rest))
+    _sides_by_position(search, left_of(search.body, search.tips, up, at_rest=at_rest))
     _trunk(search)
     for limb in search.tips:
         _limb(search, limb)
     _rest(search)
     notices += _doubts(search)
-    found = [_how(role, votes[j]) for j, role in enumerate(search.roles)]
-    sure = tuple(_SURE[how] for how in found)
+    evidence = [_how(role, votes[j]) for j, role in enumerate(search.roles)]
+    sure = tuple(_SURE[how] for how in evidence)
     name = chosen.name if chosen else ""
-    return Anatomy(tuple(search.roles), tuple(found), sure, name, tuple(notices))
+    return Anatomy(tuple(search.roles), tuple(evidence), sure, name, tuple(notices))
 
 
 def _how(role: str, votes: Mapping[str, float]) -> RoleSource:
@@ -144,7 +144,7 @@ def _how(role: str, votes: Mapping[str, float]) -> RoleSource:
     return RoleSource.PRESET if weight == 1.0 else RoleSource.NAME
 
 
-def _one_person(search: _Search) -> list[Fault]:
+def _largest_tree(search: _Search) -> list[Fault]:
     """Leave out all trees but the largest; warn where others are persons too."""
     body = search.body
     tops = body.rig.roots
@@ -153,11 +153,11 @@ def _one_person(search: _Search) -> list[Fault]:
         hips = [j for j, votes in enumerate(body.votes) if "hips" in votes]
         nested = [set(body.rig.upwards(j)[1:]) & set(hips) for j in hips]
         tops = [j for j, above in zip(hips, nested, strict=True) if not above]
-        tops = [j for j in tops if body.counts[j] >= _PERSON]
+        tops = [j for j in tops if body.counts[j] >= MIN_BODY_JOINTS]
     if len(tops) < 2:
         return []
     main = max(tops, key=lambda j: body.counts[j])
-    others = [j for j in tops if j != main and body.counts[j] >= _PERSON]
+    others = [j for j in tops if j != main and body.counts[j] >= MIN_BODY_JOINTS]
     for j in range(len(search.roles)):
         above = body.rig.upwards(j)
         if main not in above and not set(above).isdisjoint(tops):
@@ -205,16 +205,18 @@ def _named_tip(search: _Search, roles: set[str]) -> int:
     return best
 
 
-def _sides_by_place(search: _Search, across: FloatArray) -> None:
+def _sides_by_position(search: _Search, across: FloatArray) -> None:
     """Tell left from right by where limbs are; by the order of the file where same."""
     body, tips = search.body, search.tips
     for limb in search.unsided:
         pair = [f"{limb}_{side}" for side in SIDES]
         top = body.common([tips[name] for name in pair])
-        ways = [body.way(top, tips[name])[1:] for name in pair]
+        chains = [body.path(top, tips[name])[1:] for name in pair]
         # Hands and feet may cross, where limbs begin they do not.
         for upper in (2, None):
-            left, right = (body.positions[way[:upper]].mean(axis=0) for way in ways)
+            left, right = (
+                body.positions[chain[:upper]].mean(axis=0) for chain in chains
+            )
             gap = float((left - right) @ across)
             if abs(gap) > 0.01 * body.size:
                 break
@@ -237,15 +239,15 @@ def _trunk(search: _Search) -> None:
     fork = body.common([*legs, *upper]) if legs and upper else -1
     seat = body.common(legs) if len(legs) == 2 else fork
     hips = _hips(search, fork, seat)
-    search.put(hips, "hips")
+    search.set_role(hips, "hips")
     start = max(fork, hips) if fork < 0 else fork
     if start < 0 and upper:
         start = body.rig.upwards(upper[-1])[-1]
     for j in body.rig.upwards(hips)[1:] if hips >= 0 else ():
         if fork <= j < hips or j < start:
-            search.put(j, "root")
-    for j in body.way(start, seat) if seat > start else ():
-        search.put(j, "pelvis")
+            search.set_role(j, "root")
+    for j in body.path(start, seat) if seat > start else ():
+        search.set_role(j, "pelvis")
     if upper:
         start = start if start in body.rig.upwards(upper[-1]) else max(hips, 0)
         _spine(search, start, chest, head)
@@ -255,16 +257,16 @@ def _spine(search: _Search, start: int, chest: int, head: int) -> None:
     """Give the joints from the fork at the hips to chest and head their roles."""
     body = search.body
     if chest not in body.rig.upwards(head):
-        for j in body.way(start, chest):
-            search.put(j, "spine")
-    search.put(head, "head")
+        for j in body.path(start, chest):
+            search.set_role(j, "spine")
+    search.set_role(head, "head")
     top = head if head >= 0 else chest
-    way = body.way(start, top)
-    named = [i for i, j in enumerate(way) if "neck" in body.votes[j]]
-    after = way.index(chest) + 1 if chest in way else len(way)
+    path = body.path(start, top)
+    named = [i for i, j in enumerate(path) if "neck" in body.votes[j]]
+    after = path.index(chest) + 1 if chest in path else len(path)
     after = named[0] if named else after
-    for i, j in enumerate(way):
-        search.put(j, "spine" if i < after else "neck")
+    for i, j in enumerate(path):
+        search.set_role(j, "spine" if i < after else "neck")
 
 
 def _best_named(search: _Search, role: str) -> int:
@@ -283,7 +285,7 @@ def _hips(search: _Search, fork: int, seat: int) -> int:
     named = _best_named(search, "hips")
     if fork < 0:
         return named if named >= 0 else seat
-    near = set(body.rig.upwards(fork)) | set(body.way(fork, max(seat, fork)))
+    near = set(body.rig.upwards(fork)) | set(body.path(fork, max(seat, fork)))
     candidates = [j for j in near if "hips" in body.votes[j]]
     weight = max((body.votes[j]["hips"] for j in candidates), default=0.0)
     sure = [j for j in candidates if body.votes[j]["hips"] == weight]
@@ -298,9 +300,9 @@ def _head_below(search: _Search, chest: int) -> int:
     if not others:
         return -1
     size = [body.lengths[j] + body.reach[j] + 1e-3 * body.counts[j] for j in others]
-    way = body.heaviest(others[int(np.argmax(size))])
-    forks = [j for j in way if len(body.limb_children(j)) > 1]
-    return forks[0] if forks else way[-1]
+    path = body.heaviest(others[int(np.argmax(size))])
+    forks = [j for j in path if len(body.limb_children(j)) > 1]
+    return forks[0] if forks else path[-1]
 
 
 def _limb(search: _Search, limb: str) -> None:
@@ -313,51 +315,53 @@ def _limb(search: _Search, limb: str) -> None:
         if name != limb
         for j in body.rig.upwards(other)
     }
-    way = [j for j in body.rig.upwards(tip) if j not in others and not search.roles[j]]
-    way = [*way[::-1], *body.heaviest(tip)[1:]]
-    if not way:
+    path = [j for j in body.rig.upwards(tip) if j not in others and not search.roles[j]]
+    path = [*path[::-1], *body.heaviest(tip)[1:]]
+    if not path:
         return
-    way, branch = (
-        _to_hand(search, way, side) if kind == "arm" else (_to_toe(search, way), -1)
+    path, branch = (
+        _to_hand(search, path, side) if kind == "arm" else (_to_toe(search, path), -1)
     )
-    labels = split_limb(body, way, _SHAPES[limb], branch)
-    for j, label in zip(way, labels, strict=True):
-        search.put(j, "" if body.kinds[j] == CONTROL else label)
-    hands = [j for j, label in zip(way, labels, strict=True) if label == f"hand_{side}"]
+    labels = split_limb(body, path, _SHAPES[limb], branch)
+    for j, label in zip(path, labels, strict=True):
+        search.set_role(j, "" if body.kinds[j] == CONTROL else label)
+    hands = [
+        j for j, label in zip(path, labels, strict=True) if label == f"hand_{side}"
+    ]
     if kind == "arm" and hands:
         for j, role in finger_roles(body, hands, side).items():
-            search.put(j, "" if body.kinds[j] == CONTROL else role)
+            search.set_role(j, "" if body.kinds[j] == CONTROL else role)
     if kind == "leg":
         _toes(search, side)
 
 
-def _to_hand(search: _Search, way: list[int], side: str) -> tuple[list[int], int]:
+def _to_hand(search: _Search, path: list[int], side: str) -> tuple[list[int], int]:
     """Return an arm's way without its fingers, and the joint they branch off."""
     votes = search.body.votes
-    hands = [i for i, j in enumerate(way) if f"hand_{side}" in votes[j]]
+    hands = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
     if hands:
-        return way[: hands[-1] + 1], way[hands[-1]]
-    branch, count = search.body.branches(way)
+        return path[: hands[-1] + 1], path[hands[-1]]
+    branch, count = search.body.branches(path)
     if count < 2:
-        return way, -1
-    return way[: way.index(branch) + 1], branch
+        return path, -1
+    return path[: path.index(branch) + 1], branch
 
 
-def _to_toe(search: _Search, way: list[int]) -> list[int]:
+def _to_toe(search: _Search, path: list[int]) -> list[int]:
     """Return a leg's way, without the toes of a foot that has several."""
     body = search.body
-    tops = [max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in way]
+    tops = [max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in path]
     named = [i for i, role in enumerate(tops) if base_role(role) == "toe"]
-    last = max((i for i, j in enumerate(way) if body.votes[j]), default=2)
-    forks = [i for i, j in enumerate(way) if len(body.limb_children(j)) > 1]
+    last = max((i for i, j in enumerate(path) if body.votes[j]), default=2)
+    forks = [i for i, j in enumerate(path) if len(body.limb_children(j)) > 1]
     ends = [*named, *(i for i in forks if i >= max(last, 2))]
-    return way[: ends[0] + 1] if ends else way
+    return path[: ends[0] + 1] if ends else path
 
 
 def _toes(search: _Search, side: str) -> None:
     """Give all toes of a foot that has several their role, to their last joints."""
     body, role = search.body, f"toe_{side}"
-    feet = [j for j, own in enumerate(search.roles) if own == f"foot_{side}"]
+    feet = [j for j, each in enumerate(search.roles) if each == f"foot_{side}"]
     if not feet:
         return
     begins = [
@@ -365,19 +369,23 @@ def _toes(search: _Search, side: str) -> None:
         for j in body.limb_children(feet[-1])
         if search.roles[j] in {"", role} and not body.kinds[j]
     ]
-    ways = np.array([_ahead(body, j) - body.positions[feet[-1]] for j in begins])
+    directions = np.array(
+        [_chain_end(body, j) - body.positions[feet[-1]] for j in begins]
+    )
     if len(begins) < 2:
         return
-    sizes = np.linalg.norm(ways, axis=1)
-    along = ways @ ways[int(np.argmax(sizes))] / max(float(sizes.max()), 1e-30)
+    sizes = np.linalg.norm(directions, axis=1)
+    along = (
+        directions @ directions[int(np.argmax(sizes))] / max(float(sizes.max()), 1e-30)
+    )
     toes = [j for j, far in zip(begins, along, strict=True) if far > _TOE * along.max()]
     for top in toes if len(toes) > 1 else ():
         for j in range(top, len(search.roles)):
             if top in body.rig.upwards(j) and not body.kinds[j] and not body.is_tip(j):
-                search.put(j, role)
+                search.set_role(j, role)
 
 
-def _ahead(body: Body, joint: int) -> FloatArray:
+def _chain_end(body: SkeletonTree, joint: int) -> FloatArray:
     """Return where a chain that begins at a joint ends ``(3,)`` [m]."""
     last = body.heaviest(joint)[-1]
     return np.asarray(body.positions[last] + body.last_bones[last])
@@ -389,7 +397,7 @@ def _rest(search: _Search) -> None:
     for j, votes in enumerate(body.votes):
         for role in votes:
             if base_role(role) in {"jaw", "eye"} and role not in search.roles:
-                search.put(j, role)
+                search.set_role(j, role)
     for j, kind in enumerate(body.kinds):
         leaf = not body.children[j]
         if not search.roles[j] and (kind or (leaf and body.is_tip(j))):
@@ -401,12 +409,12 @@ ONE_LEG = ("whole left leg", "whole right leg")
 
 def _missing_legs(roles: Sequence[str]) -> str:
     """Return what a skeleton lacks of its legs; empty where both are whole."""
-    whole = [
+    intact = [
         {f"{role}_{side}" for role in ("thigh", "shin", "foot")} <= {*roles}
         for side in "lr"
     ]
-    if any(whole):
-        return "" if all(whole) else ONE_LEG[whole[0]]
+    if any(intact):
+        return "" if all(intact) else ONE_LEG[intact[0]]
     return "whole legs" if {"thigh_l", "thigh_r"} & {*roles} else "legs"
 
 

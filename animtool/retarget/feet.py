@@ -41,7 +41,7 @@ LEVEL = np.radians(20.0)
 STRAIGHT = 0.9995
 # Legs are as straight as those of the source are within this time of it, smoothed by a
 # Gaussian of that width [s]: a second from a cut nothing may show of either.
-ALIKE, ALIKE_SMOOTH = 0.75, 0.05
+STRAIGHT_WINDOW, STRAIGHT_SMOOTH = 0.75, 0.05
 # The hips come down within about this time for a leg that does not reach [s].
 LOWERING = 0.07
 # How often that is put right at most, and by how much legs may fail to reach [m].
@@ -56,7 +56,7 @@ class Foot:
     hip: FloatArray  # beginning of the thigh (F, 3) [m]
     ankle: FloatArray  # (F, 3) [m]
     toe: FloatArray | None  # (F, 3) [m]
-    turn: FloatArray  # of the foot in the world (F, 4)
+    rotation: FloatArray  # of the foot in the world (F, 4)
     # Its turn where it stands at rest (4,); None where it stands as it is.
     level: FloatArray | None
     height: float  # of the ankle above the ground where it stands [m]
@@ -72,14 +72,14 @@ class Placed:
 
     hips: FloatArray  # the middle between the thighs (F, 3) [m]
     ankles: Sequence[FloatArray]  # of each foot (F, 3) [m]
-    turns: Sequence[FloatArray]  # (F, 4)
+    rotations: Sequence[FloatArray]  # (F, 4)
     locked: Sequence[BoolArray]  # frames in which each stands (F,)
     rolls: Sequence[FloatArray]  # how far the toe is what stands, 0 to 1 (F,)
     soles: Sequence[float]  # how high each toe stands, of none the ankle [m]
     lowered: float  # how far hips came down for legs that are too short, at most [m]
 
 
-def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> Placed:
+def plant_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> Placed:
     """Return where hips and feet are, with feet that stay where they stand.
 
     The hips go the way of the source's, scaled, so that a part of a take goes the same
@@ -94,20 +94,22 @@ def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
         fps: Frames a second.
         up: Component that points up.
     """
-    turns = [_settled(foot, fps, up) for foot in feet]
-    bones = [_bone(foot, turn) for foot, turn in zip(feet, turns, strict=True)]
+    rotations = [_settled(foot, fps, up) for foot in feet]
+    bones = [
+        _bone(foot, rotation) for foot, rotation in zip(feet, rotations, strict=True)
+    ]
     # Who rolls over the toe holds that; else it is the ankle.
-    held = [
+    pinned = [
         foot.ankle if foot.toe is None else foot.toe - bone
         for foot, bone in zip(feet, bones, strict=True)
     ]
     hips = hips.copy()
     raised = [_raised(foot, bone, up) for foot, bone in zip(feet, bones, strict=True)]
-    hips[:, up] += _lift(hips, feet, held, raised, fps, up)
+    hips[:, up] += _lift(hips, feet, pinned, raised, fps, up)
     locked = [foot.contacts.any for foot in feet]
     ankles = [
         _locked(hips + ankle, bone, foot, fps, up)
-        for foot, ankle, bone in zip(feet, held, bones, strict=True)
+        for foot, ankle, bone in zip(feet, pinned, bones, strict=True)
     ]
     down, rise = _reaching(hips, feet, ankles, fps, up)
     hips[:, up] += rise - down
@@ -116,7 +118,7 @@ def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
     return Placed(
         hips,
         ankles,
-        turns,
+        rotations,
         locked,
         rolls,
         soles,
@@ -130,38 +132,38 @@ def _settled(foot: Foot, fps: float, up: int) -> FloatArray:
     correction = np.zeros((len(flat), 3))
     for start, end in runs(flat):
         # The mean of turns that are near to each other.
-        mean = so3.normalize(so3.align_signs(foot.turn[start:end]).sum(axis=0))
+        mean = so3.normalize(so3.align_signs(foot.rotation[start:end]).sum(axis=0))
         aim = mean
         if foot.level is not None:
             lean = so3.multiply(mean, so3.conjugate(foot.level))
             level = so3.multiply(_heading(lean, up), foot.level)
             aim = mean if so3.angle_between(level, mean) > LEVEL else level
-        back = so3.conjugate(foot.turn[start:end])
+        back = so3.conjugate(foot.rotation[start:end])
         correction[start:end] = so3.log(so3.multiply(aim, back))
     between(correction, flat, fps)
-    return so3.align_signs(so3.multiply(so3.exp(correction), foot.turn))
+    return so3.align_signs(so3.multiply(so3.exp(correction), foot.rotation))
 
 
 def _rolls(toe: BoolArray, fps: float) -> FloatArray:
     """Return 1 where a toe stands, which fades to 0 about it ``(F,)``."""
-    made = toe[:, None].astype(np.float64)
-    between(made, toe, fps)
-    return np.asarray(np.clip(made[:, 0], 0.0, 1.0))
+    rolls = toe[:, None].astype(np.float64)
+    between(rolls, toe, fps)
+    return np.asarray(np.clip(rolls[:, 0], 0.0, 1.0))
 
 
-def _heading(turn: FloatArray, up: int) -> FloatArray:
+def _heading(rotation: FloatArray, up: int) -> FloatArray:
     """Return the part of a turn that is about the vertical ``(4,)``."""
-    made = np.zeros(4)
-    made[up], made[3] = turn[up], turn[3]
-    size = float(np.linalg.norm(made))
-    return made / size if size > 0 else so3.IDENTITY.copy()
+    heading = np.zeros(4)
+    heading[up], heading[3] = rotation[up], rotation[3]
+    size = float(np.linalg.norm(heading))
+    return heading / size if size > 0 else so3.IDENTITY.copy()
 
 
-def _bone(foot: Foot, turn: FloatArray) -> FloatArray:
+def _bone(foot: Foot, rotation: FloatArray) -> FloatArray:
     """Return the way from the ankle to the toe as the turned foot has it ``(F, 3)``."""
     if foot.toe is None:
         return np.zeros_like(foot.ankle)
-    change = so3.multiply(turn, so3.conjugate(foot.turn))
+    change = so3.multiply(rotation, so3.conjugate(foot.rotation))
     return so3.rotate(change, foot.toe - foot.ankle)
 
 
@@ -187,7 +189,7 @@ def _lift(
     return _smoothest(weights.sum(axis=0), lift, (SMOOTH * fps) ** 4)[:, 0]
 
 
-def _smoothest(draw: FloatArray, places: FloatArray, stiff: float) -> FloatArray:
+def _smoothest(draw: FloatArray, weighted: FloatArray, stiff: float) -> FloatArray:
     """Return the way ``(F, K)`` that is best at once by its places and bends.
 
     It has the least sum of weighted squares: of its places beside the given ones, and
@@ -195,38 +197,38 @@ def _smoothest(draw: FloatArray, places: FloatArray, stiff: float) -> FloatArray
 
     Args:
         draw: Weights of places ``(F,)``.
-        places: These, each times its weight ``(F, K)``.
+        weighted: These, each times its weight ``(F, K)``.
         stiff: Weight of second differences.
     """
     from scipy.linalg import solveh_banded
 
     count = len(draw)
     if count < 3 or not draw.any():
-        return np.zeros_like(places)
+        return np.zeros_like(weighted)
     band = np.zeros((3, count))
     band[2] = draw + LOOSE
     for offset, pattern in ((0, (1.0, 4.0, 1.0)), (1, (-2.0, -2.0)), (2, (1.0,))):
         for k, value in enumerate(pattern):
             band[2 - offset, offset + k : count - 2 + offset + k] += stiff * value
-    return np.asarray(solveh_banded(band, places))
+    return np.asarray(solveh_banded(band, weighted))
 
 
 def _weight(stands: BoolArray, fps: float) -> FloatArray:
     """Return how much a foot carries ``(F,)``: it comes and goes within its contact."""
-    made = np.zeros(len(stands))
+    weight = np.zeros(len(stands))
     for start, end in runs(stands):
         frames = np.arange(start, end)
         ramp = max(min(HANDOVER * fps, (end - start) / 2), 1.0)
         # What the take cuts off went on.
         since = np.inf if start == 0 else frames - start
         left = np.inf if end == len(stands) else end - 1 - frames
-        made[start:end] = _smooth(np.minimum(since, left) / ramp)
-    return made
+        weight[start:end] = _smooth(np.minimum(since, left) / ramp)
+    return weight
 
 
-def _smooth(share: FloatArray) -> FloatArray:
+def _smooth(fraction: FloatArray) -> FloatArray:
     """Return a step from 0 to 1 of class C2."""
-    t = np.clip(share, 0.0, 1.0)
+    t = np.clip(fraction, 0.0, 1.0)
     return np.asarray(t**3 * (10 - 15 * t + 6 * t * t))
 
 
@@ -236,10 +238,10 @@ def _level_bone(foot: Foot, up: int) -> float:
         return 0.0
     if foot.level is None:
         flat = foot.contacts.ankle & foot.contacts.toe
-        ways = (foot.toe - foot.ankle)[flat if flat.any() else slice(None), up]
-        return float(np.median(ways))
-    turn = so3.multiply(foot.level, so3.conjugate(foot.turn[:1]))
-    return float(so3.rotate(turn, (foot.toe - foot.ankle)[:1])[0, up])
+        bones = (foot.toe - foot.ankle)[flat if flat.any() else slice(None), up]
+        return float(np.median(bones))
+    rotation = so3.multiply(foot.level, so3.conjugate(foot.rotation[:1]))
+    return float(so3.rotate(rotation, (foot.toe - foot.ankle)[:1])[0, up])
 
 
 def _locked(
@@ -255,7 +257,7 @@ def _locked(
     correction = np.zeros_like(ankle)
     level = foot.height + _level_bone(foot, up)
     for start, end in runs(stands):
-        own, way = ankle[start:end], bone[start:end].copy()
+        path, toe_offset = ankle[start:end], bone[start:end].copy()
         heel, toe = contacts.ankle[start:end], contacts.toe[start:end]
         flat = np.flatnonzero(heel & toe)
         if not len(flat):
@@ -265,14 +267,16 @@ def _locked(
         behind = np.searchsorted(flat, alone)
         before = flat[np.maximum(behind - 1, 0)]
         after = flat[np.minimum(behind, len(flat) - 1)]
-        way[alone] = way[np.where(alone - before <= after - alone, before, after)]
-        goal = (own + way)[flat].mean(axis=0)
+        toe_offset[alone] = toe_offset[
+            np.where(alone - before <= after - alone, before, after)
+        ]
+        goal = (path + toe_offset)[flat].mean(axis=0)
         goal[up] = level
         if foot.toe is None:
             # Who kneels stands on the toes, though there is no joint of them.
             high = float(np.median(foot.above[start:end]))
             goal[up] += high if high > RAISED * foot.length else 0.0
-        correction[start:end] = goal - way - own
+        correction[start:end] = goal - toe_offset - path
     between(correction, stands, fps)
     _above_ground(correction[:, up], (ankle + bone)[:, up], level, stands, fps)
     return ankle + correction
@@ -315,9 +319,9 @@ def between(
     if known.all() or not known.any():
         return
     draw = np.where(known, PINNED, 1.0)
-    places = values * np.where(known, PINNED, 0.0)[:, None]
-    made = _smoothest(draw, places, (fade * fps) ** 4)
-    values[~known] = made[~known]
+    weighted = values * np.where(known, PINNED, 0.0)[:, None]
+    rows = _smoothest(draw, weighted, (fade * fps) ** 4)
+    values[~known] = rows[~known]
 
 
 def _reaching(
@@ -330,20 +334,20 @@ def _reaching(
     """Return how far hips come down and up so that legs reach, both ``(F,)`` [m]."""
     down, rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
-        way = hips + foot.hip - ankle
-        most = upper(foot.straight, ALIKE * fps, ALIKE_SMOOTH * fps)
+        offset = hips + foot.hip - ankle
+        most = upper(foot.straight, STRAIGHT_WINDOW * fps, STRAIGHT_SMOOTH * fps)
         # The same leg may be as straight as it was.
         bent = BENT if foot.level is not None else 1.0
-        share = np.clip(1 - bent * (1 - most), FAR_FROM_STRAIGHT, STRAIGHT)
-        flat = way.copy()
+        fraction = np.clip(1 - bent * (1 - most), FAR_FROM_STRAIGHT, STRAIGHT)
+        flat = offset.copy()
         flat[:, up] = 0.0
         across = (flat**2).sum(axis=1)
-        high = np.sqrt(np.maximum((share * foot.length) ** 2 - across, 0.0))
-        down = np.maximum(down, way[:, up] - high)
+        high = np.sqrt(np.maximum((fraction * foot.length) ** 2 - across, 0.0))
+        down = np.maximum(down, offset[:, up] - high)
         low = np.sqrt(np.maximum(foot.shortest**2 - across, 0.0))
         # Who hangs by the feet is not turned over.
-        upright = (way[:, up] > 0) & (low > 0)
-        rise = np.maximum(rise, np.where(upright, low - way[:, up], 0.0))
+        upright = (offset[:, up] > 0) & (low > 0)
+        rise = np.maximum(rise, np.where(upright, low - offset[:, up], 0.0))
     return covering(down, LOWERING * fps), covering(rise, LOWERING * fps)
 
 
@@ -352,16 +356,16 @@ def covering(values: FloatArray, width: float) -> FloatArray:
 
     It is 0 where no value is above 0; it goes back there within a width [frames].
     """
-    made, pinned = np.zeros((len(values), 1)), np.zeros(len(values), np.bool_)
+    cover, pinned = np.zeros((len(values), 1)), np.zeros(len(values), np.bool_)
     for _ in range(PINS):
-        low = values > made[:, 0] + COVERED
+        low = values > cover[:, 0] + COVERED
         if not low.any():
             break
-        pinned |= low & _peaks(values - made[:, 0])
+        pinned |= low & _peaks(values - cover[:, 0])
         draw = np.where(pinned, PINNED, 1.0)
-        places = np.where(pinned, PINNED * values, 0.0)[:, None]
-        made = _smoothest(draw, places, max(width, 1.0) ** 4)
-    return np.asarray(made[:, 0])
+        weighted = np.where(pinned, PINNED * values, 0.0)[:, None]
+        cover = _smoothest(draw, weighted, max(width, 1.0) ** 4)
+    return np.asarray(cover[:, 0])
 
 
 def _peaks(values: FloatArray) -> BoolArray:
@@ -386,7 +390,7 @@ def bend_limb(
     hip: FloatArray,
     joints: tuple[FloatArray, FloatArray],
     goal: FloatArray,
-    turns: tuple[FloatArray, FloatArray],
+    rotations: tuple[FloatArray, FloatArray],
     hinge: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return turns of thigh and shin that bring an ankle to its goal, each ``(F, 4)``.
@@ -398,23 +402,23 @@ def bend_limb(
         hip: Where the thigh begins ``(F, 3)`` [m].
         joints: Knee and ankle as they are ``(F, 3)`` [m].
         goal: Where the ankle is to be ``(F, 3)`` [m].
-        turns: Of thigh and shin in the world ``(F, 4)``.
+        rotations: Of thigh and shin in the world ``(F, 4)``.
         hinge: What the knee turns about where the leg is straight ``(F, 3)``.
     """
     knee, ankle = joints
     thigh, shin = knee - hip, ankle - knee
     a, b = (np.linalg.norm(bone, axis=1) for bone in (thigh, shin))
-    wanted = np.linalg.norm(goal - hip, axis=1)
+    goal_distance = np.linalg.norm(goal - hip, axis=1)
     low, high = np.abs(a - b) * (1 + 1e-9), (a + b) * STRAIGHT
     # A leg that was straighter than that may stay so.
     high = np.maximum(high, np.minimum(np.linalg.norm(ankle - hip, axis=1), a + b))
-    wanted = np.clip(wanted, low, high)
+    goal_distance = np.clip(goal_distance, low, high)
     axis = np.cross(thigh, shin)
     size = np.linalg.norm(axis, axis=1, keepdims=True)
     axis = np.where(
         size > 1e-3 * (a * b)[:, None], axis / np.maximum(size, 1e-300), hinge
     )
-    cosine = np.clip((wanted**2 - a**2 - b**2) / (2 * a * b), -1.0, 1.0)
+    cosine = np.clip((goal_distance**2 - a**2 - b**2) / (2 * a * b), -1.0, 1.0)
     now = np.arctan2(
         (np.cross(thigh, shin) * axis).sum(axis=1), (thigh * shin).sum(axis=1)
     )
@@ -422,8 +426,8 @@ def bend_limb(
     tip = thigh + so3.rotate(bend, shin)
     swing = shortest(tip, goal - hip)
     return (
-        so3.multiply(swing, turns[0]),
-        so3.multiply(swing, so3.multiply(bend, turns[1])),
+        so3.multiply(swing, rotations[0]),
+        so3.multiply(swing, so3.multiply(bend, rotations[1])),
     )
 
 
@@ -453,14 +457,14 @@ def bend_at_pin(
     """
     upper, lower = bones
     along = float((upper @ axis) * (lower @ axis))
-    even, odd = float(upper @ lower) - along, float(upper @ np.cross(axis, lower))
-    size = float(np.hypot(even, odd))
+    cosine, sine = float(upper @ lower) - along, float(upper @ np.cross(axis, lower))
+    size = float(np.hypot(cosine, sine))
     if not size:
         return thigh, angle
     reach = np.linalg.norm(goal - hip, axis=1)
     middle = (reach**2 - upper @ upper - lower @ lower) / 2 - along
     open_by = np.arccos(np.clip(middle / size, -1.0, 1.0))
-    zero = float(np.arctan2(odd, even))
+    zero = float(np.arctan2(sine, cosine))
     both = np.stack([zero + open_by, zero - open_by])
     both -= 2 * np.pi * np.round((both - angle) / (2 * np.pi))
     off = np.abs(both - angle)
@@ -478,9 +482,11 @@ def shortest(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the shortest turns ``(F, 4)`` of directions ``(F, 3)`` to others."""
     a = before / np.linalg.norm(before, axis=1, keepdims=True)
     b = after / np.linalg.norm(after, axis=1, keepdims=True)
-    made = np.concatenate([np.cross(a, b), 1 + (a * b).sum(axis=1)[:, None]], axis=1)
-    known = np.abs(made).max(axis=1)[:, None] > OPPOSITE
-    return so3.normalize(np.where(known, made, [1.0, 0.0, 0.0, 0.0]))
+    quaternions = np.concatenate(
+        [np.cross(a, b), 1 + (a * b).sum(axis=1)[:, None]], axis=1
+    )
+    known = np.abs(quaternions).max(axis=1)[:, None] > OPPOSITE
+    return so3.normalize(np.where(known, quaternions, [1.0, 0.0, 0.0, 0.0]))
 
 
 # How much more a knee beyond its stop counts than one that goes far [1].

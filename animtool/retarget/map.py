@@ -21,7 +21,7 @@ class JointPair:
     source: int  # index of the joint
     target: int  # index of the joint
     role: str  # of `ROLES`; empty where a file or a name alone pairs them
-    found: RoleSource  # the less sure of the two
+    evidence: RoleSource  # the less sure of the two
     confidence: float  # 0 to 1
 
 
@@ -41,12 +41,12 @@ class JointChain:
 
 
 @dataclass(frozen=True, slots=True)
-class TwistShare:
+class TwistFraction:
     """A joint of the target that takes a share of a bone's twist."""
 
     joint: int  # index in the target
     bone: int  # index in the target of the joint whose bone is twisted
-    share: float  # of the twist from the bone's begin (0) to its end (1)
+    fraction: float  # of the twist from the bone's begin (0) to its end (1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class JointMap:
 
     pairs: tuple[JointPair, ...]  # in the order of the target's joints
     chains: tuple[JointChain, ...]
-    twists: tuple[TwistShare, ...]
+    twists: tuple[TwistFraction, ...]
     unmapped_source: tuple[int, ...]  # joints that move nothing
     unmapped_target: tuple[int, ...]  # joints that stay at rest
     source: Anatomy
@@ -67,24 +67,24 @@ class JointMap:
         return next((pair for pair in self.pairs if pair.role == role), None)
 
 
-def map_text(found: JointMap, source: Rig, target: Rig) -> str:
+def map_text(joint_map: JointMap, source: Rig, target: Rig) -> str:
     """Return a map as the text of a map file, to be edited.
 
     Read again for the same skeletons, it gives the same pairs, chains and twists.
     """
-    return "\n".join(_lines(found, source, target)) + "\n"
+    return "\n".join(_lines(joint_map, source, target)) + "\n"
 
 
-def _lines(found: JointMap, source: Rig, target: Rig) -> Iterator[str]:
+def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     ours, theirs = source.names, target.names
     yield f"# {text(source.name)} onto {text(target.name)}"
     yield "map: animtool/1"
     # Who edits it finds the key, and what it may be.
     yield "others: none  # auto maps joints that are not named here, as without a file"
     yield "joints:"
-    chained = {j for chain in found.chains for j in chain.target}
-    chains = {chain.target[0]: chain for chain in found.chains}
-    for pair in found.pairs:
+    chained = {j for chain in joint_map.chains for j in chain.target}
+    chains = {chain.target[0]: chain for chain in joint_map.chains}
+    for pair in joint_map.pairs:
         if pair.target in chains:
             chain = chains[pair.target]
             left = _flow([ours[j] for j in chain.source])
@@ -94,18 +94,18 @@ def _lines(found: JointMap, source: Rig, target: Rig) -> Iterator[str]:
         else:
             left, right = text(ours[pair.source]), text(theirs[pair.target])
         role = f", role: {pair.role}" if pair.role else ""
-        sure = f"  # {pair.found or 'unsure'}, {pair.confidence:.0%} sure"
+        sure = f"  # {pair.evidence or 'unsure'}, {pair.confidence:.0%} sure"
         comment = sure if pair.confidence < 1.0 else ""
         yield f"- {{source: {left}, target: {right}{role}}}{comment}"
-    if found.twists:
+    if joint_map.twists:
         yield "twists:"
-    for twist in found.twists:
+    for twist in joint_map.twists:
         joint, bone = text(theirs[twist.joint]), text(theirs[twist.bone])
-        share = number(round(twist.share, 6))
-        yield f"- {{joint: {joint}, bone: {bone}, share: {share}}}"
+        fraction = number(round(twist.fraction, 6))
+        yield f"- {{joint: {joint}, bone: {bone}, share: {fraction}}}"
     unmapped = {
-        "source": [ours[j] for j in found.unmapped_source],
-        "target": [theirs[j] for j in found.unmapped_target],
+        "source": [ours[j] for j in joint_map.unmapped_source],
+        "target": [theirs[j] for j in joint_map.unmapped_target],
     }
     if any(unmapped.values()):
         yield "ignored:"

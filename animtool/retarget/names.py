@@ -74,7 +74,7 @@ class Preset:
     name: str
     title: str
     source: str  # where its names were read
-    seen: bool  # whether all names were read there; else some follow from a rule
+    complete: bool  # whether all names were read there; else some follow from a rule
     keys: Mapping[str, frozenset[str]]  # roles without sides, by `ReadName.key`
     joints: Mapping[str, tuple[str, ...]]  # names by role, the usual one first
 
@@ -137,14 +137,14 @@ def read_names(names: Sequence[str], parents: IntArray) -> list[ReadName]:
     read = []
     for j, name in enumerate(bare):
         side, words = _side(_split(name))
-        shorter = _without_letter(name, bare[partner[j]])
+        shorter = _strip_side_letter(name, bare[partner[j]])
         if shorter:
             side, words = "l" if j in left else "r", _split(shorter)
         read.append(ReadName(side, _key(words), _kind(name, words)))
     return read
 
 
-def _without_letter(name: str, other: str) -> str:
+def _strip_side_letter(name: str, other: str) -> str:
     """Return a name without the letter that tells it from its partner's, or nothing."""
     differ = [i for i, (a, b) in enumerate(zip(name, other, strict=False)) if a != b]
     if len(name) != len(other) or len(differ) != 1:
@@ -273,6 +273,8 @@ def _limb_words() -> Mapping[str, frozenset[str]]:
     """Return the roles in limbs that any convention gives a name, by its key."""
     roles: dict[str, set[str]] = {}
     for preset in presets().values():
-        for key, own in preset.keys.items():
-            roles.setdefault(key, set()).update(own & {*ARM, *LEG})
-    return {key: frozenset(own) for key, own in roles.items() if own}
+        for key, base_roles in preset.keys.items():
+            roles.setdefault(key, set()).update(base_roles & {*ARM, *LEG})
+    return {
+        key: frozenset(base_roles) for key, base_roles in roles.items() if base_roles
+    }

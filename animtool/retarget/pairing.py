@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.file import FileMap, MapFile, load_map, resolved_map
-from animtool.retarget.map import JointChain, JointMap, JointPair, TwistShare
+from animtool.retarget.map import JointChain, JointMap, JointPair, TwistFraction
 from animtool.retarget.roles import (
     DIGITS,
     END,
@@ -116,13 +116,13 @@ def map_joints(
         raise OptionError(Fault("MAP004", message, hint=hint))
     used = {pair.source for pair in pairs.values()}
     used |= {j for chain in chains for j in chain.source}
-    moved = {*pairs, *(twist.joint for twist in twists)}
+    driven = {*pairs, *(twist.joint for twist in twists)}
     return JointMap(
         tuple(pairs[j] for j in sorted(pairs)),
         tuple(chains),
         twists,
         _left(source, anatomies[0], used),
-        _left(target, anatomies[1], moved),
+        _left(target, anatomies[1], driven),
         *anatomies,
         (*anatomies[0].notices, *anatomies[1].notices),
     )
@@ -218,11 +218,11 @@ class _Pairing:
         role: str,
         ours: Sequence[int],
         theirs: Sequence[int],
-        found: RoleSource | None = None,
+        evidence: RoleSource | None = None,
     ) -> None:
         """Pair two chains, and note them where either has several joints."""
         at = [
-            _places(rig, known, chain)
+            _chain_fractions(rig, known, chain)
             for rig, known, chain in zip(
                 self.rigs, self.anatomies, (ours, theirs), strict=True
             )
@@ -235,11 +235,14 @@ class _Pairing:
             k = ours[i] if same else ours[_nearest(at[0], at[1][i])]
             ends = zip(self.anatomies, (k, j), strict=True)
             sure, how = min(
-                ((known.confidence[each], known.found[each]) for known, each in ends),
+                (
+                    (known.confidence[each], known.evidence[each])
+                    for known, each in ends
+                ),
                 key=lambda pair: pair[0],
             )
-            if found is not None:
-                sure, how = 1.0, found
+            if evidence is not None:
+                sure, how = 1.0, evidence
             self.pairs[j] = JointPair(k, j, role, how, sure)
 
 
@@ -249,24 +252,28 @@ def _in_order(
     """Return the joints of each toe of a foot, the innermost first."""
     tops = [j for j in joints if int(rig.parents[j]) not in joints]
     toes = [[j for j in joints if top in rig.upwards(j)] for top in tops]
-    side, places = role[-1:], rest_world(rig).positions[0]
+    side, positions = role[-1:], rest_world(rig).positions[0]
     feet = [known.chain(f"foot_{each}") for each in (side, "lr".replace(side, ""))]
     if len(toes) < 2 or not all(feet):
         return toes
-    inwards = places[feet[1][0]] - places[feet[0][0]]
-    return sorted(toes, key=lambda toe: -float(places[toe[0]] @ inwards))
+    inwards = positions[feet[1][0]] - positions[feet[0][0]]
+    return sorted(toes, key=lambda toe: -float(positions[toe[0]] @ inwards))
 
 
 def _by_name(known: Anatomy, joint: int) -> bool:
-    return known.found[joint] in {RoleSource.NAME, RoleSource.PRESET, RoleSource.FILE}
+    return known.evidence[joint] in {
+        RoleSource.NAME,
+        RoleSource.PRESET,
+        RoleSource.FILE,
+    }
 
 
-def _nearest(at: Sequence[float], place: float) -> int:
+def _nearest(at: Sequence[float], position: float) -> int:
     """Return the last joint that begins at a place or above, or next to it."""
-    return int(np.argmin(np.abs(np.asarray(at) - place)))
+    return int(np.argmin(np.abs(np.asarray(at) - position)))
 
 
-def _places(rig: Rig, known: Anatomy, chain: Sequence[int]) -> list[float]:
+def _chain_fractions(rig: Rig, known: Anatomy, chain: Sequence[int]) -> list[float]:
     """Return where the joints of a chain begin, as shares of its length."""
     steps = [0.0, *(_distance(rig, a, b) for a, b in pairwise(chain))]
     total = sum(steps) + _bone(rig, known, chain[-1])
@@ -277,9 +284,9 @@ def _places(rig: Rig, known: Anatomy, chain: Sequence[int]) -> list[float]:
 
 def _distance(rig: Rig, upper: int, lower: int) -> float:
     """Return the length of the way down from one joint to another [m]."""
-    way = rig.upwards(lower)
-    way = way[: way.index(upper)] if upper in way else [lower]
-    return float(np.linalg.norm(rig.rest_translations[way], axis=1).sum())
+    path = rig.upwards(lower)
+    path = path[: path.index(upper)] if upper in path else [lower]
+    return float(np.linalg.norm(rig.rest_translations[path], axis=1).sum())
 
 
 def _bone(rig: Rig, known: Anatomy, joint: int) -> float:
@@ -295,7 +302,9 @@ def _bone(rig: Rig, known: Anatomy, joint: int) -> float:
     return max((float(np.linalg.norm(end)) for end in ends), default=0.0)
 
 
-def _twists(target: Rig, known: Anatomy, pairing: _Pairing) -> tuple[TwistShare, ...]:
+def _twists(
+    target: Rig, known: Anatomy, pairing: _Pairing
+) -> tuple[TwistFraction, ...]:
     """Return the shares of twist of joints that lie along a bone."""
     shares = []
     for j, role in enumerate(known.roles):
@@ -305,7 +314,7 @@ def _twists(target: Rig, known: Anatomy, pairing: _Pairing) -> tuple[TwistShare,
         if base_role(known.roles[bone]) not in _TWISTED:
             continue
         length = _bone(target, known, bone)
-        own = float(np.linalg.norm(target.joints[j].translation))
-        share = min(own / length, 1.0) if length > 0 else 0.5
-        shares.append(TwistShare(j, bone, share))
+        offset = float(np.linalg.norm(target.joints[j].translation))
+        fraction = min(offset / length, 1.0) if length > 0 else 0.5
+        shares.append(TwistFraction(j, bone, fraction))
     return tuple(shares)

@@ -32,10 +32,10 @@ class PropMotion:
     """Where a prop is in all frames, in the target's axes."""
 
     track: int  # which of the take's it is
-    places: FloatArray  # (F, 3) [m]
-    turns: FloatArray  # (F, 4)
+    positions: FloatArray  # (F, 3) [m]
+    rotations: FloatArray  # (F, 4)
 
-    def held_by(self, wrist: FloatArray, arm: float, fps: float) -> BoolArray:
+    def gripped_by(self, wrist: FloatArray, arm: float, fps: float) -> BoolArray:
         """Return when a hand holds it ``(F,)``.
 
         Args:
@@ -45,19 +45,19 @@ class PropMotion:
         """
         if len(wrist) < 3 or arm <= 0:
             return np.zeros(len(wrist), np.bool_)
-        seen = self.seen(wrist)
-        speed = np.gradient(smoothed(seen, SMOOTH * fps), axis=0) * fps
+        local = self.in_prop_frame(wrist)
+        speed = np.gradient(smoothed(local, SMOOTH * fps), axis=0) * fps
         steady = np.linalg.norm(speed, axis=1) < STEADY * arm
-        near = np.linalg.norm(seen, axis=1) < NEAR * arm
-        held = without_short(steady & near, fps)
-        for start, end in runs(held):
-            if np.ptp(self.places[start:end], axis=0).max() < TAKEN_ALONG * arm:
-                held[start:end] = False
-        return held
+        near = np.linalg.norm(local, axis=1) < NEAR * arm
+        gripped = without_short(steady & near, fps)
+        for start, end in runs(gripped):
+            if np.ptp(self.positions[start:end], axis=0).max() < TAKEN_ALONG * arm:
+                gripped[start:end] = False
+        return gripped
 
-    def seen(self, points: FloatArray) -> FloatArray:
+    def in_prop_frame(self, points: FloatArray) -> FloatArray:
         """Return points in the prop's own frame ``(F, 3)`` [m]."""
-        return so3.rotate(so3.conjugate(self.turns), points - self.places)
+        return so3.rotate(so3.conjugate(self.rotations), points - self.positions)
 
 
 class Props:
@@ -77,26 +77,26 @@ class Props:
     def motions(self, transfer: Transfer) -> list[PropMotion]:
         """Return where those are that move, once all frames were read."""
         times = Channel.concatenate(self._times).dense()[..., 0]
-        found = []
+        motions = []
         for i, track in enumerate(self.tracks):
             if track.placed and track.moves:
                 turned = turned_track(track, transfer.upright).at(times[:, i])
-                found.append(PropMotion(i, turned.translations, turned.rotations))
-        return found
+                motions.append(PropMotion(i, turned.translations, turned.rotations))
+        return motions
 
-    def moved(
-        self, held: set[int], transfer: Transfer, lift: FloatArray
+    def with_gripped(
+        self, gripped: set[int], transfer: Transfer, lift: FloatArray
     ) -> tuple[Track, ...]:
         """Return the tracks, of which those that hands hold go with the target.
 
         Args:
-            held: Which they are.
+            gripped: Which they are.
             transfer: How the target follows.
             lift: By how much its ground is higher ``(3,)`` [m].
         """
         return tuple(
             _scaled(turned_track(track, transfer.upright), transfer.scale, lift)
-            if i in held
+            if i in gripped
             else track
             for i, track in enumerate(self.tracks)
         )
@@ -106,12 +106,12 @@ def _scaled(track: Track, scale: float, lift: FloatArray) -> Track:
     """Return a track whose way is scaled, and its size is not."""
 
     def sample(times: FloatArray) -> Transforms:
-        found = track.sample(times)
-        matrices = found.matrices
+        sampled = track.sample(times)
+        matrices = sampled.matrices
         if matrices is not None:
             matrices = matrices.copy()
             matrices[:, :3, 3] = scale * matrices[:, :3, 3] + lift
-        places = scale * found.translations + lift
-        return replace(found, translations=places, matrices=matrices)
+        translations = scale * sampled.translations + lift
+        return replace(sampled, translations=translations, matrices=matrices)
 
     return replace(track, sample=sample)

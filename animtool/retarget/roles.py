@@ -49,14 +49,14 @@ class Anatomy:
 
     # One of `ROLES`, or `TWIST`, `END`, `CONTROL` or empty, per joint ``(J,)``.
     roles: tuple[str, ...]
-    found: tuple[RoleSource, ...]  # ``(J,)``
+    evidence: tuple[RoleSource, ...]  # ``(J,)``
     confidence: tuple[float, ...]  # 0 to 1 ``(J,)``
     preset: str = ""  # the convention of the names; empty for none
     notices: tuple[Fault, ...] = ()
 
     def chain(self, role: str) -> tuple[int, ...]:
         """Return the joints of a role, parents before children."""
-        return tuple(j for j, own in enumerate(self.roles) if own == role)
+        return tuple(j for j, each in enumerate(self.roles) if each == role)
 
 
 def base_role(role: str) -> str:

@@ -52,12 +52,12 @@ class Stance:
 
     Attributes:
         axis: The axis that it stands along, if that is not the one that is up.
-        share: In which share of the frames.
+        fraction: In which share of the frames.
         upside_down: Whether it stands on its head in nearly all frames.
     """
 
     axis: UpAxis | None = None
-    share: float = 0.0
+    fraction: float = 0.0
     upside_down: bool = False
 
 
@@ -79,13 +79,13 @@ def body_axes(roles: Sequence[str], positions: FloatArray) -> FloatArray:
     if legs is None:
         return trunk
     up = (trunk * -legs).sum(axis=1)
-    made = np.where(up[:, None] > UPRIGHT, _units(trunk - legs), nothing)
+    axes = np.where(up[:, None] > UPRIGHT, _units(trunk - legs), nothing)
     if arms is None:
-        return made
+        return axes
     down = _units(legs + arms)
     fours = (legs * arms).sum(axis=1) > ON_FOURS
     fours &= np.abs((trunk * down).sum(axis=1)) < UPRIGHT
-    return np.where(fours[:, None], -down, made)
+    return np.where(fours[:, None], -down, axes)
 
 
 _LIMBS = (("thigh", "foot"), ("upper_arm", "hand"))
@@ -108,16 +108,16 @@ def _limbs(
     pairs = [(f"{first}_{side}", f"{last}_{side}") for side in "lr"]
     if not all({*pair} <= {*roles} for pair in pairs):
         return None
-    ways = [
+    vectors = [
         _units(positions[:, roles.index(b)] - positions[:, roles.index(a)])
         for a, b in pairs
     ]
-    return _units(ways[0] + ways[1])
+    return _units(vectors[0] + vectors[1])
 
 
-def _units(ways: FloatArray) -> FloatArray:
-    sizes = np.linalg.norm(ways, axis=1)
-    return np.asarray(ways / np.maximum(sizes, 1e-12)[:, None])
+def _units(vectors: FloatArray) -> FloatArray:
+    sizes = np.linalg.norm(vectors, axis=1)
+    return np.asarray(vectors / np.maximum(sizes, 1e-12)[:, None])
 
 
 def stance(
@@ -138,21 +138,27 @@ def stance(
     axes, other = body_axes(roles, positions), _other(up)
     along = axes @ np.array(other.vector) > STANDS
     upright = axes @ np.array(up.vector)
-    share, usual = float(along.mean()), float((upright > STANDS).mean())
+    fraction, upright_fraction = float(along.mean()), float((upright > STANDS).mean())
     if float((upright < -STANDS).mean()) >= MOSTLY:
-        return Stance(share=float((upright < -STANDS).mean()), upside_down=True)
+        return Stance(fraction=float((upright < -STANDS).mean()), upside_down=True)
     rests = np.zeros(3) if rest is None else body_axes(roles, rest[None])[0]
     if rests @ np.array(other.vector) > STANDS:
-        starts = bool(along[0] or along[-1]) and share >= max(usual, SELDOM)
-        found = starts or share >= MOSTLY or _leans(roles, positions, other, up)
-        return Stance(other, share) if found else Stance()
-    if share < MOSTLY and not (along[0] and share >= max(usual, SELDOM)):
+        starts = bool(along[0] or along[-1]) and fraction >= max(
+            upright_fraction, SELDOM
+        )
+        along_other = (
+            starts or fraction >= MOSTLY or _leans(roles, positions, other, up)
+        )
+        return Stance(other, fraction) if along_other else Stance()
+    if fraction < MOSTLY and not (
+        along[0] and fraction >= max(upright_fraction, SELDOM)
+    ):
         return Stance()
     standing = positions[along]
     if _moves_over(positions, other, up) or _feet_on_ground(standing, other, up):
-        return Stance(other, share)
-    lies = share < MOSTLY or _on_one_level(standing, up)
-    return Stance() if lies else Stance(other, share)
+        return Stance(other, fraction)
+    lies = fraction < MOSTLY or _on_one_level(standing, up)
+    return Stance() if lies else Stance(other, fraction)
 
 
 def _leans(
@@ -210,9 +216,9 @@ def stands_along(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis | Non
         return None
     every = max(motion.frames // ENOUGH, 1)
     frames = motion.select(slice(0, motion.frames, every))
-    places = forward(rig, frames.translations.dense(), frames.rotations.dense())
+    positions = forward(rig, frames.translations.dense(), frames.rotations.dense())
     rest = rest_world(rig).positions[0]
-    return stance(roles, places.positions, rig.up, rest).axis
+    return stance(roles, positions.positions, rig.up, rest).axis
 
 
 def _other_is_longer(rig: Rig, motion: Motion) -> bool:

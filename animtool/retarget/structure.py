@@ -27,7 +27,7 @@ from animtool.rig.skeleton import Rig
 # Shorter than this share of the skeleton, a bone has no length.
 _ZERO = 1e-4
 # Limbs of one pair differ in reach by less than this share.
-_ALIKE = 0.15
+_PAIR_TOLERANCE = 0.15
 # A pair of limbs reaches over at least this share of the skeleton.
 _LIMB = 0.2
 # Joints of a limb that are told apart; the time it takes grows with the fourth power.
@@ -43,7 +43,7 @@ Pair = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class Body:
+class SkeletonTree:
     """A skeleton as the search sees it."""
 
     rig: Rig
@@ -56,7 +56,7 @@ class Body:
     @classmethod
     def of(
         cls, rig: Rig, votes: Sequence[dict[str, float]], kinds: Sequence[str]
-    ) -> Body:
+    ) -> SkeletonTree:
         """Return a skeleton at rest."""
         rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
         tips = np.zeros((len(rig.joints), 3))
@@ -115,10 +115,10 @@ class Body:
                 counts[self.rig.joints[j].parent] += counts[j]
         return counts
 
-    def way(self, top: int, bottom: int) -> list[int]:
+    def path(self, top: int, bottom: int) -> list[int]:
         """Return the joints from one to another below it; none where it is not."""
-        way = self.rig.upwards(bottom)[::-1]
-        return way[way.index(top) :] if top in way else []
+        path = self.rig.upwards(bottom)[::-1]
+        return path[path.index(top) :] if top in path else []
 
     def common(self, joints: Sequence[int]) -> int:
         """Return the lowest joint above or at all of these; -1 where none is."""
@@ -184,19 +184,19 @@ class Body:
 
     def heaviest(self, joint: int) -> list[int]:
         """Return the longest way down from a joint, itself first."""
-        way = [joint]
-        while below := self.limb_children(way[-1]):
-            way.append(max(below, key=self.extent))
-        return way
+        path = [joint]
+        while below := self.limb_children(path[-1]):
+            path.append(max(below, key=self.extent))
+        return path
 
-    def branches(self, way: Sequence[int]) -> tuple[int, int]:
+    def branches(self, path: Sequence[int]) -> tuple[int, int]:
         """Return the joint of a way from which most ways go on, and their number."""
-        counts = [len(self.limb_children(j)) for j in way]
+        counts = [len(self.limb_children(j)) for j in path]
         most = max(counts)
-        return way[counts.index(most)], most
+        return path[counts.index(most)], most
 
 
-def limb_pairs(body: Body) -> tuple[Pair | None, Pair | None]:
+def limb_pairs(body: SkeletonTree) -> tuple[Pair | None, Pair | None]:
     """Return the pair of legs and the pair of arms, as far as the tree shows them."""
     outer: list[Pair] = []
     for pair in sorted(_pairs(body), key=lambda pair: -body.extent(pair[0])):
@@ -211,9 +211,9 @@ def limb_pairs(body: Body) -> tuple[Pair | None, Pair | None]:
     return None, None
 
 
-def _pairs(body: Body) -> list[Pair]:
+def _pairs(body: SkeletonTree) -> list[Pair]:
     """Return pairs of like subtrees, each joint with the one that is most like it."""
-    found = []
+    pairs = []
     for below in body.children:
         long = [
             c
@@ -223,21 +223,21 @@ def _pairs(body: Body) -> list[Pair]:
         for a, b in combinations(sorted(long, key=body.extent)[-_MAX_LIMB_JOINTS:], 2):
             low, high = sorted((body.extent(a), body.extent(b)))
             fewer, more = sorted((body.counts[a], body.counts[b]))
-            if high - low <= _ALIKE * high and more <= 1.2 * fewer + 2:
-                found.append((more - fewer, high - low, (a, b)))
+            if high - low <= _PAIR_TOLERANCE * high and more <= 1.2 * fewer + 2:
+                pairs.append((more - fewer, high - low, (a, b)))
     best: list[Pair] = []
-    for _, _, pair in sorted(found):
+    for _, _, pair in sorted(pairs):
         if not any(set(pair) & set(other) for other in best):
             best.append(pair)
     return best
 
 
-def _leg_score(body: Body, legs: Pair, arms: Pair) -> float:
+def _leg_score(body: SkeletonTree, legs: Pair, arms: Pair) -> float:
     """Return how well two pairs do as legs and arms."""
     hips, chest = (body.rig.joints[pair[0]].parent for pair in (legs, arms))
-    ways = [body.rig.upwards(hips), body.rig.upwards(chest)]
-    score = 2.0 * (hips in ways[1]) - 2.0 * (chest in ways[0][1:])
-    score += float(np.sign(len(ways[1]) - len(ways[0])))
+    paths = [body.rig.upwards(hips), body.rig.upwards(chest)]
+    score = 2.0 * (hips in paths[1]) - 2.0 * (chest in paths[0][1:])
+    score += float(np.sign(len(paths[1]) - len(paths[0])))
     fingers = [
         max(body.branches(body.heaviest(c))[1] for c in pair) for pair in (legs, arms)
     ]
@@ -248,7 +248,7 @@ def _leg_score(body: Body, legs: Pair, arms: Pair) -> float:
     return score + (body.extent(legs[0]) + body.extent(arms[0])) / max(body.size, 1e-30)
 
 
-def upright(body: Body, tips: Mapping[str, int]) -> FloatArray | None:
+def upright(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray | None:
     """Return the way up of a person who stands ``(3,)``; None where nobody does.
 
     Limbs are given by their lowest joints: ``leg_l``, ``arm_r`` …
@@ -261,7 +261,7 @@ def upright(body: Body, tips: Mapping[str, int]) -> FloatArray | None:
     trunk = positions[chest] - positions[hips]
     # Toes and hands point anywhere: where limbs are on the whole says more.
     drops = [
-        positions[body.way(hips, leg)].mean(axis=0) - positions[hips] for leg in legs
+        positions[body.path(hips, leg)].mean(axis=0) - positions[hips] for leg in legs
     ]
     drop = np.asarray(drops).mean(axis=0)
     lengths = float(np.linalg.norm(trunk)), float(np.linalg.norm(drop))
@@ -272,7 +272,7 @@ def upright(body: Body, tips: Mapping[str, int]) -> FloatArray | None:
 
 
 def left_of(
-    body: Body, tips: Mapping[str, int], up: FloatArray | None, *, at_rest: bool
+    body: SkeletonTree, tips: Mapping[str, int], up: FloatArray | None, *, at_rest: bool
 ) -> FloatArray:
     """Return the direction to the left of a person ``(3,)``, by feet and trunk."""
     if up is None:
@@ -280,7 +280,7 @@ def left_of(
         up = np.array([0.0, 1.0, 0.0] if is_y else [0.0, 0.0, 1.0])
     # Who stands along an axis looks along the one that the field takes for ahead.
     axis = int(np.argmax(np.abs(up)))
-    ahead: FloatArray = np.array([0.0, 0.0, 1.0] if axis == 1 else [0.0, -1.0, 0.0])
+    forward: FloatArray = np.array([0.0, 0.0, 1.0] if axis == 1 else [0.0, -1.0, 0.0])
     unit = np.eye(3)[axis] * np.sign(up[axis])
     feet: FloatArray = np.zeros(3)
     for name in sorted({"leg_l", "leg_r"} & tips.keys()):
@@ -293,12 +293,12 @@ def left_of(
             if np.linalg.norm(level) > 0.6 * max(float(np.linalg.norm(bone)), 1e-30):
                 feet += level
     if np.linalg.norm(feet) > 0.01 * body.size:
-        ahead = feet / np.linalg.norm(feet)
-    return np.cross(unit, ahead)
+        forward = feet / np.linalg.norm(feet)
+    return np.cross(unit, forward)
 
 
 @dataclass(frozen=True, slots=True)
-class Limb:
+class LimbShape:
     """What the joints of a limb are called, and how long its bones are of a person."""
 
     roles: tuple[str, ...]  # before it, its two long bones, its end, what is behind
@@ -313,19 +313,19 @@ _RATIO_SPREAD, _BEFORE_SPREAD, _END_SPREAD = 0.2, 0.7, 0.5
 
 
 def split_limb(
-    body: Body, way: Sequence[int], limb: Limb, branch: int = -1
+    body: SkeletonTree, path: Sequence[int], limb: LimbShape, branch: int = -1
 ) -> list[str]:
     """Return the role of each joint of a limb's way, in the order of its roles.
 
     Args:
         body: The skeleton.
-        way: Joints of the limb, downwards.
+        path: Joints of the limb, downwards.
         limb: What it is.
         branch: The joint where the end begins, where the tree shows it.
     """
-    beyond, way = way[_MAX_LIMB_JOINTS:], way[:_MAX_LIMB_JOINTS]
-    n = len(way)
-    at = np.cumsum([0.0, *body.lengths[way[1:]], body.tips[way[-1]]])
+    beyond, path = path[_MAX_LIMB_JOINTS:], path[:_MAX_LIMB_JOINTS]
+    n = len(path)
+    at = np.cumsum([0.0, *body.lengths[path[1:]], body.tips[path[-1]]])
     best, best_score = [""] * n, -np.inf
     for upper, lower, end in combinations_with_replacement(range(n + 1), 3):
         for last in range(min(end + 1, n), n + 1):
@@ -335,20 +335,20 @@ def split_limb(
                 for role, (a, b) in zip(limb.roles, pairwise(parts), strict=True)
                 for _ in range(b - a)
             ]
-            score = _named(body, way, labels) + _shaped(at, parts, limb)
+            score = _named(body, path, labels) + _shaped(at, parts, limb)
             if branch >= 0:
-                score += 4.0 if end < n and way[end] == branch else -4.0
+                score += 4.0 if end < n and path[end] == branch else -4.0
             elif not limb.led and end < n - 1:
-                score += _bend(body, [way[lower], way[end], way[end + 1]])
+                score += _bend(body, [path[lower], path[end], path[end + 1]])
             if score > best_score:
                 best, best_score = labels, score
     return best + [""] * len(beyond)
 
 
-def _named(body: Body, way: Sequence[int], labels: Sequence[str]) -> float:
+def _named(body: SkeletonTree, path: Sequence[int], labels: Sequence[str]) -> float:
     """Return how far the names agree; the first joint of a role counts most."""
     score, before = 0.0, ""
-    for j, label in zip(way, labels, strict=True):
+    for j, label in zip(path, labels, strict=True):
         votes = body.votes[j]
         if label in votes:
             score += (20.0 if label != before else 12.0) * votes[label]
@@ -358,7 +358,7 @@ def _named(body: Body, way: Sequence[int], labels: Sequence[str]) -> float:
     return score
 
 
-def _shaped(at: FloatArray, parts: Sequence[int], limb: Limb) -> float:
+def _shaped(at: FloatArray, parts: Sequence[int], limb: LimbShape) -> float:
     """Return how far a limb's lengths and numbers of joints are those of a person."""
     _, upper, lower, end, _, n = parts
     counts = [b - a for a, b in pairwise(parts)]
@@ -385,7 +385,7 @@ def _off(value: float, expected: float, spread: float) -> float:
     return min(0.5 * float(np.log(value / expected) / spread) ** 2, 12.0)
 
 
-def _bend(body: Body, joints: Sequence[int]) -> float:
+def _bend(body: SkeletonTree, joints: Sequence[int]) -> float:
     """Return 0 to 1: how far the way through three joints bends, as at an ankle."""
     first, second = np.diff(body.positions[list(joints)], axis=0)
     size = float(np.linalg.norm(first) * np.linalg.norm(second))

@@ -25,7 +25,7 @@ UNLIKE = np.radians(30.0)
 NEAR = 4
 
 
-class Status(StrEnum):
+class TakeStatus(StrEnum):
     """What to do with a take."""
 
     GOOD = "good"
@@ -62,7 +62,7 @@ class FrameNumbers:
 
 
 @dataclass(frozen=True, slots=True)
-class Reason:
+class VerdictReason:
     """Why a take is not good as it is.
 
     Attributes:
@@ -76,7 +76,7 @@ class Reason:
     text: str = ""
     frames: tuple[tuple[int, int], ...] = ()
 
-    def numbered(self, numbers: FrameNumbers) -> Reason | None:
+    def numbered(self, numbers: FrameNumbers) -> VerdictReason | None:
         """Return it with the frames of an output; None where it has none of them."""
         if not self.frames:
             return self
@@ -89,16 +89,16 @@ class Reason:
 class Verdict:
     """Whether a take can be used, and why not, the worst first."""
 
-    status: Status
-    reasons: tuple[Reason, ...] = ()
+    status: TakeStatus
+    reasons: tuple[VerdictReason, ...] = ()
     json_keys: ClassVar[str] = "verdict=status look_at=reasons{what value=text frames}"
 
     def numbered(self, numbers: FrameNumbers) -> Verdict:
         """Return that of the frames of an output, as it numbers them."""
-        found = [reason.numbered(numbers) for reason in self.reasons]
-        reasons = tuple(reason for reason in found if reason is not None)
-        good = self.status is Status.LOOK and not reasons
-        return Verdict(Status.GOOD if good else self.status, reasons)
+        numbered = [reason.numbered(numbers) for reason in self.reasons]
+        reasons = tuple(reason for reason in numbered if reason is not None)
+        good = self.status is TakeStatus.LOOK and not reasons
+        return Verdict(TakeStatus.GOOD if good else self.status, reasons)
 
 
 def verdict_of(
@@ -116,20 +116,20 @@ def verdict_of(
         forced: Errors that were passed over on request.
     """
     if forced:
-        why = tuple(Reason(fault.message) for fault in forced)
-        return Verdict(Status.UNUSABLE, why)
+        why = tuple(VerdictReason(fault.message) for fault in forced)
+        return Verdict(TakeStatus.UNUSABLE, why)
     by_name = {score.name: score for score in scores.scores}
     limbs = by_name["limbs"]
     if limbs.value > UNLIKE:
-        return Verdict(Status.UNUSABLE, (Reason("limbs", limbs.text),))
+        return Verdict(TakeStatus.UNUSABLE, (VerdictReason("limbs", limbs.text),))
     worse = [(s, _bound(s, least.get(s.name, math.nan))) for s in scores.scores]
     worse = [(score, bound) for score, bound in worse if score.value > bound]
     worse.sort(key=lambda each: -each[0].excess)
     reasons = tuple(
-        Reason(score.name, score.text, _runs(values, score.name, bound))
+        VerdictReason(score.name, score.text, _runs(values, score.name, bound))
         for score, bound in worse
     )
-    return Verdict(Status.LOOK if reasons else Status.GOOD, reasons)
+    return Verdict(TakeStatus.LOOK if reasons else TakeStatus.GOOD, reasons)
 
 
 def _bound(score: Score, least: float) -> float:
@@ -142,8 +142,8 @@ def _runs(
     values: Mapping[str, FloatArray], name: str, bound: float
 ) -> tuple[tuple[int, int], ...]:
     """Return first and last frames of the runs in which a score is above a bound."""
-    own = values.get(name)
-    if own is None:
+    samples = values.get(name)
+    if samples is None:
         return ()
-    near = joined(runs(own > bound), NEAR)
+    near = joined(runs(samples > bound), NEAR)
     return tuple((first, end - 1) for first, end in near)

@@ -25,8 +25,8 @@ from animtool.retarget.anatomy import anatomy
 from animtool.retarget.facts import capture_facts
 from animtool.retarget.fingers import _digits_by_place
 from animtool.retarget.options import RetargetOptions
-from animtool.retarget.person import Person
 from animtool.retarget.report import scores_of
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.standing import body_axes, stance, stands_along
 from animtool.retarget.take_pass import onto_rig
 from animtool.rig.kinematics import rest_world
@@ -295,7 +295,7 @@ def test_bodies_of_all_kinds(kind: str, named_: bool) -> None:
         joints = [replace(one, name=f"j{i}") for i, one in enumerate(rig.joints)]
         rig = replace(rig, joints=tuple(joints))
     known = anatomy(rig)
-    body = Person.of(rig, known.roles)
+    body = RoledSkeleton.of(rig, known.roles)
     facing = body.facing
     shown = {
         "roles": known.roles,

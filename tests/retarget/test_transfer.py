@@ -23,16 +23,15 @@ from animtool.retarget.drift import (
     _Stance,
 )
 from animtool.retarget.map import JointMap, JointPair
-from animtool.retarget.person import Ball, Person
 from animtool.retarget.poses import (
-    LocalTurns,
+    LocalRotations,
     _twisted,
     _unit,
     _within,
     about_hips,
     hinged,
-    root_places,
-    world_turns,
+    root_translations,
+    world_rotations,
 )
 from animtool.retarget.report import (
     FitMeter,
@@ -42,6 +41,7 @@ from animtool.retarget.report import (
     _reach_errors,
     scores_of,
 )
+from animtool.retarget.roled_skeleton import Ball, RoledSkeleton
 from animtool.retarget.roles import RoleSource
 from animtool.retarget.transfer import (
     Transfer,
@@ -52,7 +52,7 @@ from animtool.retarget.transfer import (
     _scale,
     middle_of_hips,
 )
-from animtool.retarget.verdict import FrameNumbers, Status, verdict_of
+from animtool.retarget.verdict import FrameNumbers, TakeStatus, verdict_of
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -67,7 +67,7 @@ def turn(axis: np.ndarray, degrees: float) -> np.ndarray:
     return so3.from_axis_angle(axis, np.radians(degrees))
 
 
-def body(size: float = 1.0, shin: float = 0.4, up: UpAxis = UpAxis.Y) -> Person:
+def body(size: float = 1.0, shin: float = 0.4, up: UpAxis = UpAxis.Y) -> RoledSkeleton:
     """Return a person who faces z, of bones of their own lengths."""
     rows: list[tuple[str, int, tuple[float, float, float]]] = [
         ("hips", -1, (0, 1, 0)), ("spine", 0, (0, 0.2, 0)), ("head", 1, (0, 0.4, 0)),
@@ -80,7 +80,7 @@ def body(size: float = 1.0, shin: float = 0.4, up: UpAxis = UpAxis.Y) -> Person:
         Joint(name, parent, translation=tuple(size * np.array(way)))
         for name, parent, way in rows
     ]
-    return Person.of(Rig("body", tuple(joints), up=up), ROLES)
+    return RoledSkeleton.of(Rig("body", tuple(joints), up=up), ROLES)
 
 
 def pair(source: int, target: int, role: str = "") -> JointPair:
@@ -126,7 +126,7 @@ def test_the_scale_is_that_of_legs_or_of_what_there_is_of_a_body() -> None:
     assert _scale(body(), body(2.0)) == pytest.approx(2)
     assert _scale(body(), body(1.0, 0.6)) == pytest.approx(1.05 / 0.85)
 
-    def armed(person: Person) -> Person:
+    def armed(person: RoledSkeleton) -> RoledSkeleton:
         roles = tuple("" if "_" in r and r != "upper_arm_l" else r for r in ROLES)
         return replace(person, roles=roles)
 
@@ -161,18 +161,18 @@ def test_middles_and_what_hangs_below() -> None:
 
 def test_who_faces_another_way_is_turned_about_the_vertical() -> None:
     own = body()
-    other = Person.of(own.rig, ROLES, np.concatenate(
+    other = RoledSkeleton.of(own.rig, ROLES, np.concatenate(
         [turn(Y, 70)[None], np.tile(so3.IDENTITY, (12, 1))]
     ))  # fmt: skip
     for one, two, degrees in ((other, own, 70), (own, other, -70)):
         found = _heading(one, two, so3.IDENTITY, Y)
         assert so3.angle_between(found, turn(Y, degrees)) < 1e-9
-    lying = Person.of(own.rig, ROLES, np.concatenate(
+    lying = RoledSkeleton.of(own.rig, ROLES, np.concatenate(
         [turn(X, 90)[None], np.tile(so3.IDENTITY, (12, 1))]
     ))  # fmt: skip
     found = _heading(lying, own, so3.IDENTITY, Y)
     assert so3.angle_between(found, turn(X, 90)) == pytest.approx(0, abs=1e-9)
-    leaning = Person.of(own.rig, ROLES, np.concatenate(
+    leaning = RoledSkeleton.of(own.rig, ROLES, np.concatenate(
         [turn(X, 30)[None], np.tile(so3.IDENTITY, (12, 1))]
     ))  # fmt: skip
     assert_allclose(_heading(leaning, own, so3.IDENTITY, Y), so3.IDENTITY, atol=1e-9)
@@ -246,7 +246,7 @@ def test_bones_that_stretch_do_so_by_the_scale() -> None:
     ],
 )
 def test_legs_are_alike_but_for_their_size(
-    target: Person, balls: Any, alike: bool
+    target: RoledSkeleton, balls: Any, alike: bool
 ) -> None:
     made = Transfer.of(body(), target, mapped(WHOLE))
     own, other = (
@@ -269,7 +269,7 @@ def test_places_about_the_hips_and_those_of_the_root() -> None:
     # Nobody asked for an arm: it is left at the root.
     assert_allclose(found[0, 11], expected[0], atol=1e-12)
     hips = np.array([[1.0, 2, 3]])
-    root, place = root_places(own, hips, turns, bones, found)
+    root, place = root_translations(own, hips, turns, bones, found)
     assert root == 0
     assert_allclose(place, [[1, 2.05, 3]])
     # Hips below a root that is turned, and off.
@@ -278,15 +278,15 @@ def test_places_about_the_hips_and_those_of_the_root() -> None:
         Joint("cog", 0, translation=(1.0, 0.0, 0.0)),
         Joint("hips", 1, translation=(0.0, 1.0, 0.0)),
     )
-    rooted = Person.of(Rig("rooted", joints), ("root", "", "hips"))
+    rooted = RoledSkeleton.of(Rig("rooted", joints), ("root", "", "hips"))
     turns = np.array([[turn(Y, 90), turn(Y, 90), so3.IDENTITY]])
     bones = rooted.rig.rest_translations[None]
-    root, place = root_places(rooted, hips, turns, bones, np.zeros((1, 3, 3)))
+    root, place = root_translations(rooted, hips, turns, bones, np.zeros((1, 3, 3)))
     assert root == 2
     # The one between is at (0, 0, 4), and turned by a quarter.
     assert_allclose(place, so3.rotate(turn(Y, -90), [[1, 2, -1]]), atol=1e-12)
     local = np.array([[turn(Y, 90), turn(X, 10), turn(Z, 20)]])
-    made = world_turns(rooted.rig, local)
+    made = world_rotations(rooted.rig, local)
     whole = so3.multiply(local[:, 0], so3.multiply(local[:, 1], local[:, 2]))
     assert_allclose(made[:, 2], whole, atol=1e-12)
 
@@ -300,7 +300,9 @@ def pinned(axis: Any, limits: Any = None) -> Any:
         ),
         Joint("hand", 1, translation=(0.2, 0, 0)),
     )
-    person = Person.of(Rig("arm", joints), ("upper_arm_l", "forearm_l", "hand_l"))
+    person = RoledSkeleton.of(
+        Rig("arm", joints), ("upper_arm_l", "forearm_l", "hand_l")
+    )
     return SimpleNamespace(target=person, follows=np.arange(3))
 
 
@@ -353,12 +355,12 @@ def test_what_joints_of_each_type_can_have() -> None:
 
 
 def test_rows_of_turns_are_taken_and_put_with_who_was_held() -> None:
-    whole = LocalTurns(
+    whole = LocalRotations(
         np.zeros((4, 2, 4)), np.zeros((4, 2, 4)), {0: np.array([1, 1, 0, 0], bool)}
     )
     frames = np.array([1, 2])
     assert whole.rows(frames).held[0].tolist() == [True, False]
-    other = LocalTurns(
+    other = LocalRotations(
         np.ones((2, 2, 4)), 2 * np.ones((2, 2, 4)), {1: np.array([1, 0], bool)}
     )
     whole.put(frames, other)
@@ -387,7 +389,7 @@ def test_drift_is_on_the_ground_and_reach_is_of_the_arm() -> None:
     assert _mean_held(mapped([]), {3: 1.0}) == 0
 
 
-def meter(target: Person, sides: str = "") -> FitMeter:
+def meter(target: RoledSkeleton, sides: str = "") -> FitMeter:
     made = Transfer.of(body(), target, mapped(WHOLE))
     return FitMeter(made, mapped(WHOLE), Standing(sides, (), None))
 
@@ -430,7 +432,7 @@ def test_what_is_measured_adds_up_over_blocks() -> None:
         assert one.held_mean == pytest.approx(0.05)
         assert (one.scale, one.pairs, one.lowered) == (1, 12, 0)
     verdict = made.verdict({})
-    assert verdict.status in set(Status)
+    assert verdict.status in set(TakeStatus)
     names = {score.name: score for score in scores_of(first).scores}
     assert names["not mapped"].value == 0
     assert {name: score.ideal for name, score in names.items()} == {
@@ -450,7 +452,7 @@ def test_what_is_measured_adds_up_over_blocks() -> None:
 
 def test_scores_are_looked_at_beyond_three_times_the_usual() -> None:
     """From the ideal on; runs that are four frames apart are one."""
-    for value, status in ((1.74, Status.GOOD), (1.76, Status.LOOK)):
+    for value, status in ((1.74, TakeStatus.GOOD), (1.76, TakeStatus.LOOK)):
         scores = PassScores(
             (
                 Score("acceleration", value, ScoreUnit.RATIO, 1.25, 1.0),
@@ -465,7 +467,7 @@ def test_scores_are_looked_at_beyond_three_times_the_usual() -> None:
             assert found.reasons[0].frames == ((0, 4), (9, 9), (19, 19))
     limbs = [Score("limbs", np.radians(d), ScoreUnit.ANGLE, 9.0) for d in (29.9, 30.1)]
     statuses = [verdict_of(PassScores((one,)), {}, {}).status for one in limbs]
-    assert statuses == [Status.GOOD, Status.UNUSABLE]
+    assert statuses == [TakeStatus.GOOD, TakeStatus.UNUSABLE]
     assert FrameNumbers().run(0, 3) == (1, 4)
     assert FrameNumbers(first=5).run(0, 3) is None
     assert FrameNumbers(first=4).run(0, 3) == (4, 4)

@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.systems.crowds.ground import about_up
 
 if TYPE_CHECKING:
-    from animtool.retarget.person import Person
+    from animtool.retarget.roled_skeleton import RoledSkeleton
 
 # They are turned no farther [rad].
 MOST = 0.9
@@ -62,7 +62,7 @@ class Trunk:
     neck: tuple[int, ...]  # and head
 
     @staticmethod
-    def of(person: Person) -> Trunk:
+    def of(person: RoledSkeleton) -> Trunk:
         """Return that of a skeleton; of one without a spine nothing turns."""
         named = {
             role: tuple(j for j, own in enumerate(person.roles) if own == role)

@@ -273,7 +273,7 @@ def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     if found is None:
         return
     where = "upside down" if found.axis is None else f"along {found.axis}"
-    share = 100.0 * found.share
+    share = 100.0 * found.fraction
     message = f"the body is {where} in {share:.0f}% of the frames; up is {rig.up}"
     hint = "rotate the root"
     if found.axis is not None:
