@@ -38,7 +38,7 @@ SPIKE_FACTOR = 5.0
 # Frames on either side that say how rough a motion is.
 AROUND = 8
 # What is smaller is no spike: a share of the rig's size, and of a quaternion.
-MIN_SHIFT, MIN_TURN = 1e-3, 5e-3
+MIN_SHIFT, MIN_ROTATION = 1e-3, 5e-3
 # Noise below this share of the smallest spike is that of a file's digits.
 NO_NOISE = 2e-4
 # A spike can hide one beside it, which is seen when the first is gone.
@@ -46,7 +46,7 @@ SEARCHES = 3
 # What goes across a spike holds what is slower than this share of the rate.
 ACROSS = 0.2
 # Noise of good captures is below this [rad].
-USUAL_NOISE = math.radians(0.2)
+TYPICAL_NOISE = math.radians(0.2)
 MAX_NAMED = 6
 
 
@@ -91,8 +91,8 @@ class _Cleaner:
                 signal = bridged(signal, ~bad, rotation=rotation)
             noise = (noise_of_turns if rotation else noise_level)(signal)
             # Half an angle is in a quaternion.
-            moved = noise / 2 if rotation else noise
-            shakes = moved > NO_NOISE * least
+            tolerance = noise / 2 if rotation else noise
+            shakes = tolerance > NO_NOISE * least
             cutoff = self._cutoff(signal, rotation=rotation) if shakes else None
             if cutoff is not None:
                 run = lowpass_turns if rotation else lowpass
@@ -128,17 +128,17 @@ def _spikes(
     """Return which frames of a signal ``(F, K)`` are part of a spike ``(F,)``."""
     bad = np.zeros(len(signal), np.bool_)
     for _ in range(SEARCHES if longest else 0):
-        found = np.zeros_like(bad)
+        spikes = np.zeros_like(bad)
         rough = SPIKE_FACTOR * _roughness(signal) + least
         for run, size in _runs(signal, longest, rotation=rotation):
             # A long spike looks like a short one in the midst of it, too.
             for first in np.flatnonzero(size > rough[2 : 2 + len(size)]).tolist():
                 part = slice(first + 2, first + 2 + run)
-                if not found[part.start - 1 : part.stop + 1].any():
-                    found[part] = True
-        if not found.any() or (bad | found).mean() > 0.5:
+                if not spikes[part.start - 1 : part.stop + 1].any():
+                    spikes[part] = True
+        if not spikes.any() or (bad | spikes).mean() > 0.5:
             break
-        bad |= found
+        bad |= spikes
         signal = bridged(signal, ~bad, rotation=rotation)
     return bad
 
@@ -161,12 +161,12 @@ def _runs(
             ):
                 at[k] = _signed(at[k], at[other])
         before, after = at[1], at[run + 2]
-        ahead, back = 2 * before - at[0], 2 * after - at[run + 3]
+        forward, backward = 2 * before - at[0], 2 * after - at[run + 3]
         step = (after - before) / (run + 1)
         sizes = []
         for away, line in (
-            (at[2] - ahead, at[2] - before - step),
-            (at[run + 1] - back, at[run + 1] - after + step),
+            (at[2] - forward, at[2] - before - step),
+            (at[run + 1] - backward, at[run + 1] - after + step),
         ):
             off = np.linalg.norm(line, axis=-1)
             along = np.sum(away * line, axis=-1) / np.where(off > 0, off, 1)
@@ -174,10 +174,10 @@ def _runs(
         yield run, np.min(sizes, axis=0)
 
 
-def _signed(turns: FloatArray, others: FloatArray) -> FloatArray:
+def _signed(rotations: FloatArray, others: FloatArray) -> FloatArray:
     """Return quaternions ``(F, 4)`` with the signs nearest to others."""
-    dots = np.sum(turns * others, axis=-1, keepdims=True)
-    return np.where(dots < 0, -turns, turns)
+    dots = np.sum(rotations * others, axis=-1, keepdims=True)
+    return np.where(dots < 0, -rotations, rotations)
 
 
 def _roughness(signal: FloatArray) -> FloatArray:
@@ -229,10 +229,10 @@ def cleaned_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedS
     motion = take.motion
     cleaner = _Cleaner(tuple(take.rig.names), float(take.clock.rate), options)
     shifts = cleaner.channel(motion.translations, MIN_SHIFT * rest_size(take.rig))
-    turns = cleaner.channel(motion.rotations, MIN_TURN)
-    dense = so3.align_signs(turns.values, turns.rest[turns.animated])
+    rotations = cleaner.channel(motion.rotations, MIN_ROTATION)
+    dense = so3.align_signs(rotations.values, rotations.rest[rotations.animated])
     motion = replace(
-        motion, translations=shifts, rotations=replace(turns, values=dense)
+        motion, translations=shifts, rotations=replace(rotations, values=dense)
     )
     return replace(take, motion=motion), cleaner.signals
 
@@ -274,8 +274,8 @@ def _filtered(signals: list[CleanedSignal], count: int) -> str:
         f"{low.cutoff:.3g} Hz ({low.joint}) to {high.cutoff:.3g} Hz ({high.joint})"
     )
     shift = max((s.noise for s in signals if not s.rotation), default=0.0)
-    turn = max((s.noise for s in signals if s.rotation), default=0.0)
-    return f"{text}; noise up to {length_text(shift)} and {math.degrees(turn):.2g} deg"
+    noise = max((s.noise for s in signals if s.rotation), default=0.0)
+    return f"{text}; noise up to {length_text(shift)} and {math.degrees(noise):.2g} deg"
 
 
 def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
@@ -285,7 +285,7 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
     )
     spiky = sorted((s for s in signals if s.spikes), key=lambda s: -len(s.spikes))
     lost = len({frame for s in signals for frame in s.spikes})
-    turns = (s.noise for s in signals if s.rotation)
+    noises = (s.noise for s in signals if s.rotation)
     shifts = (s.noise for s in signals if not s.rotation)
     names = {
         "filtered": tuple(
@@ -297,7 +297,10 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
         (
             Score("position noise", max(shifts, default=0.0), ScoreUnit.LENGTH, 1e-3),
             Score(
-                "rotation noise", max(turns, default=0.0), ScoreUnit.ANGLE, USUAL_NOISE
+                "rotation noise",
+                max(noises, default=0.0),
+                ScoreUnit.ANGLE,
+                TYPICAL_NOISE,
             ),
             Score("frames with spikes", lost / max(frames, 1), ScoreUnit.SHARE, 0.01),
         ),

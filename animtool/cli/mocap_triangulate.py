@@ -114,7 +114,9 @@ def _remarks(report: CameraReport) -> str:
     """Return where a camera moved, and where it does not agree with the others."""
     from animtool.core.shot import frame_spans
 
-    said = [f"{'off' if m.kept else 'out'} {m.first + 1}-{m.end}" for m in report.moved]
+    said = [
+        f"{'off' if m.kept else 'out'} {m.first + 1}-{m.end}" for m in report.shifts
+    ]
     if report.disagrees:
         frames = [each.number for each in report.disagrees]
         said.append(f"disagrees {frame_spans(frames)}")

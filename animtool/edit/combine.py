@@ -18,7 +18,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.edit.between import Between
-from animtool.edit.travel import even_places
+from animtool.edit.travel import even_positions
 from animtool.maths import additive, so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
@@ -90,11 +90,11 @@ def combine(
     A motion without scales has scale 1, one without shape weights has 0; controls
     are changed only where both have some.
     """
-    whole = strength.joints is None
+    everything = strength.joints is None
 
     def numbers(name: str) -> Channel | None:
         a, b = getattr(base, name), getattr(other, name)
-        if not whole or (a is None and b is None):
+        if not everything or (a is None and b is None):
             return _as_channel(a)
         if name == "controls" and (a is None or b is None):
             return _as_channel(a)
@@ -145,11 +145,11 @@ def _joined(
         else np.array(strength.joints, np.int64)
     )
     moves = np.isin(chosen, np.union1d(a.animated, b.animated)) | (not strength.steady)
-    moving, still = chosen[moves], chosen[~moves]
+    moving, fixed = chosen[moves], chosen[~moves]
     weights = strength.weights[:, None, None]
     rest = a.rest.copy()
-    if len(still) and len(weights):
-        rest[still] = operation(a.rest[still][None], b.rest[still][None], weights[:1])[
+    if len(fixed) and len(weights):
+        rest[fixed] = operation(a.rest[fixed][None], b.rest[fixed][None], weights[:1])[
             0
         ]
     result = replace(a, rest=rest)
@@ -188,7 +188,7 @@ def subtract(source: Motion, base: Motion) -> Motion:
     return combine(source, base, _SUBTRACT, Strength(np.ones(source.frames)))
 
 
-def _whole(operation: additive.Difference) -> Operation:
+def _full_difference(operation: additive.Difference) -> Operation:
     def apply(source: FloatArray, base: FloatArray, _: FloatArray) -> FloatArray:
         return operation(source, base)
 
@@ -197,10 +197,10 @@ def _whole(operation: additive.Difference) -> Operation:
 
 _ADD = Operations(additive.shifted, additive.turned, additive.scaled, additive.shifted)
 _SUBTRACT = Operations(
-    _whole(additive.unshifted),
-    _whole(additive.unturned),
-    _whole(additive.unscaled),
-    _whole(additive.unshifted),
+    _full_difference(additive.unshifted),
+    _full_difference(additive.unturned),
+    _full_difference(additive.unscaled),
+    _full_difference(additive.unshifted),
 )
 
 
@@ -251,5 +251,5 @@ def other_frames(
     between = other if isinstance(other, Between) else Between.of(other)
     clock = between.take.clock
     index = np.arange(first, first + count)
-    places = even_places(index, -delay, clock.rate / rate, clock.count)
-    return between.at(places, shared=between is other)
+    positions = even_positions(index, -delay, clock.rate / rate, clock.count)
+    return between.at(positions, shared=between is other)

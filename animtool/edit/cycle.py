@@ -19,7 +19,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.edit.frames import frame_index
 from animtool.edit.loop_options import LoopOptions
-from animtool.edit.travel import place_of, rest_rotation, traveller, twist
+from animtool.edit.travel import joint_frame, rest_rotation, traveller, twist
 from animtool.maths import so3
 from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
@@ -30,12 +30,12 @@ SPEED_TIME = 0.1
 # Frames a second at which pairs are compared; the best is then looked at closer.
 SEARCH_RATE = Fraction(30)
 # A cycle must lead this far away, as a share of what the take varies by.
-MIN_MOVED = 0.25
+MIN_EXTENT = 0.25
 # What differs by less than this share of the rig's size does not move.
-STILL = 1e-4
+STATIC = 1e-4
 # Of cycles nearly as good as the best the shortest is meant, not several of it:
 # by how much worse, as a factor and a share, and how much longer the best near it.
-NEARLY, NEARLY_SHARE, NEAR = 1.5, 0.01, 1.25
+NEARLY, NEARLY_EQUAL, NEAR = 1.5, 0.01, 1.25
 BLOCK_FRAMES = 1024
 
 
@@ -99,16 +99,16 @@ def find_cycle(
         if shortest > longest:
             message = f"of at least {shortest:g} s and at most {longest:g} s"
         raise _none(message)
-    eye = _Eye.of(take)
-    best = _best(eye.see(frames), least, most, eye.still)
+    eye = _PoseView.of(take)
+    best = _best(eye.see(frames), least, most, eye.static_extent)
     if best is None:
         raise _none("where nothing moves")
-    start, lag, moved = best
+    start, lag, extent = best
     pairs = _nearby(frames[start], frames[start + lag], stride, (low, high))
     length = pairs[1] - pairs[0]
     within = (length >= least * stride) & (length <= most * stride)
-    i, j, apart = _closest(eye, pairs[:, within])
-    return _cycle(clock, i, j, apart, max(apart, moved))
+    i, j, distance = _closest(eye, pairs[:, within])
+    return _cycle(clock, i, j, distance, max(distance, extent))
 
 
 def measure_cycle(
@@ -118,13 +118,13 @@ def measure_cycle(
     low, high = _ends(take.clock, first, last)
     if low >= high:
         raise _none(f"from frame {first} to {last}")
-    eye = _Eye.of(take)
+    eye = _PoseView.of(take)
     stride = max(1, int(take.clock.rate // SEARCH_RATE))
     begin = eye.see(np.array([low]))
-    apart = float(_apart(begin, eye.see(np.array([high])))[0])
-    moved = _apart(begin, eye.see(np.arange(low, high + 1, stride)))
-    far = max(apart, float(moved.max()), eye.still)
-    return _cycle(take.clock, low, high, apart, far)
+    distance = float(_pose_distance(begin, eye.see(np.array([high])))[0])
+    extents = _pose_distance(begin, eye.see(np.arange(low, high + 1, stride)))
+    far = max(distance, float(extents.max()), eye.static_extent)
+    return _cycle(take.clock, low, high, distance, far)
 
 
 def _ends(clock: Clock, first: float | None, last: float | None) -> tuple[int, int]:
@@ -143,13 +143,13 @@ def _none(message: str) -> OptionError:
     return OptionError(Fault("SCN018", f"no cycle can be found {message}"))
 
 
-def _cycle(clock: Clock, i: int, j: int, apart: float, moved: float) -> Cycle:
+def _cycle(clock: Clock, i: int, j: int, distance: float, extent: float) -> Cycle:
     first, last = (float(clock.start + k * clock.step) for k in (i, j))
-    return Cycle(first, last, apart, moved)
+    return Cycle(first, last, distance, extent)
 
 
 @dataclass(frozen=True, slots=True)
-class _Eye:
+class _PoseView:
     """Sees frames of a take as columns of numbers [m] that can be subtracted."""
 
     take: Take
@@ -157,10 +157,10 @@ class _Eye:
     leaves: IntArray
     reach: FloatArray  # how far the points beside a leaf are from it (N,) [m]
     weights: FloatArray  # of joints, then of the points beside leaves (P,)
-    still: float  # what counts as no motion [m]
+    static_extent: float  # what counts as no motion [m]
 
     @staticmethod
-    def of(take: Take) -> _Eye:
+    def of(take: Take) -> _PoseView:
         rig = take.rig
         if not rig.joints:
             raise _none("without joints: a cycle is found from their positions")
@@ -180,17 +180,17 @@ class _Eye:
         travellers = [traveller(rig, take.motion, root) for root in rig.roots]
         chief = next((j for j in travellers if j is not None), rig.roots[0])
         weights /= weights.sum()
-        return _Eye(take, chief, leaves, reach, weights, STILL * size)
+        return _PoseView(take, chief, leaves, reach, weights, STATIC * size)
 
     def see(self, frames: IntArray) -> FloatArray:
         """Return frames as columns ``(6 · P, N)``, block by block."""
         parts = [
-            self._seen(frames[begin : begin + BLOCK_FRAMES])
+            self._columns(frames[begin : begin + BLOCK_FRAMES])
             for begin in range(0, len(frames), BLOCK_FRAMES)
         ]
         return np.concatenate(parts, axis=1)
 
-    def _seen(self, frames: IntArray) -> FloatArray:
+    def _columns(self, frames: IntArray) -> FloatArray:
         count = self.take.clock.count
         # At the ends of the take, speed follows from the three frames there.
         middle = np.clip(frames, 1, max(1, count - 2))
@@ -202,8 +202,8 @@ class _Eye:
         ground, heading = self._standing(frames)
         back = so3.conjugate(heading)[:, None]
         led = speed * (SPEED_TIME * float(self.take.clock.rate))
-        seen = [so3.rotate(back, points - ground[:, None]), so3.rotate(back, led)]
-        table = np.stack(seen, axis=1) * np.sqrt(self.weights)[:, None]
+        parts = [so3.rotate(back, points - ground[:, None]), so3.rotate(back, led)]
+        table = np.stack(parts, axis=1) * np.sqrt(self.weights)[:, None]
         return np.ascontiguousarray(table.reshape(len(frames), -1).T)
 
     def _points(self, frames: IntArray) -> FloatArray:
@@ -219,13 +219,13 @@ class _Eye:
         """Return where the character stands ``(N, 3)`` and its heading ``(N, 4)``."""
         rig: Rig = self.take.rig
         up = np.array(rig.up.vector)
-        place = place_of(rig, self.take.motion.select(frames), self.chief)
+        frame = joint_frame(rig, self.take.motion.select(frames), self.chief)
         rest = so3.conjugate(rest_rotation(rig, self.chief))
-        heading = twist(so3.multiply(place.rotation, rest), up)
-        return np.where(up == 0, place.position, 0.0), heading
+        heading = twist(so3.multiply(frame.rotation, rest), up)
+        return np.where(up == 0, frame.position, 0.0), heading
 
 
-def _apart(a: FloatArray, b: FloatArray) -> FloatArray:
+def _pose_distance(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return how far columns ``(D, N)`` differ ``(N,)`` [m]."""
     # Sums over rows, one after the other, round alike on every machine.
     away = a - b
@@ -234,38 +234,38 @@ def _apart(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _best(
-    table: FloatArray, least: int, most: int, still: float
+    table: FloatArray, least: int, most: int, static_extent: float
 ) -> tuple[int, int, float] | None:
     """Return start, length and distance moved of the best cycle, in columns."""
     count = table.shape[1]
-    variety = _apart(table, table.mean(axis=1, keepdims=True))
-    enough = max(still, MIN_MOVED * math.sqrt(float(np.mean(variety**2))))
-    moved = np.zeros(count)
+    variety = _pose_distance(table, table.mean(axis=1, keepdims=True))
+    enough = max(static_extent, MIN_EXTENT * math.sqrt(float(np.mean(variety**2))))
+    extents = np.zeros(count)
     scores = np.full(most + 1, np.inf)
     starts = np.zeros(most + 1, np.int64)
     reached = np.zeros(most + 1)
     # One step a length: all pairs of that length at once.
     for lag in range(1, most + 1):
-        apart = _apart_by(table, lag)
-        moved = np.maximum(moved[: count - lag], apart)
+        distances = _pose_distances_by(table, lag)
+        extents = np.maximum(extents[: count - lag], distances)
         if lag >= least:
-            far = moved > enough
-            shares = np.where(far, apart / np.where(far, moved, 1), np.inf)
+            far = extents > enough
+            shares = np.where(far, distances / np.where(far, extents, 1), np.inf)
             scores[lag], k = _least(shares)
-            starts[lag], reached[lag] = k, moved[k]
+            starts[lag], reached[lag] = k, extents[k]
     if not np.isfinite(scores).any():
         return None
     lag = _shortest(scores)
     return int(starts[lag]), lag, float(reached[lag])
 
 
-def _apart_by(table: FloatArray, lag: int) -> FloatArray:
+def _pose_distances_by(table: FloatArray, lag: int) -> FloatArray:
     """Return how far each column is from the one ``lag`` on, in blocks for a cache."""
     count = table.shape[1] - lag
     begins = range(0, count, BLOCK_FRAMES)
     ranges = [(begin, min(begin + BLOCK_FRAMES, count)) for begin in begins]
     return np.concatenate(
-        [_apart(table[:, a + lag : b + lag], table[:, a:b]) for a, b in ranges]
+        [_pose_distance(table[:, a + lag : b + lag], table[:, a:b]) for a, b in ranges]
     )
 
 
@@ -273,13 +273,13 @@ def _least(values: FloatArray) -> tuple[float, int]:
     """Return the least value, to a thousandth, and the first place that has it."""
     # Else rounding, which is not the same on every machine, would choose.
     coarse = np.round(values, 3)
-    place = int(np.argmin(coarse))
-    return float(coarse[place]), place
+    index = int(np.argmin(coarse))
+    return float(coarse[index]), index
 
 
 def _shortest(scores: FloatArray) -> int:
     """Return the length of the shortest cycle that is nearly as good as the best."""
-    short = int(np.argmax(scores <= NEARLY * scores.min() + NEARLY_SHARE))
+    short = int(np.argmax(scores <= NEARLY * scores.min() + NEARLY_EQUAL))
     near = scores[short : math.floor(short * NEAR) + 1]
     return short + int(np.argmin(near))
 
@@ -291,10 +291,10 @@ def _nearby(i: int, j: int, stride: int, ends: tuple[int, int]) -> IntArray:
     return np.stack([grid.ravel() for grid in np.meshgrid(*sides, indexing="ij")])
 
 
-def _closest(eye: _Eye, pairs: IntArray) -> tuple[int, int, float]:
+def _closest(eye: _PoseView, pairs: IntArray) -> tuple[int, int, float]:
     """Return the pair of frames that agree best, and how far apart they are [m]."""
     frames, at = np.unique(pairs, return_inverse=True)
     table, (starts, ends) = eye.see(frames), at.reshape(pairs.shape)
-    apart = _apart(table[:, starts], table[:, ends])
-    _, best = _least(apart / eye.still)
-    return int(pairs[0, best]), int(pairs[1, best]), float(apart[best])
+    distances = _pose_distance(table[:, starts], table[:, ends])
+    _, best = _least(distances / eye.static_extent)
+    return int(pairs[0, best]), int(pairs[1, best]), float(distances[best])

@@ -91,13 +91,13 @@ def blend(
     length = (other.clock.count - 1) * clock.rate / other.clock.rate
     count = max(clock.count, 1 + math.floor(late + length))
     check_count(count)
-    whole = replace(clock, count=count)
-    weights = weights_at(weight, whole.times, interpolation)
+    full_clock = replace(clock, count=count)
+    weights = weights_at(weight, full_clock.times, interpolation)
     strength = Strength(weights, isinstance(weight, (int, float)))
     one = other_frames(take, clock.rate, 0, count)
     two = other_frames(other, clock.rate, 0, count, late)
     motion = continuous(mix(one, two, strength)).map(Channel.compact)
-    return replace(take, clock=whole, motion=motion)
+    return replace(take, clock=full_clock, motion=motion)
 
 
 def _blended(take: Take, options: BlendOptions, context: PassContext) -> Take:
@@ -161,13 +161,13 @@ def difference(
             (SCN017), or a scale of it is 0 (SCN023).
     """
     below = rest_take(take.rig, take.clock) if base is None else base
-    return _without(TakeStream.of(take), _base(below, frame)).collect()
+    return _subtract_stream(TakeStream.of(take), _base(below, frame)).collect()
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
     """Return one frame of a rig at rest, on the rate of a clock."""
-    still = Channel.still
-    motion = Motion(still(rig.rest_translations), still(rig.rest_rotations))
+    constant = Channel.still
+    motion = Motion(constant(rig.rest_translations), constant(rig.rest_rotations))
     return Take(rig, replace(clock, count=1), motion)
 
 
@@ -186,7 +186,7 @@ def _base(base: Take, frame: float | None) -> Take:
     return base
 
 
-def _without(stream: TakeStream, base: Take) -> TakeStream:
+def _subtract_stream(stream: TakeStream, base: Take) -> TakeStream:
     check_same_rig(stream.rig, base.rig)
     return replace(stream, blocks=_blocks(stream, base))
 
@@ -209,7 +209,7 @@ def _subtracted(
         base = rest_take(stream.rig, Clock(stream.fps, start, stream.step, 1))
     else:
         base = context.take(options.base, "base")
-    return _without(stream, _base(base, options.frame))
+    return _subtract_stream(stream, _base(base, options.frame))
 
 
 DIFFERENCE = Pass(

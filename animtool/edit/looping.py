@@ -24,7 +24,7 @@ from animtool.edit.combine import continuous
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.frames import check_count, check_range, frame_index
 from animtool.edit.loop_options import LoopOptions
-from animtool.edit.travel import Travel, nearby_places, travel_of
+from animtool.edit.travel import CycleTravel, cycle_travel, nearby_positions
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
@@ -46,7 +46,7 @@ Onward: TypeAlias = Callable[[FloatArray], FloatArray]
 # change of speed no larger than this share of the largest within is then taken for
 # the motion's own: an even cycle stays as it is, whose fastest part takes nine
 # frames or more (by Bernstein's inequality).
-OWN_CHANGE = 0.25
+NATURAL_CHANGE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,9 @@ def closed_lines(values: FloatArray, blend: SeamBlend, onward: Onward) -> FloatA
     return closed
 
 
-def closed_turns(values: FloatArray, blend: SeamBlend, onward: Onward) -> FloatArray:
+def closed_rotations(
+    values: FloatArray, blend: SeamBlend, onward: Onward
+) -> FloatArray:
     """Return a cycle of rotations that runs into what comes after it ``(L, A, 4)``."""
     cycle = blend.cycle(values)
     start, end = blend.ends(values)
@@ -145,7 +147,7 @@ def _missing_speed(
     missing = starting[0] - ending[1] - mean_rate
     size = np.linalg.norm(missing, axis=-1, keepdims=True)
     changes = np.linalg.norm(np.diff(steps, axis=0), axis=-1).max(axis=0)
-    beyond = np.maximum(size - OWN_CHANGE * changes[:, None], 0)
+    beyond = np.maximum(size - NATURAL_CHANGE * changes[:, None], 0)
     return np.asarray(missing * (beyond / np.where(size > 0, size, 1)))
 
 
@@ -184,19 +186,19 @@ def gridded(track: Track, known: Transforms) -> Track:
     count = len(known)
 
     def sample(times: FloatArray) -> Transforms:
-        places = nearby_places(times, count)
+        positions = nearby_positions(times, count)
 
         def between(values: FloatArray) -> FloatArray:
             every = np.arange(values.shape[1])
-            return places.blend(Channel(values[0], every, values)).values
+            return positions.blend(Channel(values[0], every, values)).values
 
         mapped = mapped_numbers(track, known, between)
         values = tuple(
-            mapped.values[i] if attribute.width else known.values[i][places.frames]
+            mapped.values[i] if attribute.width else known.values[i][positions.frames]
             for i, attribute in enumerate(track.attributes)
         )
-        held = None if known.held is None else known.held[places.frames]
-        return replace(mapped, values=values, held=held)
+        static = None if known.held is None else known.held[positions.frames]
+        return replace(mapped, values=values, held=static)
 
     return replace(track, sample=sample)
 
@@ -254,7 +256,7 @@ def loop(
     before, behind = int(i > 0), int(j < clock.count - 1)
     seam = SeamBlend.over(length, blend, before, behind)
     within, around = slice(i, j + 1), slice(i - before, j + behind + 1)
-    cycle = _Cycling(travel_of(take.rig, take.motion.select(within)), seam, repeats)
+    cycle = _Cycling(cycle_travel(take.rig, take.motion.select(within)), seam, repeats)
     motion = cycle.motion(take.motion.select(around))
     tracks = take.tracks
     if tracks:
@@ -294,28 +296,28 @@ def _looped_track(
     track: Track, known: Transforms, up: UpAxis, seam: SeamBlend, repeats: int
 ) -> Track:
     root = Rig("track", (Joint("root", -1),), up=up)
-    place = Motion(
+    motion = Motion(
         Channel.from_dense(known.translations[:, None]),
         Channel.from_dense(known.rotations[:, None]),
     )
     ends = slice(seam.before, seam.before + seam.length + 1)
-    cycle = _Cycling(travel_of(root, place.select(ends)), seam, repeats)
-    moved = cycle.motion(place)
+    cycle = _Cycling(cycle_travel(root, motion.select(ends)), seam, repeats)
+    looped_motion = cycle.motion(motion)
 
     def closed(values: FloatArray) -> FloatArray:
-        once = closed_lines(values, seam, lambda same: same)
-        return np.concatenate([once] * repeats)
+        cycle_values = closed_lines(values, seam, lambda same: same)
+        return np.concatenate([cycle_values] * repeats)
 
     mapped = mapped_numbers(track, known, closed)
-    held = tuple(
+    looped_values = tuple(
         values if attribute.width else np.tile(seam.cycle(values)[:-1], repeats)
         for attribute, values in zip(track.attributes, mapped.values, strict=True)
     )
     looped = replace(
         mapped,
-        translations=moved.translations.dense()[:, 0],
-        rotations=moved.rotations.dense()[:, 0],
-        values=held,
+        translations=looped_motion.translations.dense()[:, 0],
+        rotations=looped_motion.rotations.dense()[:, 0],
+        values=looped_values,
         held=None
         if known.held is None
         else np.tile(seam.cycle(known.held)[:-1], repeats),
@@ -325,7 +327,7 @@ def _looped_track(
 
 @dataclass(frozen=True, slots=True)
 class _Cycling:
-    travel: Travel
+    travel: CycleTravel
     blend: SeamBlend
     repeats: int
 
@@ -351,12 +353,12 @@ class _Cycling:
         return replace(channel, values=self.repeated(cycle, onward))
 
     def rotations(self, channel: Channel) -> Channel:
-        turns = self.travel.turns[channel.animated]
+        travel = self.travel.rotations[channel.animated]
 
         def onward(values: FloatArray) -> FloatArray:
-            return so3.multiply(turns, values)
+            return so3.multiply(travel, values)
 
-        cycle = closed_turns(channel.values, self.blend, onward)
+        cycle = closed_rotations(channel.values, self.blend, onward)
         return replace(channel, values=self.repeated(cycle, onward))
 
     def repeated(self, cycle: FloatArray, onward: Onward) -> FloatArray:
@@ -392,11 +394,11 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
     else:
         return take
     result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
-    context.notices.extend(said_of(cycle, searched=options.find))
+    context.notices.extend(cycle_notices(cycle, searched=options.find))
     return result
 
 
-def said_of(cycle: Cycle, *, searched: bool) -> list[Fault]:
+def cycle_notices(cycle: Cycle, *, searched: bool) -> list[Fault]:
     """Return what is worth saying of a cycle."""
     ends = (
         f"frames {cycle.first:g} and {cycle.last:g} differ by "

@@ -67,17 +67,18 @@ class ControlMirror:
         across = np.concatenate([-normal, normal])
         turned = rest_world(rig).linear[0]
 
-        def effect(c: int, way: float) -> FloatArray:
-            return _flat(_effect(rig, c, way, turned))
+        def effect(c: int, sign: float) -> FloatArray:
+            return _flat(_effect(rig, c, sign, turned))
 
         signs = np.ones(len(partners))
         for i, partner in enumerate(partners.tolist()):
-            moved, weights = _effect(rig, i, 1.0, turned)
-            seen = _flat(((moved * across)[joints], weights[shapes]))
-            if not seen.any():
+            displaced, weights = _effect(rig, i, 1.0, turned)
+            flat_effect = _flat(((displaced * across)[joints], weights[shapes]))
+            if not flat_effect.any():
                 continue
             on, back = (
-                np.linalg.norm(seen - effect(partner, way)) for way in (1.0, -1.0)
+                np.linalg.norm(flat_effect - effect(partner, sign))
+                for sign in (1.0, -1.0)
             )
             if back < on - SAME_EFFECT:
                 signs[i] = -1.0
@@ -102,7 +103,7 @@ def _flat(effect: tuple[FloatArray, FloatArray]) -> FloatArray:
 
 
 def _effect(
-    rig: Rig, c: int, way: float, turned: FloatArray
+    rig: Rig, c: int, sign: float, turned: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return what a control does when it moves a little one way, 1 or -1.
 
@@ -114,10 +115,10 @@ def _effect(
     span = 1.0
     if control.low is not None and control.high is not None:
         span = control.high - control.low
-    still = np.array([_pivot(control)])
-    moved = still + way * NUDGE * span
-    before = evaluate_controls(rig.controls, {control.name: still}).targets
-    after = evaluate_controls(rig.controls, {control.name: moved}).targets
+    start = np.array([_pivot(control)])
+    displaced = start + sign * NUDGE * span
+    before = evaluate_controls(rig.controls, {control.name: start}).targets
+    after = evaluate_controls(rig.controls, {control.name: displaced}).targets
     local, weights = np.zeros((len(rig.joints), 6)), np.zeros(len(rig.shapes))
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
     for target in after:
@@ -208,8 +209,8 @@ def _tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
 def _stated(rig: Rig, pairs: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     for name in (name for pair in pairs for name in pair):
         joint_index(rig, name, "pairs")
-    own = [(j.name, str(getattr(j, "mirror", ""))) for j in rig.joints]
-    return [*pairs, *((a, b) for a, b in own if b in rig.names)]
+    stated = [(j.name, str(getattr(j, "mirror", ""))) for j in rig.joints]
+    return [*pairs, *((a, b) for a, b in stated if b in rig.names)]
 
 
 def _mirrored(
@@ -285,10 +286,10 @@ def _asymmetries(
     roots = np.arange(len(positions))
     for i, joint in enumerate(rig.joints):
         roots[i] = roots[joint.parent] if joint.parent >= 0 else i
-    own = positions - positions[roots]
+    offsets = positions - positions[roots]
     size = rest_size(rig)
     across = np.where(np.arange(3) == axis, -1.0, 1.0)
-    away = np.linalg.norm(own[partners] * across - own, axis=1) * looked_at
+    away = np.linalg.norm(offsets[partners] * across - offsets, axis=1) * looked_at
     worst = int(away.argmax())
     if not away[worst] > SYMMETRIC * size:
         return
@@ -368,8 +369,8 @@ class _Glass:
     def translations(self, values: FloatArray, j: IntArray) -> FloatArray:
         p = self.partners[j]
         away = so3.rotate(self.above[j], values - self.rest[j]) * self.normal
-        moved = self.rest[p] + so3.rotate(so3.conjugate(self.above[p]), away)
-        return np.where(self.kept[j, None], values, moved)
+        reflected = self.rest[p] + so3.rotate(so3.conjugate(self.above[p]), away)
+        return np.where(self.kept[j, None], values, reflected)
 
     def scales(self, values: FloatArray, j: IntArray) -> FloatArray:
         ours, theirs = (so3.to_matrix(self.world[k]) for k in (j, self.partners[j]))
@@ -383,11 +384,11 @@ def _blocks(
 ) -> Iterator[Motion]:
     for block in stream.blocks:
         yield Motion(
-            _seen(block.translations, glass.partners, glass.translations),
-            _seen(block.rotations, glass.partners, glass.rotations),
+            _mirrored_channel(block.translations, glass.partners, glass.translations),
+            _mirrored_channel(block.rotations, glass.partners, glass.rotations),
             None
             if block.scales is None
-            else _seen(block.scales, glass.partners, glass.scales),
+            else _mirrored_channel(block.scales, glass.partners, glass.scales),
             _swapped(block.weights, shapes, lambda values, _: values),
             _swapped(block.controls, controls.partners, controls),
             block.track_times,
@@ -399,10 +400,10 @@ def _swapped(
 ) -> Channel | None:
     if channel is None or len(partners) != len(channel.rest):
         return channel
-    return _seen(channel, partners, look)
+    return _mirrored_channel(channel, partners, look)
 
 
-def _seen(channel: Channel, partners: IntArray, look: _Look) -> Channel:
+def _mirrored_channel(channel: Channel, partners: IntArray, look: _Look) -> Channel:
     everyone = np.arange(len(channel.rest))
     rest = look(channel.rest, everyone)[partners]
     values = look(channel.values, channel.animated)

@@ -19,7 +19,7 @@ from animtool.core.shot import FrameRange
 from animtool.edit.between import Between
 from animtool.edit.frames import check_count
 from animtool.edit.straight import straight_notices
-from animtool.edit.travel import Places, even_places
+from animtool.edit.travel import FramePositions, even_positions
 from animtool.maths import filters, so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
@@ -85,28 +85,28 @@ def plan_samples(
     if keep_samples:
         return _kept_samples(clock, start, 1 / ratio, frame_range)
     # Frames count from the whole time code at or before the take's first frame.
-    origin, ahead = start, Fraction(0)
+    origin, shift = start, Fraction(0)
     planned = range(int(span) + 1)
     if frame_range is not None:
         origin = Fraction(math.floor(start))
-        ahead = origin - start
+        shift = origin - start
         planned = _within(frame_range, start, span, hold=hold)
     if len(planned) * max(1, len(offsets)) > MAX_FRAMES:
         raise _refusal(f"{len(planned)} frames at {float(fps):g} fps are too many")
     first, last = origin + planned[0], origin + planned[-1]
     index = np.arange(planned[0], planned[-1] + 1, planned.step)
     each = [
-        even_places(index, ahead + offset, ratio, clock.count)
+        even_positions(index, shift + offset, ratio, clock.count)
         for offset in offsets or (0,)
     ]
     codes = np.stack([_codes(first + o, planned) for o in offsets or (0,)])
     order = np.argsort(codes.T.ravel(), kind="stable")
-    frames = np.stack([places.frames for places in each]).T.ravel()[order]
-    fractions = np.stack([places.fractions for places in each]).T.ravel()[order]
-    end = span - ahead  # of the take, counted as the frames are
-    whole = math.floor(end)
-    to_the_end = not hold and planned[-1] == whole
-    if frame_range is not None and frame_range.last <= origin + whole:
+    frames = np.stack([positions.frames for positions in each]).T.ravel()[order]
+    fractions = np.stack([positions.fractions for positions in each]).T.ravel()[order]
+    end = span - shift  # of the take, counted as the frames are
+    last_frame = math.floor(end)
+    to_the_end = not hold and planned[-1] == last_frame
+    if frame_range is not None and frame_range.last <= origin + last_frame:
         to_the_end = False
     return SampleTimes(
         first,
@@ -114,26 +114,26 @@ def plan_samples(
         codes.T.ravel()[order],
         frames,
         fractions,
-        _between(planned, ahead, ratio, clock.count, frames[fractions == 0]),
-        end - whole if to_the_end else Fraction(0),
+        _between(planned, shift, ratio, clock.count, frames[fractions == 0]),
+        end - last_frame if to_the_end else Fraction(0),
     )
 
 
 def _between(
-    frames: range, ahead: Fraction, ratio: Fraction, count: int, taken: IntArray
+    frames: range, shift: Fraction, ratio: Fraction, count: int, taken: IntArray
 ) -> int:
     """Return how many samples lie between whole frames, and are not taken.
 
     ``ahead`` [frame].
     """
-    begin = max(frames[0], math.ceil(-ahead))
-    end = min(frames[-1], math.floor((count - 1) / ratio - ahead))
+    begin = max(frames[0], math.ceil(-shift))
+    end = min(frames[-1], math.floor((count - 1) / ratio - shift))
     if end < begin:
         return 0
-    low = max(0, math.ceil((frames[0] + ahead) * ratio))
-    high = min(count - 1, math.floor((frames[-1] + ahead) * ratio))
-    places = even_places(np.arange(begin, end + 1), ahead, ratio, count)
-    kept = np.union1d(places.frames[places.fractions == 0], taken)
+    low = max(0, math.ceil((frames[0] + shift) * ratio))
+    high = min(count - 1, math.floor((frames[-1] + shift) * ratio))
+    positions = even_positions(np.arange(begin, end + 1), shift, ratio, count)
+    kept = np.union1d(positions.frames[positions.fractions == 0], taken)
     return high - low + 1 - int(((kept >= low) & (kept <= high)).sum())
 
 
@@ -218,13 +218,13 @@ def sample(
     length = max(1, len(times.codes)) if between.curved else BLOCK_FRAMES
     for begin in range(0, len(times.codes), length):
         part = slice(begin, begin + length)
-        at = Places(times.frames[part], times.fractions[part])
+        at = FramePositions(times.frames[part], times.fractions[part])
         motion = between.at(at, smooth=smooth)
         if smooth:
-            turns = motion.rotations
-            signed = so3.align_signs(turns.values, last)
+            rotations = motion.rotations
+            signed = so3.align_signs(rotations.values, last)
             motion, last = (
-                replace(motion, rotations=replace(turns, values=signed)),
+                replace(motion, rotations=replace(rotations, values=signed)),
                 signed[-1],
             )
         yield times.codes[part], motion
@@ -232,7 +232,7 @@ def sample(
 
 # A filter before fewer frames a second leaves half at this share of them, a 400th of
 # what would show as slower than a quarter of them, and the rest nearly as it is.
-CUTOFF_SHARE, FILTER_ORDER = 0.35, 4
+CUTOFF_FRACTION, FILTER_ORDER = 0.35, 4
 
 
 def slowed(motion: Motion, cutoff: float, rate: float) -> Motion:
@@ -271,7 +271,7 @@ def resampled(
     times = plan_samples(take.clock, fps, take.clock.start)
     source, rate = take, take.clock.rate
     if lowpass and fps < rate:
-        cutoff = CUTOFF_SHARE * float(fps)
+        cutoff = CUTOFF_FRACTION * float(fps)
         source = replace(take, motion=slowed(take.motion, cutoff, float(rate)))
     between = Between.of(source)
     motion = Motion.concatenate(
@@ -280,7 +280,7 @@ def resampled(
     start, ratio = take.clock.start, float(take.clock.fps / fps)
     clock, notices = Clock(fps, start, Fraction(1), motion.frames), take.notices
     if not smooth:
-        at = Places(times.frames, times.fractions)
+        at = FramePositions(times.frames, times.fractions)
         notices = (*notices, *straight_notices(between, at))
     if times.dropped:
         notices = (*notices, dropped_notice(times.dropped, fps, times.last))

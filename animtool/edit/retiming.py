@@ -17,7 +17,7 @@ from animtool.edit.between import Between
 from animtool.edit.combine import continuous
 from animtool.edit.frames import check_count, check_range, exact, frame_refusal
 from animtool.edit.straight import straight_notices
-from animtool.edit.travel import Places, even_places, nearby_places
+from animtool.edit.travel import FramePositions, even_positions, nearby_positions
 from animtool.motion.keyed import Interpolation, Keys, key_arrays, keyed
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
@@ -75,8 +75,8 @@ def _trimmed(
     low, high = 0, None
     if options.first is not None:
         away = (exact(options.first, "first") - start) / stream.step
-        whole = math.floor(away + ON_FRAME) if in_shot else math.ceil(away - ON_FRAME)
-        low = max(0, whole)
+        full = math.floor(away + ON_FRAME) if in_shot else math.ceil(away - ON_FRAME)
+        low = max(0, full)
     if options.last is not None:
         away = (exact(options.last, "last") - start) / stream.step
         high = math.ceil(away - ON_FRAME) if in_shot else math.floor(away + ON_FRAME)
@@ -84,9 +84,9 @@ def _trimmed(
         raise frame_refusal(
             f"there is no frame from {_shown(options.first, start)} to {options.last:g}"
         )
-    moved = stream.start if low == 0 else start + low * stream.step
+    new_start = stream.start if low == 0 else start + low * stream.step
     return replace(
-        stream, start=moved, blocks=_kept(stream, low, high, start, in_shot=in_shot)
+        stream, start=new_start, blocks=_kept(stream, low, high, start, in_shot=in_shot)
     )
 
 
@@ -178,12 +178,12 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
         raise frame_refusal(f"at speed {speed:g} no frame remains")
     check_count(high - low + 1)
     index = np.arange(low, high + 1)
-    places = even_places(index, centre / rate - centre, rate, clock.count)
+    positions = even_positions(index, centre / rate - centre, rate, clock.count)
     pivoted, factor = float(fixed), float(rate)
     return _retimed(
         take,
         replace(clock, start=clock.start + low * clock.step, count=len(index)),
-        places,
+        positions,
         lambda times: pivoted + (times - pivoted) * factor,
     )
 
@@ -191,7 +191,7 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
 def _retimed(
     take: Take,
     clock: Clock,
-    places: Places,
+    positions: FramePositions,
     shown: Callable[[FloatArray], FloatArray],
 ) -> Take:
     """Return a take with its frames at places between its own.
@@ -202,8 +202,8 @@ def _retimed(
     return replace(
         take,
         clock=clock,
-        motion=continuous(between.at(places)).map(Channel.compact),
-        notices=(*take.notices, *straight_notices(between, places)),
+        motion=continuous(between.at(positions)).map(Channel.compact),
+        notices=(*take.notices, *straight_notices(between, positions)),
         curve=between.curve(shown),
     )
 
@@ -295,8 +295,8 @@ def time_warp(
     def shown(times: FloatArray) -> FloatArray:
         return keyed(key_times, values, times, interpolation)
 
-    places = nearby_places((shown(at.times) - start) / step, clock.count)
-    return _retimed(take, at, places, shown)
+    positions = nearby_positions((shown(at.times) - start) / step, clock.count)
+    return _retimed(take, at, positions, shown)
 
 
 def _check_inside(clock: Clock, values: FloatArray) -> None:

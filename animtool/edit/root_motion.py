@@ -12,7 +12,7 @@ from animtool.core.record import dataclass
 from animtool.edit.combine import continuous
 from animtool.edit.travel import (
     above,
-    place_of,
+    joint_frame,
     rest_rotation,
     traveller,
     twist,
@@ -89,8 +89,8 @@ def extract_root(
     if joint not in take.rig.upwards(hip)[1:]:
         name = take.rig.names[hip]
         raise _refusal(f"{root!r} is not above {name!r}", "choose other hips")
-    place = _root_path(take, joint, hip, axes.lower(), yaw)
-    return _compact(set_joint(take, joint, place))
+    placing = _root_path(take, joint, hip, axes.lower(), yaw)
+    return _compact(set_joint(take, joint, placing))
 
 
 def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Take:
@@ -113,10 +113,10 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
     if joint not in rig.parents:
         raise _refusal(f"{root!r} has no joint below it", "name one above the hips")
     entry = rig.joints[joint]
-    still = Placing(np.zeros((1, 3)), so3.IDENTITY[None])
+    identity = Placing(np.zeros((1, 3)), so3.IDENTITY[None])
     if keep:
-        still = Placing(np.array([entry.translation]), np.array([entry.rotation]))
-    done = set_joint(take, joint, still)
+        identity = Placing(np.array([entry.translation]), np.array([entry.rotation]))
+    done = set_joint(take, joint, identity)
     return _compact(done if keep else removed(done, joint))
 
 
@@ -158,21 +158,21 @@ def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing
     rig, motion = take.rig, take.motion
     up = np.array(rig.up.vector)
     chosen = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
-    hips, own = place_of(rig, motion, hip), place_of(rig, motion, root)
+    hips, root_frame = joint_frame(rig, motion, hip), joint_frame(rig, motion, root)
     frame = above(rig, motion, root)
     if (np.linalg.det(frame.linear) == 0).any():
         name = rig.names[root]
         raise _refusal(f"a joint above {name!r} has a scale of 0", "set another scale")
-    position = np.where(chosen, hips.position, own.position)
+    position = np.where(chosen, hips.position, root_frame.position)
     offset = (position - frame.position)[..., None]
-    places = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
-    turns = motion.rotations.gather(np.array([root]))[:, 0]
+    translations = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
+    rotations = motion.rotations.gather(np.array([root]))[:, 0]
     if yaw:
         rest = so3.conjugate(rest_rotation(rig, hip))
-        turn = twist(so3.multiply(hips.rotation, rest), up)
-        whole = so3.multiply(turn, rest_rotation(rig, root))
-        turns = so3.multiply(so3.conjugate(frame.rotation), whole)
-    return Placing(places, turns)
+        yaw_rotation = twist(so3.multiply(hips.rotation, rest), up)
+        full_rotation = so3.multiply(yaw_rotation, rest_rotation(rig, root))
+        rotations = so3.multiply(so3.conjugate(frame.rotation), full_rotation)
+    return Placing(translations, rotations)
 
 
 def _compact(take: Take) -> Take:

@@ -15,7 +15,7 @@ from animtool.clip.reduction.points import (
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.edit.travel import places_between
+from animtool.edit.travel import positions_between
 from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
@@ -65,8 +65,8 @@ def thin_samples(
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
     measure = _Measure(rig, codes, motion, bounds)
     kept = _split(measure, np.unique([0, len(codes) - 1]))
-    for turn in range(JOINING):
-        kept = _joined(measure, kept, turn % 2)
+    for round_ in range(JOINING):
+        kept = _joined(measure, kept, round_ % 2)
     return measure.report(kept)
 
 
@@ -75,8 +75,8 @@ def _split(measure: _Measure, kept: IntArray) -> IntArray:
     frames = np.setdiff1d(np.arange(len(measure.codes)), kept)
     while len(frames):
         ratios = measure.ratios(kept, frames)
-        stretch = np.searchsorted(kept, frames) - 1
-        starts = np.flatnonzero(np.diff(stretch, prepend=-1))
+        interval = np.searchsorted(kept, frames) - 1
+        starts = np.flatnonzero(np.diff(interval, prepend=-1))
         worst = np.maximum.reduceat(ratios, starts)
         beyond = worst > 1
         if not beyond.any():
@@ -85,7 +85,7 @@ def _split(measure: _Measure, kept: IntArray) -> IntArray:
         peaks = np.flatnonzero(ratios == worst[of_frame])
         _, first = np.unique(of_frame[peaks], return_index=True)
         chosen = frames[peaks[first]][beyond]
-        low, high = kept[stretch[starts[beyond]]], kept[stretch[starts[beyond]] + 1]
+        low, high = kept[interval[starts[beyond]]], kept[interval[starts[beyond]] + 1]
         margin = ((high - low) * SPLIT_MARGIN).astype(np.int64)
         chosen = np.clip(chosen, low + margin, high - margin)
         frames = np.setdiff1d(frames[beyond[of_frame]], chosen)
@@ -102,9 +102,9 @@ def _joined(measure: _Measure, kept: IntArray, skip: int) -> IntArray:
     frames = np.setdiff1d(np.arange(kept[trial[0] - 1], kept[trial[-1] + 1]), fewer)
     ratios = measure.ratios(fewer, frames)
     # Every stretch of the trial has a frame: the sample that it leaves out.
-    stretch = np.searchsorted(kept[trial - 1], frames, side="right") - 1
+    interval = np.searchsorted(kept[trial - 1], frames, side="right") - 1
     worst = np.zeros(len(trial))
-    np.maximum.at(worst, stretch, ratios)
+    np.maximum.at(worst, interval, ratios)
     return np.delete(kept, trial[worst <= 1])
 
 
@@ -125,7 +125,7 @@ class _Measure:
 
     def errors(self, kept: IntArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
-        at = places_between(self.codes[kept], self.codes[frames])
+        at = positions_between(self.codes[kept], self.codes[frames])
         blended = self.motion.select(kept).map(at.blend)
         truth = WorldTransforms(self.truth.positions[frames], self.truth.linear[frames])
         world = blended.world(self.rig)

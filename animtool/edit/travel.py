@@ -15,7 +15,7 @@ from animtool.rig.skeleton import JointType, Rig
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class JointFrame:
     """A joint in the world, in every frame."""
 
     position: FloatArray  # its origin ``(F, 3)`` [m]
@@ -24,39 +24,39 @@ class Place:
     linear: FloatArray  # linear part with scales ``(F, 3, 3)``; column c is its axis c
 
 
-def above(rig: Rig, motion: Motion, joint: int) -> Place:
+def above(rig: Rig, motion: Motion, joint: int) -> JointFrame:
     """Return the frame that a joint's own transform is in: its parent, or the world."""
     return _followed(motion, rig.upwards(joint)[:0:-1])
 
 
-def place_of(rig: Rig, motion: Motion, joint: int) -> Place:
+def joint_frame(rig: Rig, motion: Motion, joint: int) -> JointFrame:
     """Return where a joint is in every frame."""
     return _followed(motion, rig.upwards(joint)[::-1])
 
 
 def rest_rotation(rig: Rig, joint: int) -> FloatArray:
     """Return the rotation of a joint in the world at rest ``(4,)``."""
-    whole = so3.IDENTITY
+    rotation = so3.IDENTITY
     for one in rig.upwards(joint)[::-1]:
-        whole = so3.multiply(whole, rig.joints[one].rotation)
-    return whole
+        rotation = so3.multiply(rotation, rig.joints[one].rotation)
+    return rotation
 
 
-def _followed(motion: Motion, joints: list[int]) -> Place:
+def _followed(motion: Motion, joints: list[int]) -> JointFrame:
     position = np.zeros((motion.frames, 3))
     rotation = np.tile(so3.IDENTITY, (motion.frames, 1))
     linear = np.tile(np.eye(3), (motion.frames, 1, 1))
     for joint in joints:
-        step, turn = (
+        step, local_rotation = (
             channel.gather(np.array([joint]))[:, 0]
             for channel in (motion.translations, motion.rotations)
         )
         position = position + np.einsum("fij,fj->fi", linear, step)
-        rotation = so3.multiply(rotation, turn)
-        linear = linear @ so3.to_matrix(turn)
+        rotation = so3.multiply(rotation, local_rotation)
+        linear = linear @ so3.to_matrix(local_rotation)
         if motion.scales is not None:
             linear = linear * motion.scales.gather(np.array([joint]))
-    return Place(position, rotation, linear)
+    return JointFrame(position, rotation, linear)
 
 
 def twist(rotation: FloatArray, up: FloatArray) -> FloatArray:
@@ -77,7 +77,7 @@ ON_FRAME = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
+class FramePositions:
     """Where samples lie: at or between two frames."""
 
     frames: IntArray  # frame at or before each sample ``(N,)``
@@ -114,8 +114,8 @@ class Places:
         # The parabola of the last three frames goes on beyond the ends.
         before = 3 * values[:1] - 3 * values[1:2] + values[2:3]
         after = 3 * values[-1:] - 3 * values[-2:-1] + values[-3:-2]
-        turns = values.shape[-1] == 4
-        if turns:
+        is_rotation = values.shape[-1] == 4
+        if is_rotation:
             values = so3.align_signs(values)
             before, after = so3.normalize(before), so3.normalize(after)
         longer = np.concatenate([before, values, after])
@@ -126,13 +126,13 @@ class Places:
         curve = b + t / 2 * (
             c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))
         )
-        rows[between] = so3.normalize(curve) if turns else curve
+        rows[between] = so3.normalize(curve) if is_rotation else curve
         return Channel(channel.rest, channel.animated, rows)
 
 
-def even_places(
+def even_positions(
     index: IntArray, offset: Fraction | int, ratio: Fraction, count: int
-) -> Places:
+) -> FramePositions:
     """Return the places ``(index + offset) · ratio`` of a take of ``count`` frames.
 
     They are exact, and held at the ends of the take.
@@ -143,20 +143,20 @@ def even_places(
     shift = Fraction(offset)
     scale = ratio.denominator * shift.denominator
     step = ratio.numerator * shift.denominator
-    ahead = ratio.numerator * shift.numerator
+    start = ratio.numerator * shift.numerator
     most = max(abs(int(index[0])), abs(int(index[-1]))) + 1
-    if max(scale, abs(step) * most + abs(ahead)) < 2**62:
-        exact = index.astype(np.int64) * step + ahead
+    if max(scale, abs(step) * most + abs(start)) < 2**62:
+        exact = index.astype(np.int64) * step + start
         frames, left = np.divmod(exact, scale)
         fractions = left / float(scale)
     else:
         pairs = [divmod((int(i) + shift) * ratio, 1) for i in index]
-        frames = np.array([min(max(whole, -1), count) for whole, _ in pairs], np.int64)
+        frames = np.array([min(max(frame, -1), count) for frame, _ in pairs], np.int64)
         fractions = np.array([float(left) for _, left in pairs])
-    return _held(frames, fractions, count)
+    return _clamped(frames, fractions, count)
 
 
-def nearby_places(positions: ArrayLike, count: int) -> Places:
+def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
     """Return the places of positions ``(N,)`` [frame], 0 the first.
 
     What is within 1e-9 of a frame is on it; the ends of the take are held.
@@ -164,14 +164,14 @@ def nearby_places(positions: ArrayLike, count: int) -> Places:
     >>> nearby_places([-3.0, 1.25, 1 + 1e-12], 4).frames.tolist()
     [0, 1, 1]
     """
-    held = np.clip(np.asarray(positions, np.float64), 0, count - 1)
-    nearest = np.round(held)
-    held = np.where(np.abs(held - nearest) <= ON_FRAME, nearest, held)
-    frames = np.floor(held).astype(np.int64)
-    return _held(frames, held - frames, count)
+    clamped = np.clip(np.asarray(positions, np.float64), 0, count - 1)
+    nearest = np.round(clamped)
+    clamped = np.where(np.abs(clamped - nearest) <= ON_FRAME, nearest, clamped)
+    frames = np.floor(clamped).astype(np.int64)
+    return _clamped(frames, clamped - frames, count)
 
 
-def places_between(codes: FloatArray, at: ArrayLike) -> Places:
+def positions_between(codes: FloatArray, at: ArrayLike) -> FramePositions:
     """Return the places of times ``(N,)`` among the times of samples ``(F,)``.
 
     The ends are held.
@@ -181,30 +181,32 @@ def places_between(codes: FloatArray, at: ArrayLike) -> Places:
     """
     times = np.clip(np.asarray(at, np.float64), codes[0], codes[-1])
     frames = np.searchsorted(codes, times, side="right") - 1
-    following = np.minimum(frames + 1, len(codes) - 1)
-    spans = np.where(following > frames, codes[following] - codes[frames], 1.0)
-    return _held(frames, (times - codes[frames]) / spans, len(codes))
+    after = np.minimum(frames + 1, len(codes) - 1)
+    spans = np.where(after > frames, codes[after] - codes[frames], 1.0)
+    return _clamped(frames, (times - codes[frames]) / spans, len(codes))
 
 
-def _held(frames: IntArray, fractions: FloatArray, count: int) -> Places:
+def _clamped(frames: IntArray, fractions: FloatArray, count: int) -> FramePositions:
     outside = (frames < 0) | (frames >= count - 1)
-    return Places(np.clip(frames, 0, count - 1), np.where(outside, 0.0, fractions))
+    return FramePositions(
+        np.clip(frames, 0, count - 1), np.where(outside, 0.0, fractions)
+    )
 
 
 # A joint that moves by less than this share of the rig's size, or turns by less
 # than this many radians, stands still: files round, and captures tremble.
-STILL = 1e-3
+STATIC = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Travel:
+class CycleTravel:
     """How each joint's local transform goes on from one cycle to the next.
 
     ``translation`` becomes ``linear · translation + shift``, and ``rotation``
     becomes ``turn · rotation``. Joints that do not travel have identities.
     """
 
-    turns: FloatArray  # ``(J, 4)``
+    rotations: FloatArray  # ``(J, 4)``
     linear: FloatArray  # ``(J, 3, 3)``
     shifts: FloatArray  # ``(J, 3)`` [m]
 
@@ -218,13 +220,13 @@ def traveller(
     and which has joints above that stand still only: of several, the one with most
     joints below it, then the first. None where nothing travels.
     """
-    if not below and (_slides(rig, motion, root) or _turns(motion, root)):
+    if not below and (_slides(rig, motion, root) or _rotates(motion, root)):
         return root
     travellers = _travellers(rig, motion, root)
     return max(travellers, key=lambda j: (_weight(rig, j), -j), default=None)
 
 
-def travel_of(rig: Rig, motion: Motion) -> Travel:
+def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
     """Return how a cycle goes on, from its first frame to its last.
 
     What a character does over the ground and about the up axis goes on; what it
@@ -232,7 +234,7 @@ def travel_of(rig: Rig, motion: Motion) -> Travel:
     hangs from one that stands still goes with the joint that `traveller` finds.
     """
     count = len(rig.joints)
-    travel = Travel(
+    travel = CycleTravel(
         np.tile(so3.IDENTITY, (count, 1)),
         np.tile(np.eye(3), (count, 1, 1)),
         np.zeros((count, 3)),
@@ -243,34 +245,34 @@ def travel_of(rig: Rig, motion: Motion) -> Travel:
         if chief is None:
             continue
         joints = [root] if chief == root else _travellers(rig, motion, root)
-        turn, slide = _ground_step(rig, ends, chief)
+        rotation, slide = _ground_step(rig, ends, chief)
         for joint in joints:
-            _carry(travel, joint, rig, ends, turn, slide)
+            _carry(travel, joint, rig, ends, rotation, slide)
     return travel
 
 
 def _ground_step(rig: Rig, ends: Motion, joint: int) -> tuple[FloatArray, FloatArray]:
     """Return the world's turn ``(4,)`` and slide ``(3,)`` from first frame to last."""
     up = np.array(rig.up.vector)
-    place = place_of(rig, ends, joint)
-    whole = so3.multiply(place.rotation[1], so3.conjugate(place.rotation[0]))
-    turn = twist(whole, up)
-    slide = place.position[1] - so3.rotate(turn, place.position[0])
-    return turn, slide - (slide @ up) * up
+    frame = joint_frame(rig, ends, joint)
+    change = so3.multiply(frame.rotation[1], so3.conjugate(frame.rotation[0]))
+    rotation = twist(change, up)
+    slide = frame.position[1] - so3.rotate(rotation, frame.position[0])
+    return rotation, slide - (slide @ up) * up
 
 
 def _carry(
-    travel: Travel,
+    travel: CycleTravel,
     joint: int,
     rig: Rig,
     ends: Motion,
-    turn: FloatArray,
+    world_rotation: FloatArray,
     slide: FloatArray,
 ) -> None:
     """Write the world's step as one in the frame of a joint's parent."""
     if rig.joints[joint].parent < 0:
-        travel.turns[joint], travel.shifts[joint] = turn, slide
-        travel.linear[joint] = so3.to_matrix(turn)
+        travel.rotations[joint], travel.shifts[joint] = world_rotation, slide
+        travel.linear[joint] = so3.to_matrix(world_rotation)
         return
     frame = above(rig, ends, joint)
     position, rotation, linear = (
@@ -278,36 +280,38 @@ def _carry(
     )
     if np.linalg.det(linear) == 0:
         return
-    travel.turns[joint] = so3.multiply(
-        so3.multiply(so3.conjugate(rotation), turn), rotation
+    travel.rotations[joint] = so3.multiply(
+        so3.multiply(so3.conjugate(rotation), world_rotation), rotation
     )
-    moved = so3.rotate(turn, position) + slide - position
-    travel.linear[joint] = np.linalg.solve(linear, so3.to_matrix(turn) @ linear)
-    travel.shifts[joint] = np.linalg.solve(linear, moved)
+    shift = so3.rotate(world_rotation, position) + slide - position
+    travel.linear[joint] = np.linalg.solve(
+        linear, so3.to_matrix(world_rotation) @ linear
+    )
+    travel.shifts[joint] = np.linalg.solve(linear, shift)
 
 
 def _travellers(rig: Rig, motion: Motion, root: int) -> list[int]:
     """Return the free joints below a root that move first on the way down."""
     travellers: list[int] = []
-    still = {root}
+    static = {root}
     for j, joint in enumerate(rig.joints):
-        if joint.parent not in still:
+        if joint.parent not in static:
             continue
         if joint.type is JointType.FREE and _slides(rig, motion, j):
             travellers.append(j)
-        elif not _turns(motion, j):
-            still.add(j)
+        elif not _rotates(motion, j):
+            static.add(j)
     return travellers
 
 
 def _slides(rig: Rig, motion: Motion, joint: int) -> bool:
     reach = np.ptp(motion.translations.gather(np.array([joint])), axis=0)
-    return bool(np.linalg.norm(reach) > STILL * rest_size(rig))
+    return bool(np.linalg.norm(reach) > STATIC * rest_size(rig))
 
 
-def _turns(motion: Motion, joint: int) -> bool:
+def _rotates(motion: Motion, joint: int) -> bool:
     values = motion.rotations.gather(np.array([joint]))
-    return bool(so3.angle_between(values, values[:1]).max() > STILL)
+    return bool(so3.angle_between(values, values[:1]).max() > STATIC)
 
 
 def _weight(rig: Rig, joint: int) -> int:

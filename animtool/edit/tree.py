@@ -64,7 +64,7 @@ def _unknown(rig: Rig, name: str, option: str) -> OptionError:
 
 # Scales, and angles [rad], that differ by less are the same: they come from files
 # in float32 at best, half at worst, and what is moved by 1e-9 is seen by none.
-ALIKE = 1e-9
+EQUAL = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,26 +75,28 @@ class Placing:
     rotations: FloatArray
 
 
-def set_joint(take: Take, joint: int, place: Placing) -> Take:
+def set_joint(take: Take, joint: int, placing: Placing) -> Take:
     """Return the take with a joint moved, its children left where they are."""
     motion = take.motion
     children = np.flatnonzero(take.rig.parents == joint)
     family = np.concatenate([[joint], children])
-    places = motion.translations.gather(family)
+    translations = motion.translations.gather(family)
     rotations = motion.rotations.gather(family)
-    back = so3.conjugate(place.rotations)
-    turn = so3.multiply(back, rotations[:, 0])[:, None]
-    turns = so3.angle_between(place.rotations, rotations[:, 0]) > ALIKE
-    scale = _scale(take, joint, turns)[:, None]
-    shift = so3.rotate(back, places[:, 0] - place.translations)[:, None]
-    places[:, 1:] = (so3.rotate(turn, scale * places[:, 1:]) + shift) / scale
-    rotations[:, 1:] = so3.multiply(turn, rotations[:, 1:])
-    places[:, 0], rotations[:, 0] = place.translations, place.rotations
+    back = so3.conjugate(placing.rotations)
+    rotation = so3.multiply(back, rotations[:, 0])[:, None]
+    rotates = so3.angle_between(placing.rotations, rotations[:, 0]) > EQUAL
+    scale = _scale(take, joint, rotates)[:, None]
+    shift = so3.rotate(back, translations[:, 0] - placing.translations)[:, None]
+    translations[:, 1:] = (
+        so3.rotate(rotation, scale * translations[:, 1:]) + shift
+    ) / scale
+    rotations[:, 1:] = so3.multiply(rotation, rotations[:, 1:])
+    translations[:, 0], rotations[:, 0] = placing.translations, placing.rotations
     return replace(
         take,
         motion=replace(
             motion,
-            translations=motion.translations.put(family, places),
+            translations=motion.translations.put(family, translations),
             rotations=motion.rotations.put(family, rotations),
         ),
     )
@@ -105,9 +107,9 @@ def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
     scales = take.motion.scales
     if scales is None:
         return np.ones((1, 3))
-    own = scales.gather(np.array([joint]))[:, 0]
-    spread = np.ptp(own, axis=-1) > ALIKE * np.abs(own).max(axis=-1)
-    if (own == 0).any() or (spread & turned).any():
+    values = scales.gather(np.array([joint]))[:, 0]
+    spread = np.ptp(values, axis=-1) > EQUAL * np.abs(values).max(axis=-1)
+    if (values == 0).any() or (spread & turned).any():
         name = take.rig.names[joint]
         raise OptionError(
             Fault(
@@ -117,7 +119,7 @@ def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
                 hint="scale its children instead",
             )
         )
-    return own
+    return values
 
 
 def inserted(take: Take, name: str, above: int) -> Take:
@@ -186,16 +188,16 @@ def _unscaled(take: Take, joint: int) -> Take:
     scales = take.motion.scales
     if scales is None:
         return take
-    own = _scale(take, joint, np.ones(1, np.bool_))[:, None]
+    scale = _scale(take, joint, np.ones(1, np.bool_))[:, None]
     children = np.flatnonzero(take.rig.parents == joint)
-    places = take.motion.translations
+    translations = take.motion.translations
     family = np.concatenate([[joint], children])
-    sizes = scales.gather(family) * own
+    sizes = scales.gather(family) * scale
     sizes[:, 0] = 1.0
     motion = replace(
         take.motion,
         scales=scales.put(family, sizes),
-        translations=places.put(children, places.gather(children) * own),
+        translations=translations.put(children, translations.gather(children) * scale),
     )
     return replace(take, motion=motion)
 
@@ -220,8 +222,8 @@ def _rest(joint: Joint) -> Pose:
 
 def _below(above: Pose, pose: Pose) -> Pose:
     """Return a pose below another as one in the frame of that other's parent."""
-    place = so3.rotate(above.rotation, pose.translation) + above.translation
-    x, y, z = place.tolist()
+    translation = so3.rotate(above.rotation, pose.translation) + above.translation
+    x, y, z = translation.tolist()
     a, b, c, w = so3.multiply(above.rotation, pose.rotation).tolist()
     return Pose((x, y, z), (a, b, c, w))
 
@@ -316,19 +318,19 @@ def hang(
         raise _refusal(f"{message}its parent", "joint", "make it `type: free`")
     at, world = np.array([j]), take.world()
     _check_scales(take, world, j)
-    turn = world.rotations[:, j]
+    rotation = world.rotations[:, j]
     down = _axis(take, j) if axis is None else np.asarray(axis, np.float64)
     if down.any():
         along = ends[:, 1] - ends[:, 0]
-        turn = so3.multiply(_shortest(so3.rotate(turn, down), along), turn)
-    places, turns = _local(world, rig.joints[j].parent, ends[:, 1], turn)
-    turns = so3.align_signs(turns)
+        rotation = so3.multiply(_shortest(so3.rotate(rotation, down), along), rotation)
+    positions, rotations = _local(world, rig.joints[j].parent, ends[:, 1], rotation)
+    rotations = so3.align_signs(rotations)
     return replace(
         take,
         motion=replace(
             motion,
-            translations=motion.translations.put(at, places[:, None]).compact(),
-            rotations=motion.rotations.put(at, turns[:, None]).compact(),
+            translations=motion.translations.put(at, positions[:, None]).compact(),
+            rotations=motion.rotations.put(at, rotations[:, None]).compact(),
         ),
     )
 
@@ -344,7 +346,7 @@ def _shortest(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the shortest rotations ``(F, 4)`` of directions to others ``(F, 3)``."""
     sizes = [np.linalg.norm(v, axis=1, keepdims=True) for v in (before, after)]
     # A segment without length has no direction.
-    still = (sizes[0] == 0) | (sizes[1] == 0)
+    no_length = (sizes[0] == 0) | (sizes[1] == 0)
     a, b = (
         np.divide(v, size, out=np.zeros_like(v), where=size > 0)
         for v, size in zip((before, after), sizes, strict=True)
@@ -358,19 +360,19 @@ def _shortest(before: FloatArray, after: FloatArray) -> FloatArray:
     parallel = np.linalg.norm(across, axis=1, keepdims=True) < 1e-12
     axis = np.where(parallel, other, across)
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
-    return so3.exp(np.where(still, 0.0, axis * angle))
+    return so3.exp(np.where(no_length, 0.0, axis * angle))
 
 
 def _local(
-    world: WorldTransforms, parent: int, places: FloatArray, turns: FloatArray
+    world: WorldTransforms, parent: int, positions: FloatArray, rotations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return world transforms of a joint in the space of its parent."""
     if parent < 0:
-        return places, turns
+        return positions, rotations
     inverse = np.linalg.inv(world.linear[:, parent])
-    local = np.einsum("fij,fj->fi", inverse, places - world.positions[:, parent])
+    local = np.einsum("fij,fj->fi", inverse, positions - world.positions[:, parent])
     undo = so3.conjugate(world.rotations[:, parent])
-    return np.ascontiguousarray(local), so3.multiply(undo, turns)
+    return np.ascontiguousarray(local), so3.multiply(undo, rotations)
 
 
 def _check_scales(take: Take, world: WorldTransforms, joint: int) -> None:

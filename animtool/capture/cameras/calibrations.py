@@ -76,8 +76,8 @@ def _toml(text: str, path: Path) -> Document:
     try:
         value = parse_toml(text)
     except ValueError as error:
-        found = re.search(r"at line (\d+)", str(error))
-        lines = (int(found[1]),) if found else ()
+        match = re.search(r"at line (\d+)", str(error))
+        lines = (int(match[1]),) if match else ()
         message = f"invalid TOML: {str(error).split(' (at ')[0]}"
         raise FormatError(Fault("CAM003", message, str(path), lines)) from error
     starts: dict[str, int] = {}
@@ -85,11 +85,11 @@ def _toml(text: str, path: Path) -> Document:
         table = _TABLE.match(row)
         if table is not None:
             starts.setdefault(table[1], number)
-    places = [(1, 1)]
+    positions = [(1, 1)]
     for key, inner in value.items():
         line = starts.get(key, 1)
-        places += [(line, 1)] * (1 + _nodes(inner))
-    return Document(path, value, lambda: Marks(places, {}))
+        positions += [(line, 1)] * (1 + _nodes(inner))
+    return Document(path, value, lambda: Marks(positions, {}))
 
 
 def _nodes(value: Any) -> int:
@@ -117,18 +117,18 @@ def calibration_of(
         message = "holds no cameras"
         hint = "animtool reads cameras: animtool/1, OpenCV, Pose2Sim and anipose"
         document.add("CAM003", (), message, hint)
-    found: list[Camera] = []
+    cameras: list[Camera] = []
     for location, name, entry in entries:
-        camera = _Entry(document, location, entry).camera(name, scale)
+        camera = _CalibrationEntry(document, location, entry).camera(name, scale)
         if camera is None:
             continue
-        if camera.name in {other.name for other in found}:
+        if camera.name in {other.name for other in cameras}:
             message = f"two cameras are called {camera.name!r}"
             document.add("CAM002", location, message)
-        found.append(camera)
+        cameras.append(camera)
     document.check()
     notices = tuple(document.notices)
-    return Cameras(tuple(found), up or UpAxis.Y, str(document.path), notices)
+    return Cameras(tuple(cameras), up or UpAxis.Y, str(document.path), notices)
 
 
 def _unit(document: Document) -> LengthUnit:
@@ -168,7 +168,7 @@ def _is_camera(value: Mapping[str, Any]) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class _Entry:
+class _CalibrationEntry:
     """A camera of a calibration, and where it stands."""
 
     document: Document

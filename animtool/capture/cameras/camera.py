@@ -109,10 +109,10 @@ def camera_numbers(cameras: Sequence[Camera]) -> FloatArray:
     return np.array([camera.numbers for camera in cameras]).reshape(-1, 27)
 
 
-def distorted(camera: Camera, places: FloatArray) -> FloatArray:
+def distorted(camera: Camera, points: FloatArray) -> FloatArray:
     """Return where a lens shows places of the image plane at depth 1 ``(…, 2)``."""
     k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
-    x, y = places[..., 0], places[..., 1]
+    x, y = points[..., 0], points[..., 1]
     s = x * x + y * y
     radial = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
     across = x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x)
@@ -131,9 +131,11 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
     """
     # What overflows is on no image.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        seen = points @ camera.rotation.T + camera.translation
-        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
-        x, y = np.moveaxis(distorted(camera, seen[..., :2] / depth[..., None]), -1, 0)
+        in_camera = points @ camera.rotation.T + camera.translation
+        depth = np.where(in_camera[..., 2] > 0, in_camera[..., 2], np.nan)
+        x, y = np.moveaxis(
+            distorted(camera, in_camera[..., :2] / depth[..., None]), -1, 0
+        )
         across = camera.focal[0] * x + camera.skew * y + camera.centre[0]
         down = camera.focal[1] * y + camera.centre[1]
     pixels = np.stack([across, down], axis=-1)
@@ -148,24 +150,24 @@ def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
     """
     # What overflows leads nowhere, and is NaN below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        found = _undistorted(camera, pixels)
-    found[~np.isfinite(found).all(axis=-1)] = np.nan
-    return found
+        undistorted = _undistorted(camera, pixels)
+    undistorted[~np.isfinite(undistorted).all(axis=-1)] = np.nan
+    return undistorted
 
 
 def _undistorted(camera: Camera, pixels: FloatArray) -> FloatArray:
     """Return places at depth 1 that a lens shows at pixels, by Newton's steps."""
     y = (pixels[..., 1] - camera.centre[1]) / camera.focal[1]
     x = (pixels[..., 0] - camera.centre[0] - camera.skew * y) / camera.focal[0]
-    wanted = np.stack([x, y], axis=-1)
-    found = wanted.copy()
+    target = np.stack([x, y], axis=-1)
+    estimate = target.copy()
     for _ in range(_STEPS if any(camera.distortion) else 0):
         # The slopes of the lens by differences: exact enough, since each step is
         # measured by the lens itself.
-        step, here = 1e-6, distorted(camera, found)
-        by_x = (distorted(camera, found + np.array([step, 0])) - here) / step
-        by_y = (distorted(camera, found + np.array([0, step])) - here) / step
-        off = here - wanted
+        step, here = 1e-6, distorted(camera, estimate)
+        by_x = (distorted(camera, estimate + np.array([step, 0])) - here) / step
+        by_y = (distorted(camera, estimate + np.array([0, step])) - here) / step
+        off = here - target
         det = by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]
         det = np.where(det > 0, det, np.nan)
         change = np.stack(
@@ -175,5 +177,5 @@ def _undistorted(camera: Camera, pixels: FloatArray) -> FloatArray:
             ],
             axis=-1,
         )
-        found -= change / det[..., None]
-    return found
+        estimate -= change / det[..., None]
+    return estimate

@@ -119,7 +119,7 @@ def cameras_of_document(document: Document) -> Cameras:
     check_version(document, "cameras")
     model = validated(document, CamerasModel)
     scale = LengthUnit(model.units.length).meters
-    found: list[Camera] = []
+    cameras: list[Camera] = []
     names: dict[str, int] = {}
     for i, view in enumerate(model.views):
         if view.name in names:
@@ -133,7 +133,7 @@ def cameras_of_document(document: Document) -> Cameras:
             hint = "write orthogonal, right-handed rows of length 1, or [w, x, y, z]"
             document.add("CAM001", ("views", i, "rotation"), message, hint)
             continue
-        found.append(
+        cameras.append(
             Camera(
                 view.name,
                 (view.focal[0], view.focal[1]),
@@ -147,7 +147,7 @@ def cameras_of_document(document: Document) -> Cameras:
         )
     document.check()
     notices = tuple(document.notices)
-    return Cameras(tuple(found), UpAxis(model.up), str(document.path), notices)
+    return Cameras(tuple(cameras), UpAxis(model.up), str(document.path), notices)
 
 
 def _rotation(value: list[list[float]] | list[float]) -> FloatArray | None:
@@ -199,7 +199,7 @@ def load_all_cameras(
     read = [load_cameras(path, unit=unit, up=up) for path in paths]
     if len(read) == 1:
         return read[0]
-    found: dict[str, Camera] = {}
+    cameras: dict[str, Camera] = {}
     for path, each in zip(paths, read, strict=True):
         if each.up != read[0].up:
             message = (
@@ -210,9 +210,9 @@ def load_all_cameras(
         for camera in each.cameras:
             alone = len(each) == 1 and camera.name == UNNAMED
             name = path.name.partition(".")[0] if alone else camera.name
-            if name in found:
+            if name in cameras:
                 message = f"two cameras are called {name!r}"
                 raise FormatError(Fault("CAM002", message, str(path)))
-            found[name] = replace(camera, name=name)
+            cameras[name] = replace(camera, name=name)
     notices = tuple(note for each in read for note in each.notices)
-    return Cameras(tuple(found.values()), read[0].up, str(paths[0]), notices)
+    return Cameras(tuple(cameras.values()), read[0].up, str(paths[0]), notices)

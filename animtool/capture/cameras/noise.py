@@ -31,14 +31,14 @@ _LEAST = (0.50, 0.20, 0.83, 0.61, 0.91, 0.76, 0.94, 0.83, 0.97)
 # Below, a gate would follow the rounding of pixels [px].
 MIN_NOISE = 0.05
 # A camera has the noise of all unless its own is this many times as large or small.
-ALIKE = 1.5
+SIMILAR_NOISE = 1.5
 # What the noise of a camera may be at most, against that of all.
 _MAX_RATIO = 3.0
 # A camera whose noise is this many times that of all is looked at: it may be stale.
 _SUSPECT = 1.1
 _SUSPECTS = 4
 # Share of points that must be found, if cameras are to agree [1].
-MIN_FOUND_SHARE = 0.5
+MIN_TRIANGULATED = 0.5
 _ROUNDS = 2
 _ANY = 1e6  # a gate that everything passes
 # What the kernel says of an observation.
@@ -73,7 +73,7 @@ def measured_noise(
     active = np.ones(pixels.shape[:2], bool)
     stale: dict[int, PoseChange] = {}
     settings = (gate, condition)
-    for turn in range(_ROUNDS + views):
+    for round_ in range(_ROUNDS + views):
         *_, residuals, states = _kernels.triangulate_points(
             pixels, trust, numbers, active, noise, *settings, detailed=True
         )
@@ -83,11 +83,11 @@ def measured_noise(
         pooled = _pooled(lengths, states == USED)
         if pooled is None:
             break
-        own = _own(lengths, states)
-        middle = np.nanmedian(own) if np.isfinite(own).any() else 1.0
-        ratios = np.nan_to_num(own / middle, nan=1.0)
-        alike = (ratios < ALIKE) & (ratios > 1 / ALIKE)
-        scaled = np.where(alike, 1.0, np.clip(ratios, 1 / _MAX_RATIO, _MAX_RATIO))
+        noises = _camera_noise(lengths, states)
+        middle = np.nanmedian(noises) if np.isfinite(noises).any() else 1.0
+        ratios = np.nan_to_num(noises / middle, nan=1.0)
+        similar = (ratios < SIMILAR_NOISE) & (ratios > 1 / SIMILAR_NOISE)
+        scaled = np.where(similar, 1.0, np.clip(ratios, 1 / _MAX_RATIO, _MAX_RATIO))
         noise = np.maximum(pooled * scaled, MIN_NOISE)
         left_out = _stale_camera(
             cameras, pixels, trust, noise, active, ratios, settings
@@ -97,22 +97,22 @@ def measured_noise(
             active[:, worst] = False
             rest = active[0]
             noise[:] = first_noise(pixels[:, rest], numbers[rest])
-        elif turn >= _ROUNDS - 1:
+        elif round_ >= _ROUNDS - 1:
             break
     points, *_ = _kernels.triangulate_points(
         pixels, trust, numbers, active, noise, *settings, detailed=False
     )
-    seen = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1) > 1
-    found = int(np.isfinite(points[..., 0]).sum())
-    if found < MIN_FOUND_SHARE * seen.sum():
+    visible = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1) > 1
+    triangulated = int(np.isfinite(points[..., 0]).sum())
+    if triangulated < MIN_TRIANGULATED * visible.sum():
         # No two agree, or any two do: all are used, as far as they are apart.
         stale, active = {}, np.ones_like(active)
         *_, residuals, states = _kernels.triangulate_points(
             pixels, trust, numbers, active, noise, _ANY, condition, detailed=True
         )
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
-        apart = _pooled(lengths, states == USED)
-        noise[:] = noise if apart is None else max(apart, MIN_NOISE)
+        overall = _pooled(lengths, states == USED)
+        noise[:] = noise if overall is None else max(overall, MIN_NOISE)
         return Noise(noise, stale, agree=False)
     noise[list(stale)] = np.median(noise[active[0]])
     return Noise(noise, stale)
@@ -134,7 +134,7 @@ def _stale_camera(
     if active[0].sum() < 3:
         return None
     suspects = np.argsort(-ratios, kind="stable")
-    found: list[tuple[float, int, PoseChange]] = []
+    candidates: list[tuple[float, int, PoseChange]] = []
     for camera in suspects[:_SUSPECTS].tolist():
         if not active[0, camera] or ratios[camera] < _SUSPECT:
             continue
@@ -151,10 +151,10 @@ def _stale_camera(
         )
         change = pose_change(cameras[camera], points, pixels[:, camera])
         if change is not None:
-            found.append((float(np.nanmedian(sizes[..., 0])), camera, change))
-    if not found:
+            candidates.append((float(np.nanmedian(sizes[..., 0])), camera, change))
+    if not candidates:
         return None
-    _, camera, change = min(found, key=lambda each: each[:2])
+    _, camera, change = min(candidates, key=lambda each: each[:2])
     return camera, change
 
 
@@ -182,7 +182,7 @@ def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
     return float(np.sqrt(np.median(sums / middle)))
 
 
-def _own(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
+def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
     """Return the noise of each camera by its median residual [px] ``(C,)``."""
     used = states == USED
     others = used.sum(axis=1)[:, None] - used

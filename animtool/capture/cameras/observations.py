@@ -25,7 +25,7 @@ from animtool.documents.arrays import Archives
 _ARRAYS = {"uv8": (0.125, 65535), "uv": (1.0, None)}
 MAX_CAMERAS = 256
 # What a command wants of a file that is none.
-WANTED = (
+LAYOUT_HINT = (
     "write uv (frames, cameras, markers, 2) in pixels, fs and marker_names with "
     f"numpy.savez, then: animtool mocap triangulate take.npz {flag('cameras')} "
     "stage.cameras.yaml -o markers.npz"
@@ -113,10 +113,10 @@ def _other_kind(path: Path, message: str) -> tuple[str, str]:
     with open_input(path, None) as file:
         head = file.read(HEAD)
     if head[:2] == b"PK":
-        return message, WANTED
+        return message, LAYOUT_HINT
     text = head.lstrip(b"\xef\xbb\xbf \r\n\t")
     if path.suffix.lower() != ".json" and text[:1] not in {b"{", b"["}:
-        return "is not an npz file of pixels", WANTED
+        return "is not an npz file of pixels", LAYOUT_HINT
     kind = "is a JSON file; observations are an npz file of pixels, or a folder of "
     kind += "OpenPose keypoints"
     if b'"people"' in text:
@@ -131,15 +131,17 @@ def _other_kind(path: Path, message: str) -> tuple[str, str]:
             "holds cameras, not observations; pass it as "
             f"{argument('cameras', path.name)}"
         )
-    return kind, WANTED
+    return kind, LAYOUT_HINT
 
 
 def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observations:
     known = archives.names(path)
     key = next((name for name in _ARRAYS if name in known), None)
     if key is None:
-        held = listed(known) or "nothing"
-        raise ValueError(f"has no array 'uv' or 'uv8' of pixels; its arrays are {held}")
+        arrays = listed(known) or "nothing"
+        raise ValueError(
+            f"has no array 'uv' or 'uv8' of pixels; its arrays are {arrays}"
+        )
     unit, missing = _ARRAYS[key]
     head = archives.header(path, key)
     if len(head.shape) != 4 or head.shape[3] != 2:
@@ -166,9 +168,9 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
         ("marker_names", len(names), count),
         ("camera_names", len(cameras), views),
     )
-    for what, given, wanted in lengths:
-        if given not in {wanted, 0}:
-            raise ValueError(f"{what!r} has {given}, but {key!r} has {wanted}")
+    for what, length, expected in lengths:
+        if length not in {expected, 0}:
+            raise ValueError(f"{what!r} has {length}, but {key!r} has {expected}")
     rate = _rate(archives, path, known, fps)
     confidences = None
     if "confidence" in known:
@@ -209,7 +211,7 @@ def matched(observations: Observations, cameras: Cameras) -> Cameras:
             (CAM012).
     """
     path = cameras.path or None
-    seen = observations.stored.shape[1]
+    views = observations.stored.shape[1]
     if observations.cameras:
         by_name = {camera.name: camera for camera in cameras.cameras}
         missing = [name for name in observations.cameras if name not in by_name]
@@ -225,12 +227,12 @@ def matched(observations: Observations, cameras: Cameras) -> Cameras:
         chosen = tuple(by_name[name] for name in observations.cameras)
     else:
         chosen = cameras.cameras
-        if len(chosen) != seen:
+        if len(chosen) != views:
             message = f"holds {counted(len(chosen), 'camera')}, but the observations "
-            message += f"have {seen}"
+            message += f"have {views}"
             hint = "write camera_names in the observations to tell which they are"
             raise OptionError(Fault("CAM011", message, path, (), hint))
-    if seen < 2:
+    if views < 2:
         message = "one camera sees no depth: at least two are needed"
         raise OptionError(Fault("CAM012", message, observations.path or path))
     return replace(cameras, cameras=chosen)

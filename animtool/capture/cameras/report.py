@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool.capture.cameras.camera import Camera
-from animtool.capture.cameras.stale import MIN_VIEW, Disagreement, Moved
+from animtool.capture.cameras.stale import MIN_VIEW, Disagreement, PoseShift
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity, counted, listed, percent
@@ -51,11 +51,11 @@ class CameraReport:
     noise_px: float
     no_ray: int = 0
     outside: int = 0
-    moved: tuple[Moved, ...] = ()
+    shifts: tuple[PoseShift, ...] = ()
     disagrees: tuple[Disagreement, ...] = ()
     json_keys: ClassVar[str] = (
         "name observed used outliers noise_px reprojection=.{px=error_px mm=error_mm} "
-        "moved disagrees"
+        "moved=shifts disagrees"
     )
 
 
@@ -79,21 +79,21 @@ class Triangulation:
     cameras: tuple[CameraReport, ...]
     error_px: float
     error_mm: float
-    seen: int
-    found: int
+    visible: int
+    triangulated: int
     notices: tuple[Fault, ...]
     source: Path | None = None  # what the cameras see, where it is in files
     output: Path | None = None  # the file of the markers, likewise
     json_keys: ClassVar[str] = (
         "'mocap triangulate' observations=source output frames=markers.clock.count "
-        "fps=markers.clock.rate markers=markers.names points=.{seen found} "
+        "fps=markers.clock.rate markers=markers.names points=.{seen=visible found=triangulated} "
         "reprojection=.{px=error_px mm=error_mm} cameras notices"
     )
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Share of the points that cameras see which have a position [1]."""
-        return self.found / max(1, self.seen)
+        return self.triangulated / max(1, self.visible)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class Tallies:
         return self.values[..., 3]
 
     def report(
-        self, camera: int, name: str, noise: float, moved: tuple[Moved, ...]
+        self, camera: int, name: str, noise: float, shifts: tuple[PoseShift, ...]
     ) -> CameraReport:
         """Return the report of a camera."""
         sums = self.values[:, camera].sum(axis=0)
@@ -133,7 +133,7 @@ class Tallies:
             noise,
             int(no_ray),
             int(outside),
-            moved,
+            shifts,
         )
 
     def errors(self) -> tuple[float, float]:
@@ -154,17 +154,17 @@ def camera_notices(
     def warning(code: str, message: str, hint: str | None = None) -> Fault:
         return Fault(code, message, path or None, (), hint, Severity.WARNING)
 
-    for moved in report.moved:
-        whole = moved.first == 0 and moved.end == clock.count
+    for shift in report.shifts:
+        throughout = shift.first == 0 and shift.end == clock.count
         text = (
-            f"camera {report.name!r} moved in frames {moved.first + 1} to {moved.end}"
+            f"camera {report.name!r} moved in frames {shift.first + 1} to {shift.end}"
         )
-        if whole:
+        if throughout:
             text = f"camera {report.name!r} does not match its calibration in any frame"
-        text += f": {percent(moved.outliers)} of its points are outliers"
-        if moved.change is not None:
-            text += f", and {moved.change} would explain it"
-        if moved.kept:
+        text += f": {percent(shift.outliers)} of its points are outliers"
+        if shift.change is not None:
+            text += f", and {shift.change} would explain it"
+        if shift.kept:
             text += "; it is kept: without it, the others do not agree better"
         else:
             text += "; it is kept" if kept else "; it is excluded there"
@@ -178,7 +178,7 @@ def camera_notices(
             text += f" ({percent(worst.outliers)} outliers in {worst.frame + 1})"
         hint = "was it bumped or out of sync there? its outliers are excluded"
         yield warning("CAM111", text, hint)
-    if report.outliers > MANY_OUTLIERS and not report.moved:
+    if report.outliers > MANY_OUTLIERS and not report.shifts:
         text = (
             f"{percent(report.outliers)} of the points of camera {report.name!r} are "
         )
@@ -198,18 +198,18 @@ def camera_notices(
 
 
 def lost_frames(
-    positions: FloatArray, seen: BoolArray, clock: Clock, path: str
+    positions: FloatArray, visible: BoolArray, clock: Clock, path: str
 ) -> Iterator[Fault]:
     """Yield the frames in which no two cameras agree on most of what two see.
 
     Args:
         positions: ``(F, M, 3)``, NaN for a gap.
-        seen: What two cameras and more see ``(F, M)``.
+        visible: What two cameras and more see ``(F, M)``.
         clock: Of the frames.
         path: Of the observations.
     """
-    lost = (seen & np.isnan(positions[..., 0])).sum(axis=1)
-    frames = np.flatnonzero((lost > LOST * seen.sum(axis=1)) & (lost >= MIN_VIEW))
+    lost = (visible & np.isnan(positions[..., 0])).sum(axis=1)
+    frames = np.flatnonzero((lost > LOST * visible.sum(axis=1)) & (lost >= MIN_VIEW))
     if not len(frames) or len(frames) == clock.count:
         return
     text = f"cameras disagree in {counted(len(frames), 'frame')}: "
@@ -219,18 +219,18 @@ def lost_frames(
 
 
 def gap_notices(
-    names: Sequence[str], positions: FloatArray, seen: int, path: str
+    names: Sequence[str], positions: FloatArray, views: int, path: str
 ) -> Iterator[Fault]:
     """Yield what to know about points that are not found.
 
     positions: ``(F, M, 3)``, NaN for a gap.
     """
-    found = np.isfinite(positions[..., 0])
-    never = [names[i] for i in np.flatnonzero(~found.any(axis=0)).tolist()]
+    triangulated = np.isfinite(positions[..., 0])
+    never = [names[i] for i in np.flatnonzero(~triangulated.any(axis=0)).tolist()]
     if never:
         text = f"no two cameras agree on {listed(never)} in any frame"
         yield Fault("CAM104", text, path or None, severity=Severity.WARNING)
-    lost = seen - int(found.sum())
+    lost = views - int(triangulated.sum())
     if lost > 0:
         text = f"{counted(lost, 'point')} that two or more cameras see are gaps: no "
         text += "two agree, or their rays are too close to parallel"

@@ -13,14 +13,14 @@ from animtool.maths.runs import joined, runs
 from animtool.maths.so3 import exp, from_matrix, log, to_matrix
 
 # Share of outliers from which a camera does not fit its calibration [1].
-MOVED = 0.5
+MIN_REJECTED = 0.5
 # How long it must last [s], and how many observations say so.
 MIN_SECONDS = 0.25
 MIN_OBSERVATIONS = 20
 _STEPS = 8
 # Observations of a frame that say whether a camera agrees there; how many times its
 # noise the rest is then off, and by how many deviations of chance.
-MIN_VIEW, LOUD, CHANCE = 3, 2.0, 6.0
+MIN_VIEW, LOUD, SAMPLING_SPREAD = 3, 2.0, 6.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +39,13 @@ class PoseChange:
 
     def __str__(self) -> str:
         """Return it in words."""
-        turn = f"a rotation of {np.degrees(self.angle):.2f} degrees"
-        way = f"a shift of {1000 * self.distance:.1f} mm"
-        return f"{turn} and {way} (reprojection then {self.error_px:.2f} px)"
+        rotation = f"a rotation of {np.degrees(self.angle):.2f} degrees"
+        shift = f"a shift of {1000 * self.distance:.1f} mm"
+        return f"{rotation} and {shift} (reprojection then {self.error_px:.2f} px)"
 
 
 @dataclass(frozen=True, slots=True)
-class Moved:
+class PoseShift:
     """Frames through which a camera does not fit its calibration.
 
     Attributes:
@@ -93,9 +93,9 @@ class Disagreement:
         return self.frame + 1
 
 
-def moved_ranges(
+def shifted_ranges(
     judged: FloatArray, rejected: FloatArray, active: BoolArray, rate: float
-) -> tuple[int, list[Moved]] | None:
+) -> tuple[int, list[PoseShift]] | None:
     """Return the camera that fits worst, and where; None where all fit.
 
     A camera that would leave fewer than two is not taken.
@@ -107,15 +107,15 @@ def moved_ranges(
         rate: Frames a second.
     """
     window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
-    best: tuple[int, list[Moved]] | None = None
+    best: tuple[int, list[PoseShift]] | None = None
     most = 0
     for camera in range(judged.shape[1]):
         live = active[:, camera] & (active.sum(axis=1) > 2)
         count = _around(np.where(live, judged[:, camera], 0), window)
         wrong = _around(np.where(live, rejected[:, camera], 0), window)
-        off = live & (wrong > MOVED * count) & (count >= MIN_OBSERVATIONS)
-        own = np.where(live[:, None], rejected, 0.0)
-        ranges = _moved(judged, own, camera, off, window)
+        off = live & (wrong > MIN_REJECTED * count) & (count >= MIN_OBSERVATIONS)
+        rejections = np.where(live[:, None], rejected, 0.0)
+        ranges = _shifted(judged, rejections, camera, off, window)
         total = sum(int(rejected[m.first : m.end, camera].sum()) for m in ranges)
         if total > most:
             best, most = (camera, ranges), total
@@ -124,7 +124,7 @@ def moved_ranges(
 
 def stale_ranges(
     judged: FloatArray, rejected: FloatArray, camera: int, rate: float
-) -> list[Moved]:
+) -> list[PoseShift]:
     """Return where a camera that takes no part does not fit; all where no part says.
 
     Arguments are those of `moved_ranges`.
@@ -132,10 +132,10 @@ def stale_ranges(
     window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
     count = _around(judged[:, camera], window)
     wrong = _around(rejected[:, camera], window)
-    off = (wrong > MOVED * count) | (count < MIN_OBSERVATIONS)
+    off = (wrong > MIN_REJECTED * count) | (count < MIN_OBSERVATIONS)
     if not (off & (count >= MIN_OBSERVATIONS)).any():
         off[:] = True
-    return _moved(judged, rejected, camera, off, window)
+    return _shifted(judged, rejected, camera, off, window)
 
 
 def disagreements(
@@ -152,9 +152,9 @@ def disagreements(
     _, used, judged, rejected, _, pixels, *_ = values[:, camera].T
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = pixels / used / (2 * noise**2)
-        chance = 1 + CHANCE / np.sqrt(used)
-    many = rejected > MOVED * judged
-    loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD**2, chance))
+        spread = 1 + SAMPLING_SPREAD / np.sqrt(used)
+    many = rejected > MIN_REJECTED * judged
+    loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD**2, spread))
     frames = np.flatnonzero(live & (judged >= MIN_VIEW) & (many | loud))
     return [
         Disagreement(
@@ -168,7 +168,7 @@ def disagreements(
 
 def truncated_error(
     residuals: FloatArray,
-    seen: BoolArray,
+    visible: BoolArray,
     noise: FloatArray,
     gate: float,
     more: BoolArray | bool = False,
@@ -180,36 +180,38 @@ def truncated_error(
 
     Args:
         residuals: ``(F, C, M, 2)`` [px], NaN where a point is not found.
-        seen: The observations that count ``(F, C, M)``.
+        visible: The observations that count ``(F, C, M)``.
         noise: Of each camera [px] ``(C,)``.
         gate: What is an outlier, against the noise.
         more: Whether a camera more takes part in a point ``(F, M)``.
     """
     squares = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
     squares = np.where(np.isfinite(squares), np.minimum(squares, gate**2), gate**2)
-    count = seen.sum(axis=1)
+    count = visible.sum(axis=1)
     # A point takes 3 of the 2 n residuals of all n cameras that see it.
     free = 2 * count - 3 * count / np.maximum(count + more, 1)
-    return float(squares[seen].sum() / max(float(free.sum()), 1e-12))
+    return float(squares[visible].sum() / max(float(free.sum()), 1e-12))
 
 
-def _moved(
+def _shifted(
     judged: FloatArray, rejected: FloatArray, camera: int, off: BoolArray, window: int
-) -> list[Moved]:
+) -> list[PoseShift]:
     """Return runs of frames in which a camera is off, to the frame."""
-    wrong = np.concatenate([rejected[:, camera] > MOVED * judged[:, camera], [False]])
-    found = []
+    wrong = np.concatenate(
+        [rejected[:, camera] > MIN_REJECTED * judged[:, camera], [False]]
+    )
+    ranges = []
     for begin, end in _runs(off, window):
         first = begin - int(np.argmin(wrong[:begin][::-1])) if begin else 0
         if begin and wrong[:begin].all():
             first = 0
         last = end + int(np.argmin(wrong[end:]))
-        share = _share(judged, rejected, camera, first, last)
-        found.append(Moved(first, last, share))
-    return found
+        fraction = _rejected_fraction(judged, rejected, camera, first, last)
+        ranges.append(PoseShift(first, last, fraction))
+    return ranges
 
 
-def _share(
+def _rejected_fraction(
     judged: FloatArray, rejected: FloatArray, camera: int, a: int, b: int
 ) -> float:
     return float(rejected[a:b, camera].sum() / max(1, judged[a:b, camera].sum()))
@@ -249,34 +251,34 @@ def pose_change(
     if len(points) < MIN_OBSERVATIONS:
         return None
     rotation, translation = camera.rotation, camera.translation
-    moved = camera
+    refined = camera
     for _ in range(_STEPS):
-        moved = Camera(
+        refined = Camera(
             camera.name, camera.focal, camera.centre, rotation, translation,
             camera.size, camera.skew, camera.distortion,
         )  # fmt: skip
-        off = project(moved, points) - pixels
+        off = project(refined, points) - pixels
         lengths = np.linalg.norm(off, axis=-1)
         usable = np.isfinite(lengths)
         if usable.sum() < MIN_OBSERVATIONS:
             return None
         middle = max(float(np.median(lengths[usable])), 1e-6)
         weights = np.where(usable, 1 / (1 + lengths / middle), 0.0)
-        slopes = _slopes(moved, points)
+        slopes = _slopes(refined, points)
         usable &= np.isfinite(slopes).all(axis=(1, 2))
         root = np.sqrt(weights[usable])[:, None]
         matrix = (slopes[usable] * root[..., None]).reshape(-1, 6)
         step = np.linalg.lstsq(matrix, -(off[usable] * root).ravel(), rcond=None)[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]
-    left = np.linalg.norm(project(moved, points) - pixels, axis=-1)
+    left = np.linalg.norm(project(refined, points) - pixels, axis=-1)
     before = np.linalg.norm(project(camera, points) - pixels, axis=-1)
     if not np.nanmedian(left) < 0.5 * np.nanmedian(before):
         return None
-    turn = log(from_matrix(moved.rotation @ camera.rotation.T))
+    angle_vector = log(from_matrix(refined.rotation @ camera.rotation.T))
     return PoseChange(
-        float(np.linalg.norm(turn)),
-        float(np.linalg.norm(moved.position - camera.position)),
+        float(np.linalg.norm(angle_vector)),
+        float(np.linalg.norm(refined.position - camera.position)),
         float(np.nanmedian(left)),
     )
 
@@ -287,11 +289,11 @@ def _slopes(camera: Camera, points: FloatArray) -> FloatArray:
     size = 1e-6
     columns = []
     for axis in range(6):
-        turn = to_matrix(exp(size * np.eye(6)[axis][:3]))
+        rotation = to_matrix(exp(size * np.eye(6)[axis][:3]))
         shift = size * np.eye(6)[axis][3:]
         nudged = Camera(
-            camera.name, camera.focal, camera.centre, turn @ camera.rotation,
-            turn @ camera.translation + shift, camera.size, camera.skew,
+            camera.name, camera.focal, camera.centre, rotation @ camera.rotation,
+            rotation @ camera.translation + shift, camera.size, camera.skew,
             camera.distortion,
         )  # fmt: skip
         columns.append((project(nudged, points) - here) / size)

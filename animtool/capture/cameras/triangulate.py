@@ -25,11 +25,11 @@ from animtool.capture.cameras.report import (
 )
 from animtool.capture.cameras.stale import (
     Disagreement,
-    Moved,
     PoseChange,
+    PoseShift,
     disagreements,
-    moved_ranges,
     pose_change,
+    shifted_ranges,
     stale_ranges,
     truncated_error,
 )
@@ -45,7 +45,7 @@ BLOCK = 500_000
 # belong together [1].
 MAX_NOISE = 0.03
 # Noise above this share of the width is more than detectors of keypoints have [1].
-ODD_NOISE = 0.01
+SUSPECT_NOISE = 0.01
 # Frames that the motion of a camera is measured on.
 _CHANGE_FRAMES = 50
 # Errors of the others this near each other are the same [1]: outliers of a camera that
@@ -77,7 +77,9 @@ def triangulate(
     """
     options = options or TriangulateOptions()
     _check_options(options)
-    run = _Run(observations, matched(observations, cameras), options, progress)
+    run = _TriangulationRun(
+        observations, matched(observations, cameras), options, progress
+    )
     return run.result()
 
 
@@ -95,7 +97,7 @@ def _check_options(options: TriangulateOptions) -> None:
         raise OptionError(Fault("CAP001", message, where="min_angle"))
 
 
-class _Run:
+class _TriangulationRun:
     """A triangulation under way."""
 
     def __init__(
@@ -115,15 +117,15 @@ class _Run:
         self.known = np.full((self.frames, self.markers, 5), np.nan)
         self.tallies = Tallies(np.zeros((self.frames, self.views, 8)))
         self.notices = [*cameras.notices, *observations.notices]
-        self.moved: list[list[Moved]] = [[] for _ in range(self.views)]
+        self.shifts: list[list[PoseShift]] = [[] for _ in range(self.views)]
 
     def result(self) -> Triangulation:
         """Return the points and the reports."""
         stale = self._measure()
         self._solve(0, self.frames)
         self._note_stale(stale)
-        self._leave_out_moved()
-        self._check_found()
+        self._exclude_shifted()
+        self._check_triangulated()
         return self._triangulation()
 
     def _measure(self) -> dict[int, PoseChange]:
@@ -145,7 +147,7 @@ class _Run:
         if middle > MAX_NOISE * width:
             message = f"cameras disagree: their rays miss each other by {middle:.0f} px"
             self._disagree(message)
-        if not measured.agree or middle > ODD_NOISE * width:
+        if not measured.agree or middle > SUSPECT_NOISE * width:
             message = f"rays of the cameras miss each other by {middle:.1f} px"
             hint = "one of them may have moved; calibrate them again"
             self._warn("CAM108", message, hint)
@@ -194,34 +196,34 @@ class _Run:
             judged, rejected = self.tallies.judged, self.tallies.rejected
             ranges = stale_ranges(judged, rejected, camera, rate)
             was = self.active[:, camera].copy()
-            self.moved[camera] += self._left_out(
+            self.shifts[camera] += self._left_out(
                 camera, [replace(each, change=change) for each in ranges]
             )
             if not self.options.keep_moved:
                 self.active[:, camera] = True
-                for each in self.moved[camera]:
+                for each in self.shifts[camera]:
                     self.active[each.first : each.end, camera] = each.kept
                 self._solve_changed(self.active[:, camera] != was)
 
-    def _left_out(self, camera: int, ranges: list[Moved]) -> list[Moved]:
+    def _left_out(self, camera: int, ranges: list[PoseShift]) -> list[PoseShift]:
         """Return ranges with whether a camera is kept in them: it is no better without.
 
         What says so is the reprojection error of the other cameras.
         """
         if self.options.keep_moved:
             return ranges
-        return [replace(m, kept=not self._better_without(camera, m)) for m in ranges]
+        return [replace(m, kept=not self._better_excluded(camera, m)) for m in ranges]
 
-    def _better_without(self, camera: int, moved: Moved) -> bool:
+    def _better_excluded(self, camera: int, shift: PoseShift) -> bool:
         """Return whether the other cameras agree better where one is left out."""
-        step = max(1, (moved.end - moved.first) // _CHANGE_FRAMES)
-        at = slice(moved.first, moved.end, step)
-        pixels = self.observations.pixels(moved.first, moved.end, step)
-        trust = self.observations.trust(moved.first, moved.end, step)
+        step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
+        at = slice(shift.first, shift.end, step)
+        pixels = self.observations.pixels(shift.first, shift.end, step)
+        trust = self.observations.trust(shift.first, shift.end, step)
         visible = np.isfinite(pixels).all(axis=-1)
-        seen = visible & self.active[at][..., None]
-        seen[:, camera] = False
-        seen &= (seen.sum(axis=1) > 1)[:, None]
+        views = visible & self.active[at][..., None]
+        views[:, camera] = False
+        views &= (views.sum(axis=1) > 1)[:, None]
         errors = []
         for kept in (True, False):
             active = np.ascontiguousarray(self.active[at])
@@ -240,7 +242,7 @@ class _Run:
             errors.append(
                 truncated_error(
                     residuals.astype(np.float64),
-                    seen,
+                    views,
                     self.noise,
                     self.options.gate,
                     takes_part,
@@ -253,21 +255,21 @@ class _Run:
         for first, end in runs(changed):
             self._solve(first, end)
 
-    def _leave_out_moved(self) -> None:
+    def _exclude_shifted(self) -> None:
         """Leave out cameras where they do not fit, the worst first."""
         rate = float(self.observations.clock.rate)
         checked = self.active.copy()
-        for camera, moved in enumerate(self.moved):
-            for each in moved:
+        for camera, shifts in enumerate(self.shifts):
+            for each in shifts:
                 checked[each.first : each.end, camera] = False
         for _ in range(self.views):
             judged, rejected = self.tallies.judged, self.tallies.rejected
-            worst = moved_ranges(judged, rejected, checked, rate)
+            worst = shifted_ranges(judged, rejected, checked, rate)
             if worst is None:
                 break
             camera, ranges = worst
             ranges = self._left_out(camera, ranges)
-            self.moved[camera] += [self._explained(camera, each) for each in ranges]
+            self.shifts[camera] += [self._explained(camera, each) for each in ranges]
             for each in ranges:
                 checked[each.first : each.end, camera] = False
                 if not (self.options.keep_moved or each.kept):
@@ -277,27 +279,29 @@ class _Run:
     def _disagreements(self, camera: int) -> tuple[Disagreement, ...]:
         """Return single frames in which a camera does not agree with the others."""
         live = self.active[:, camera].copy()
-        for each in self.moved[camera]:
+        for each in self.shifts[camera]:
             live[each.first : each.end] = False
         noise = float(self.noise[camera])
         return tuple(disagreements(self.tallies.values, camera, noise, live))
 
-    def _explained(self, camera: int, moved: Moved) -> Moved:
+    def _explained(self, camera: int, shift: PoseShift) -> PoseShift:
         """Return a range with the change of pose that would explain it."""
-        step = max(1, (moved.end - moved.first) // _CHANGE_FRAMES)
-        pixels = self.observations.pixels(moved.first, moved.end, step)[:, camera]
-        points = self.positions[moved.first : moved.end : step]
+        step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
+        pixels = self.observations.pixels(shift.first, shift.end, step)[:, camera]
+        points = self.positions[shift.first : shift.end : step]
         change = pose_change(self.cameras.cameras[camera], points, pixels)
-        return replace(moved, change=change)
+        return replace(shift, change=change)
 
-    def _check_found(self) -> None:
+    def _check_triangulated(self) -> None:
         if np.isfinite(self.positions).any():
             return
-        if not self._seen:
+        if not self._view_count:
             message = "no point is seen by two cameras in any frame"
             path = self.observations.path or None
             raise OptionError(Fault("CAM013", message, path))
-        self._disagree(f"no two cameras agree on any of {counted(self._seen, 'point')}")
+        self._disagree(
+            f"no two cameras agree on any of {counted(self._view_count, 'point')}"
+        )
 
     def _warn(self, code: str, message: str, hint: str) -> None:
         path = self.cameras.path or None
@@ -310,7 +314,7 @@ class _Run:
         raise OptionError(Fault("CAM014", message, path, (), hint))
 
     @property
-    def _seen(self) -> int:
+    def _view_count(self) -> int:
         """How many points two cameras and more see."""
         return int((self.known[..., 4] > 1).sum())
 
@@ -319,11 +323,11 @@ class _Run:
         reports = tuple(
             replace(
                 self.tallies.report(
-                    c, cameras[c].name, float(self.noise[c]), tuple(moved)
+                    c, cameras[c].name, float(self.noise[c]), tuple(shifts)
                 ),
                 disagrees=self._disagreements(c),
             )
-            for c, moved in enumerate(self.moved)
+            for c, shifts in enumerate(self.shifts)
         )
         kept = self.options.keep_moved
         notices = self.notices
@@ -338,7 +342,7 @@ class _Run:
             observations.path,
         )
         notices += gap_notices(
-            observations.names, self.positions, self._seen, observations.path
+            observations.names, self.positions, self._view_count, observations.path
         )
         markers = Markers(
             observations.names,
@@ -354,7 +358,7 @@ class _Run:
             self.known[..., 2].copy(),
             reports,
             *self.tallies.errors(),
-            self._seen,
+            self._view_count,
             int(markers.seen.sum()),
             tuple(notices),
         )

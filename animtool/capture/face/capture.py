@@ -100,8 +100,8 @@ def read_capture(
     text, array = split_reference(str(path), "")
     path = Path(text)
     if path.suffix.lower() != ".npz":
-        opener = find_reader(path).markers_opener(path)
-        markers = opener(path, unit=unit, up=up, fps=fps)
+        read = find_reader(path).markers_opener(path)
+        markers = read(path, unit=unit, up=up, fps=fps)
         named = [name for name in markers.names if not name.startswith("*")]
         return FaceCapture(
             path,
@@ -245,16 +245,16 @@ def in_order(capture: FaceCapture, model: FaceModel) -> tuple[FloatArray, list[F
             hint = "write landmark_names in the npz to tell which are which"
             raise OptionError(Fault("FAC004", message, path, (), hint))
         return capture.points, []
-    places = {name: i for i, name in enumerate(capture.names)}
-    there = [places.get(name, -1) for name in model.names]
+    columns = {name: i for i, name in enumerate(capture.names)}
+    there = [columns.get(name, -1) for name in model.names]
     if max(there) < 0:
         message = f"no landmark belongs to the face, such as {capture.names[0]!r}"
         hint = f"{nearest(capture.names[0], model.names)}"
         raise OptionError(Fault("FAC004", message, path, (), hint))
-    made = np.full((len(capture.points), count, capture.points.shape[2]), np.nan)
+    ordered = np.full((len(capture.points), count, capture.points.shape[2]), np.nan)
     for i, at in enumerate(there):
         if at >= 0:
-            made[:, i] = capture.points[:, at]
+            ordered[:, i] = capture.points[:, at]
     notices = []
     for names, what in (
         ([n for n, at in zip(model.names, there, strict=True) if at < 0],
@@ -267,4 +267,4 @@ def in_order(capture: FaceCapture, model: FaceModel) -> tuple[FloatArray, list[F
             notices.append(
                 naming("FAC107", message, names, path, severity=Severity.WARNING)
             )
-    return made, notices
+    return ordered, notices

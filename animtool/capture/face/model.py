@@ -73,8 +73,8 @@ class FaceModel:
         """Return what is beyond the sum of deltas at weights [m] ``(F, N, 3)``."""
         if self.bent is None:
             return np.zeros((len(weights), *self.neutral.shape))
-        whole = self.bent.points(weights)
-        return whole - self.neutral - np.tensordot(weights, self.deltas, 1)
+        displaced = self.bent.points(weights)
+        return displaced - self.neutral - np.tensordot(weights, self.deltas, 1)
 
     def points(self, weights: FloatArray) -> FloatArray:
         """Return the landmarks at weights, in the frame of the face [m]."""
@@ -93,7 +93,7 @@ class FaceModel:
         bent = None if self.bent is None else self.bent.select(shapes)
         return replace(self, shapes=names, deltas=self.deltas[shapes], bent=bent)
 
-    def alike(self) -> list[tuple[int, int]]:
+    def similar_shapes(self) -> list[tuple[int, int]]:
         """Return pairs of shapes that move the landmarks in the same directions."""
         moving = np.flatnonzero(self.moving())
         flat = self.deltas[moving].reshape(len(moving), -1)
@@ -103,21 +103,21 @@ class FaceModel:
 
     def notices(self) -> list[Fault]:
         """Return warnings of shapes that landmarks do not show, or not apart."""
-        made = []
+        notices = []
         moving = self.moving()
-        still = [n for n, k in zip(self.shapes, moving.tolist(), strict=True) if not k]
-        if still:
-            message = f"{len(still)} shapes move no landmark, and stay at 0: "
-            made.append(naming("FAC101", message, still, severity=Severity.WARNING))
-        pairs = self.alike()
+        static = [n for n, k in zip(self.shapes, moving.tolist(), strict=True) if not k]
+        if static:
+            message = f"{len(static)} shapes move no landmark, and stay at 0: "
+            notices.append(naming("FAC101", message, static, severity=Severity.WARNING))
+        pairs = self.similar_shapes()
         if len(pairs):
             names = [f"{self.shapes[a]} = {self.shapes[b]}" for a, b in pairs]
             message = (
                 f"{len(pairs)} pairs of shapes move landmarks in the same direction, "
                 "and are solved together: "
             )
-            made.append(naming("FAC102", message, names, severity=Severity.WARNING))
-        return made
+            notices.append(naming("FAC102", message, names, severity=Severity.WARNING))
+        return notices
 
     def of_actor(self, captured: FloatArray) -> FaceModel:
         """Return the model with the proportions of landmarks of a neutral face.
@@ -128,11 +128,11 @@ class FaceModel:
         Args:
             captured: Landmarks of the neutral frame, NaN where missing [m] ``(N, 3)``.
         """
-        seen = np.isfinite(captured).all(axis=1)
-        scale = spread(captured[seen]) / spread(self.neutral[seen])
-        turn, shift = rigid_motion(self.neutral[seen] * scale, captured[seen])
+        visible = np.isfinite(captured).all(axis=1)
+        scale = spread(captured[visible]) / spread(self.neutral[visible])
+        rotation, shift = rigid_motion(self.neutral[visible] * scale, captured[visible])
         neutral = self.neutral * scale
-        neutral[seen] = rotate(conjugate(turn), captured[seen] - shift)
+        neutral[visible] = rotate(conjugate(rotation), captured[visible] - shift)
         return replace(self, neutral=neutral, deltas=self.deltas * scale, bent=None)
 
 
@@ -142,22 +142,22 @@ class BentShapes:
 
     shapes: tuple[Shape, ...]  # of the rig, those that move landmarks or combine such
     prepared: PreparedShapes  # those of them with deltas
-    own: tuple[int, ...]  # of each solved shape its index in ``shapes``
+    solved: tuple[int, ...]  # of each solved shape its index in ``shapes``
 
     def points(self, weights: FloatArray) -> FloatArray:
         """Return the landmarks at weights of the solved shapes ``(F, S)``."""
-        given = {shape.name: np.zeros(len(weights)) for shape in self.shapes}
-        for i, column in zip(self.own, weights.T, strict=True):
-            given[self.shapes[i].name] = column
-        whole = combined_weights(self.shapes, given)
+        by_name = {shape.name: np.zeros(len(weights)) for shape in self.shapes}
+        for i, column in zip(self.solved, weights.T, strict=True):
+            by_name[self.shapes[i].name] = column
+        combined = combined_weights(self.shapes, by_name)
         return blend_points(
-            self.prepared, np.stack([whole[n] for n in self.prepared.names], axis=-1)
+            self.prepared, np.stack([combined[n] for n in self.prepared.names], axis=-1)
         )
 
     def select(self, shapes: BoolArray) -> BentShapes:
         """Return them for some of the solved shapes."""
         kept = np.flatnonzero(shapes).tolist()
-        return replace(self, own=tuple(self.own[i] for i in kept))
+        return replace(self, solved=tuple(self.solved[i] for i in kept))
 
 
 def spread(points: FloatArray) -> float:

@@ -42,9 +42,9 @@ ROBUST_DEVIATIONS = 3.0
 # Of noise, in shares of the face's size: below, weights are exact to a thousandth.
 MIN_NOISE = 1e-5
 # How fast weights of a lively face change [1/s].
-USUAL_SPEED = 3.0
+TYPICAL_SPEED = 3.0
 # Deviation of weights from 0 that is usual: what landmarks do not show stays small.
-USUAL_WEIGHT = 0.5
+TYPICAL_WEIGHT = 0.5
 # A weight's change in the last round that is none.
 ENOUGH = 1e-5
 ROUNDS = 30
@@ -54,7 +54,7 @@ BENT_ENOUGH = 1e-4
 # A capture's size against the face's: beyond, its unit is another.
 MAX_SCALE = 3.0
 # A landmark that counts for less than half in so many frames is misplaced.
-POOR_SHARE = 0.5
+MIN_VISIBLE = 0.5
 MAX_NAMED = 12
 
 
@@ -118,17 +118,17 @@ class FaceFit:
     @property
     def rms(self) -> float:
         """Root of the mean square residual of landmarks that count by half or more."""
-        good = (self.shares >= POOR_SHARE) & np.isfinite(self.residuals)
+        good = (self.shares >= MIN_VISIBLE) & np.isfinite(self.residuals)
         return float(np.sqrt((self.residuals[good] ** 2).mean())) if good.any() else 0.0
 
     @property
     def landmarks(self) -> list[LandmarkScore]:
         """How well each landmark fits."""
-        seen = np.isfinite(self.residuals)
-        used = seen & (self.shares >= POOR_SHARE)
+        visible = np.isfinite(self.residuals)
+        used = visible & (self.shares >= MIN_VISIBLE)
         squares = np.where(used, self.residuals, 0.0) ** 2
         rms = np.sqrt(squares.sum(axis=0) / np.maximum(used.sum(axis=0), 1))
-        counts = seen.sum(axis=0), (seen & ~used).sum(axis=0)
+        counts = visible.sum(axis=0), (visible & ~used).sum(axis=0)
         columns = (rms.tolist(), *(each.tolist() for each in counts))
         return [
             LandmarkScore(*row) for row in zip(self.model.names, *columns, strict=True)
@@ -174,8 +174,8 @@ def fit_face(
     [[0.5], [0.5]]
     """
     _check(model, observed, camera)
-    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
-    usable = seen.sum(axis=1) >= MIN_LANDMARKS
+    visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
+    usable = visible.sum(axis=1) >= MIN_LANDMARKS
     if not usable.any():
         message = f"no frame has {MIN_LANDMARKS} landmarks or more"
         raise OptionError(Fault("FAC005", message))
@@ -186,27 +186,27 @@ def fit_face(
         raise OptionError(Fault("FAC007", message, hint=hint))
     # What moves landmarks alike is solved as one shape, and shared evenly; shapes that
     # bend are solved by themselves.
-    kept, share = _shared(model, moving)
+    kept, group = _shared(model, moving)
     face = model.select(kept)
-    counts = np.bincount(share[moving], minlength=len(model.shapes))[kept]
+    counts = np.bincount(group[moving], minlength=len(model.shapes))[kept]
     face = replace(face, deltas=face.deltas * counts[:, None, None])
     fit = _Fit(
         face, np.where(usable[:, None, None], observed, np.nan), fps, smooth, camera
     )
     weights, poses, residuals, shares, rounds, change = fit.solve(progress)
-    whole = np.zeros((len(observed), len(model.shapes)))
-    places = np.cumsum(kept) - 1
-    whole[:, moving] = weights[:, places[share[moving]]]
+    all_weights = np.zeros((len(observed), len(model.shapes)))
+    columns = np.cumsum(kept) - 1
+    all_weights[:, moving] = weights[:, columns[group[moving]]]
     rotations, translations = _bridged(poses, usable)
-    poor = usable & ((shares < POOR_SHARE).sum(axis=1) > 0.5 * len(model.names))
-    poor &= (shares >= POOR_SHARE).sum(axis=1) < 0.5 * seen.sum(axis=1)
+    poor = usable & ((shares < MIN_VISIBLE).sum(axis=1) > 0.5 * len(model.names))
+    poor &= (shares >= MIN_VISIBLE).sum(axis=1) < 0.5 * visible.sum(axis=1)
     status = np.where(
         usable, np.where(poor, FrameStatus.POOR, FrameStatus.SOLVED), "gap"
     )
-    notices = [*model.notices(), *_notices(model, seen, usable, poor, shares)]
+    notices = [*model.notices(), *_notices(model, visible, usable, poor, shares)]
     return FaceFit(
         model,
-        whole,
+        all_weights,
         rotations,
         translations,
         residuals,
@@ -221,12 +221,12 @@ def fit_face(
 
 def _shared(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
     """Return which shapes are solved, and for each that moves the one it goes with."""
-    kept, share = moving.copy(), np.arange(len(moving))
-    for a, b in model.alike() if model.bent is None else ():
+    kept, group = moving.copy(), np.arange(len(moving))
+    for a, b in model.similar_shapes() if model.bent is None else ():
         same = np.linalg.norm(model.deltas[a] - model.deltas[b])
-        if share[a] == a and same <= MIN_MOTION * np.linalg.norm(model.deltas[a]):
-            share[b], kept[b] = a, False
-    return kept, share
+        if group[a] == a and same <= MIN_MOTION * np.linalg.norm(model.deltas[a]):
+            group[b], kept[b] = a, False
+    return kept, group
 
 
 def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) -> None:
@@ -245,10 +245,12 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
         raise OptionError(Fault("FAC004", message, hint=hint))
     if camera is not None or spread(model.neutral) == 0:
         return
-    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
-    full = np.flatnonzero(seen.sum(axis=1) >= MIN_LANDMARKS)[:: max(1, len(seen) // 50)]
+    visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
+    full = np.flatnonzero(visible.sum(axis=1) >= MIN_LANDMARKS)[
+        :: max(1, len(visible) // 50)
+    ]
     ratios = [
-        spread(observed[f, seen[f]]) / max(spread(model.neutral[seen[f]]), 1e-300)
+        spread(observed[f, visible[f]]) / max(spread(model.neutral[visible[f]]), 1e-300)
         for f in full.tolist()
     ]
     ratio = float(np.median(ratios)) if ratios else 1.0
@@ -275,9 +277,9 @@ class _Fit:
         self.start = self._first_poses()
         self.unit = 1.0 if camera is None else self._pixels()
         self.noise = self._noise()
-        speed = USUAL_SPEED / fps
+        speed = TYPICAL_SPEED / fps
         self.smooth = smooth * (self.noise / speed) ** 2
-        self.rest = (self.noise / USUAL_WEIGHT) ** 2
+        self.rest = (self.noise / TYPICAL_WEIGHT) ** 2
 
     def _first_poses(self) -> FloatArray:
         if self.camera is None:
@@ -312,9 +314,9 @@ class _Fit:
         observed = self.observed[frames]
         shape = (len(observed), len(self.face.shapes))
         weights, poses = begin or (np.zeros(shape), self.start[frames])
-        own = self.face.neutral[None] if neutral is None else neutral
+        neutral_points = self.face.neutral[None] if neutral is None else neutral
         return _kernels.fit_face(
-            np.ascontiguousarray(own),
+            np.ascontiguousarray(neutral_points),
             self.deltas,
             np.ascontiguousarray(observed),
             self.camera,
@@ -334,19 +336,19 @@ class _Fit:
         chosen = good[np.linspace(0, len(good) - 1, NOISE_FRAMES).astype(int)]
         chosen = np.unique(chosen)
         least = MIN_NOISE * self.face.size * self.unit
-        self.rest = (least * 10 / USUAL_WEIGHT) ** 2
+        self.rest = (least * 10 / TYPICAL_WEIGHT) ** 2
         threshold = 0.1 * self.face.size * self.unit
         noise = least
         for _ in range(3):
             weights, _, residuals, _, _, _ = self._run(chosen, threshold, 0.0, 6)
-            seen = np.isfinite(residuals)
+            visible = np.isfinite(residuals)
             width = self.observed.shape[-1]
-            rows = width * seen.sum()
+            rows = width * visible.sum()
             # Each pose and each weight off its bounds takes one residual.
             taken = 6 * len(chosen) + ((weights > 0) & (weights < 1)).sum()
             free = max(1.0 - taken / max(rows, 1), 0.05)
-            usual = MEDIAN_3D if width == 3 else MEDIAN_2D
-            noise = float(np.median(residuals[seen])) / usual / np.sqrt(free)
+            median = MEDIAN_3D if width == 3 else MEDIAN_2D
+            noise = float(np.median(residuals[visible])) / median / np.sqrt(free)
             noise = max(noise, least)
             threshold = ROBUST_DEVIATIONS * noise
         return noise
@@ -363,60 +365,62 @@ class _Fit:
         rounds, change = 0, 0.0
         for first in range(0, count, WINDOW):
             begin, end = max(0, first - OVERLAP), min(count, first + WINDOW + OVERLAP)
-            found = self._window(slice(begin, end))
-            own = slice(first, min(count, first + WINDOW))
-            inner = slice(first - begin, own.stop - begin)
-            weights[own], poses[own] = found[0][inner], found[1][inner]
-            residuals[own], shares[own] = found[2][inner], found[3][inner]
-            rounds, change = max(rounds, found[4]), max(change, found[5])
+            solved = self._window(slice(begin, end))
+            kept = slice(first, min(count, first + WINDOW))
+            inner = slice(first - begin, kept.stop - begin)
+            weights[kept], poses[kept] = solved[0][inner], solved[1][inner]
+            residuals[kept], shares[kept] = solved[2][inner], solved[3][inner]
+            rounds, change = max(rounds, solved[4]), max(change, solved[5])
             if progress is not None:
-                progress(own.stop / count)
+                progress(kept.stop / count)
         return weights, poses, residuals, shares, rounds, change
 
     def _window(
         self, frames: slice
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
         threshold = ROBUST_DEVIATIONS * self.noise
-        found = self._run(frames, threshold, self.smooth, ROUNDS)
+        solved = self._run(frames, threshold, self.smooth, ROUNDS)
         if self.face.bent is None:
-            return found
+            return solved
         for _ in range(BENT_ROUNDS):
-            weights, poses = found[0], found[1]
+            weights, poses = solved[0], solved[1]
             neutral = self.face.neutral + self.face.offsets(weights)
-            found = self._run(
+            solved = self._run(
                 frames, threshold, self.smooth, ROUNDS, neutral, (weights, poses)
             )
-            if np.abs(found[0] - weights).max() < BENT_ENOUGH:
+            if np.abs(solved[0] - weights).max() < BENT_ENOUGH:
                 break
-        return found
+        return solved
 
 
 def _bridged(poses: FloatArray, usable: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return rotations and translations, of frames without landmarks in between."""
-    turns, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
+    rotations, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
     if usable.all():
-        return turns, shifts
+        return rotations, shifts
     good, frames = np.flatnonzero(usable), np.arange(len(usable))
-    turns[good] = align_signs(turns[good])
+    rotations[good] = align_signs(rotations[good])
     after = np.minimum(np.searchsorted(good, frames), len(good) - 1)
     before = np.maximum(np.searchsorted(good, frames, "right") - 1, 0)
     a, b = good[before], good[after]
     span = np.maximum(b - a, 1)
-    share = np.clip((frames - a) / span, 0.0, 1.0)
+    fraction = np.clip((frames - a) / span, 0.0, 1.0)
     bad = ~usable
-    turns[bad] = slerp(turns[a[bad]], turns[b[bad]], share[bad])
-    shifts[bad] = shifts[a[bad]] + share[bad, None] * (shifts[b[bad]] - shifts[a[bad]])
-    return align_signs(turns), shifts
+    rotations[bad] = slerp(rotations[a[bad]], rotations[b[bad]], fraction[bad])
+    shifts[bad] = shifts[a[bad]] + fraction[bad, None] * (
+        shifts[b[bad]] - shifts[a[bad]]
+    )
+    return align_signs(rotations), shifts
 
 
 def _notices(
     model: FaceModel,
-    seen: BoolArray,
+    visible: BoolArray,
     usable: BoolArray,
     poor: BoolArray,
     shares: FloatArray,
 ) -> list[Fault]:
-    made = []
+    notices = []
     for frames, code, what in (
         (~usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: interpolated"),
         (poor, "FAC104", "landmarks that are mostly outliers"),
@@ -427,10 +431,10 @@ def _notices(
                 f"{counted(len(which), 'frame')} with {what}; from the first, frames "
                 f"{listed(which, MAX_NAMED)}"
             )
-            made.append(Fault(code, message, severity=Severity.WARNING))
-    used = seen & usable[:, None]
+            notices.append(Fault(code, message, severity=Severity.WARNING))
+    used = visible & usable[:, None]
     counts = used.sum(axis=0)
-    off = (used & (shares < POOR_SHARE)).sum(axis=0) > POOR_SHARE * np.maximum(
+    off = (used & (shares < MIN_VISIBLE)).sum(axis=0) > MIN_VISIBLE * np.maximum(
         counts, 1
     )
     for names, what in (
@@ -441,5 +445,5 @@ def _notices(
     ):  # fmt: skip
         if names:
             message = f"{counted(len(names), 'landmark')} {what}"
-            made.append(naming("FAC105", message, names, severity=Severity.WARNING))
-    return made
+            notices.append(naming("FAC105", message, names, severity=Severity.WARNING))
+    return notices

@@ -81,34 +81,34 @@ def transfer_weights(
         if lost:
             message = f"{len(lost)} shapes that move are not in the target: "
             notices.append(naming("FAC108", message, lost, severity=Severity.WARNING))
-        moved = links.apply(weights, len(target))
-        return TransferredWeights(moved, links, None, tuple(notices))
+        linked = links.apply(weights, len(target))
+        return TransferredWeights(linked, links, None, tuple(notices))
     ours, theirs = faces
     shared = [name for name in theirs.names if name in set(ours.names)]
     if len(shared) < 4:
         message = f"the faces share {len(shared)} landmarks; 4 are needed"
         raise OptionError(Fault("FAC004", message))
     columns = {name: i for i, name in enumerate(source)}
-    own = np.stack(
+    offsets = np.stack(
         [
             weights[:, columns[name]] if name in columns else np.zeros(len(weights))
             for name in ours.shapes
         ],
         axis=-1,
     )
-    places = [ours.names.index(name) for name in shared]
-    moved = (ours.points(own) - ours.neutral)[:, places]
+    indices = [ours.names.index(name) for name in shared]
+    linked = (ours.points(offsets) - ours.neutral)[:, indices]
     at = [theirs.names.index(name) for name in shared]
     size = FaceModel(tuple(shared), (), theirs.neutral[at], np.zeros((0, len(at), 3)))
-    scale = size.size / max(_size(ours.neutral[places]), 1e-300)
-    seen = np.full((len(weights), len(theirs.names), 3), np.nan)
-    seen[:, at] = theirs.neutral[at] + scale * moved
-    fit = fit_face(theirs, seen, fps, smooth=smooth)
-    made = np.zeros((len(weights), len(target)))
+    scale = size.size / max(_size(ours.neutral[indices]), 1e-300)
+    points = np.full((len(weights), len(theirs.names), 3), np.nan)
+    points[:, at] = theirs.neutral[at] + scale * linked
+    fit = fit_face(theirs, points, fps, smooth=smooth)
+    solved = np.zeros((len(weights), len(target)))
     for i, name in enumerate(theirs.shapes):
         if name in set(target):
-            made[:, list(target).index(name)] = fit.weights[:, i]
-    return TransferredWeights(made, links, fit, fit.notices)
+            solved[:, list(target).index(name)] = fit.weights[:, i]
+    return TransferredWeights(solved, links, fit, fit.notices)
 
 
 def _size(points: FloatArray) -> float:

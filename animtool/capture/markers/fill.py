@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from animtool.capture.markers.geometry import distances
-from animtool.capture.markers.predict import Prediction, follow, predict, turned
-from animtool.capture.markers.spikes import Spike, find_spikes, without_spikes
+from animtool.capture.markers.predict import (
+    Prediction,
+    follow,
+    predict,
+    predict_in_parent,
+)
+from animtool.capture.markers.spikes import Spike, find_spikes, remove_spikes
 from animtool.capture.markers.swaps import Swap, unswapped
 from animtool.capture.options import FillOptions
 from animtool.core.array_types import BoolArray, FloatArray
@@ -20,7 +25,7 @@ from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 
 if TYPE_CHECKING:
-    from animtool.capture.markers.skeleton import SkeletonMarkers, Subject
+    from animtool.capture.markers.skeleton import MarkerSubject, SkeletonMarkers
 
 # Up to this long a curve through the frames around is as good as anything [s].
 CURVE_SECONDS = 0.05
@@ -80,7 +85,7 @@ class FillReport:
 def fill(
     markers: Markers,
     options: FillOptions | None = None,
-    subject: Subject | None = None,
+    subject: MarkerSubject | None = None,
 ) -> tuple[Markers, FillReport]:
     """Return markers without swaps, spikes and gaps, as far as they can be told.
 
@@ -117,7 +122,7 @@ def fill(
 
 
 def _filled_markers(
-    markers: Markers, options: FillOptions, subject: Subject | None
+    markers: Markers, options: FillOptions, subject: MarkerSubject | None
 ) -> tuple[Markers, FillReport]:
     """Return markers that are whole, and what was done."""
     swaps: list[Swap] = []
@@ -126,7 +131,7 @@ def _filled_markers(
         markers, swaps = unswapped(markers)
     if not options.keep_spikes:
         spikes = find_spikes(markers)
-        markers = without_spikes(markers, spikes)
+        markers = remove_spikes(markers, spikes)
     positions = markers.positions
     gaps: list[FilledGap] = []
     notices: list[Fault] = []
@@ -139,12 +144,12 @@ def _filled_markers(
             skeleton = skeleton_markers(markers, subject)
             notices += skeleton.notices
         positions, gaps = _filled(markers, options.longest, skeleton)
-    was_seen = markers.seen
+    measured = markers.seen
     now = np.asarray(np.isfinite(positions).all(axis=-1))
-    filled = now & ~was_seen
+    filled = now & ~measured
     if markers.filled is not None:
         filled |= markers.filled & now
-    made = replace(
+    result = replace(
         markers, positions=positions, filled=filled if filled.any() else None
     )
     left = int((~now[:, labelled]).sum())
@@ -156,10 +161,10 @@ def _filled_markers(
         )
         notices.append(Fault("MKR111", message, None, (), hint, Severity.WARNING))
     report = FillReport(
-        len(markers), len(markers.names), int((now & ~was_seen).sum()), left, gaps,
+        len(markers), len(markers.names), int((now & ~measured).sum()), left, gaps,
         spikes, swaps, notices,
     )  # fmt: skip
-    return made, report
+    return result, report
 
 
 def _filled(
@@ -168,69 +173,71 @@ def _filled(
     """Return positions without gaps, shorter gaps filled first, and the gaps."""
     positions = markers.positions.copy()
     measured = np.asarray(np.isfinite(positions).all(axis=-1))
-    seen = measured.copy()
+    visible = measured.copy()
     rate = float(markers.clock.rate)
     spread = distances(positions).spread
-    found = []
-    for length, first, marker in _gaps(markers, seen):
+    fills = []
+    for length, first, marker in _gaps(markers, visible):
         gap = slice(first, first + length)
         path: FloatArray | None = None
         method = ""
         if longest is None or length <= longest * rate:
             if skeleton is not None and skeleton.tells(marker, gap):
-                made = follow(skeleton, positions, measured, marker, gap, rate)
+                prediction = follow(skeleton, positions, measured, marker, gap, rate)
                 method = "skeleton"
                 others = measured[gap].mean(axis=0) >= MOSTLY
                 guess = skeleton.drift(marker, others) * length / rate
-                if guess and max(guess, made.off) > CLOSE:
-                    made = replace(made, off=max(guess, made.off))
-                    where = (positions, seen, marker, gap, spread[marker], rate)
-                    made, method = _likeliest(
-                        (made, "skeleton"),
-                        (turned(skeleton, *where), "skeleton"),
+                if guess and max(guess, prediction.off) > CLOSE:
+                    prediction = replace(prediction, off=max(guess, prediction.off))
+                    where = (positions, visible, marker, gap, spread[marker], rate)
+                    prediction, method = _likeliest(
+                        (prediction, "skeleton"),
+                        (predict_in_parent(skeleton, *where), "skeleton"),
                         (predict(*where), "markers"),
                     )
-                path = made.positions
+                path = prediction.positions
             elif length <= CURVE_SECONDS * rate + 1e-9:
                 method = "curve"
-                path = _curve(positions[:, marker], seen[:, marker], gap)
+                path = _curve(positions[:, marker], visible[:, marker], gap)
             if path is None:
-                learnt = predict(positions, seen, marker, gap, spread[marker], rate)
+                learnt = predict(positions, visible, marker, gap, spread[marker], rate)
                 path = None if learnt is None else learnt.positions
                 method = "markers"
         if path is not None:
             positions[gap, marker] = path
-            seen[gap, marker] = True
+            visible[gap, marker] = True
         name = markers.names[marker]
         last = first + length - 1
-        found.append(FilledGap(name, first, last, "" if path is None else method))
+        fills.append(FilledGap(name, first, last, "" if path is None else method))
     order = {name: i for i, name in enumerate(markers.names)}
-    found.sort(key=lambda gap: (order[gap.marker], gap.first))
-    return positions, found
+    fills.sort(key=lambda gap: (order[gap.marker], gap.first))
+    return positions, fills
 
 
-def _likeliest(*ways: tuple[Prediction | None, str]) -> tuple[Prediction, str]:
+def _likeliest(*predictions: tuple[Prediction | None, str]) -> tuple[Prediction, str]:
     """Return the prediction that is least off, and its method; the first in doubt."""
-    (held, name), *others = ((way, name) for way, name in ways if way is not None)
-    off = held.off / DOUBT
-    return min([(replace(held, off=off), name), *others], key=lambda way: way[0].off)
+    (best, name), *others = (
+        (each, name) for each, name in predictions if each is not None
+    )
+    off = best.off / DOUBT
+    return min([(replace(best, off=off), name), *others], key=lambda each: each[0].off)
 
 
-def _gaps(markers: Markers, seen: BoolArray) -> list[tuple[int, int, int]]:
+def _gaps(markers: Markers, visible: BoolArray) -> list[tuple[int, int, int]]:
     """Return length, first frame and marker of all gaps, the shortest first."""
     gaps = []
     for marker, name in enumerate(markers.names):
-        if name.startswith("*") or not seen[:, marker].any():
+        if name.startswith("*") or not visible[:, marker].any():
             continue
-        missing = runs(~seen[:, marker])
+        missing = runs(~visible[:, marker])
         gaps += [(end - first, first, marker) for first, end in missing]
     return sorted(gaps)
 
 
-def _curve(path: FloatArray, seen: BoolArray, gap: slice) -> FloatArray | None:
+def _curve(path: FloatArray, visible: BoolArray, gap: slice) -> FloatArray | None:
     """Return a polynomial through the frames around a gap; None where they are few."""
-    before = _run(seen, gap.start - 1, -1)
-    after = _run(seen, gap.stop, 1)
+    before = _run(visible, gap.start - 1, -1)
+    after = _run(visible, gap.stop, 1)
     if len(before) < MIN_FRAMES or len(after) < MIN_FRAMES:
         return None
     frames = np.array([*before[::-1], *after])
@@ -242,11 +249,11 @@ def _curve(path: FloatArray, seen: BoolArray, gap: slice) -> FloatArray | None:
     return np.asarray(inside @ (np.linalg.pinv(powers) @ path[frames]))
 
 
-def _run(seen: BoolArray, start: int, step: int) -> list[int]:
+def _run(visible: BoolArray, start: int, step: int) -> list[int]:
     """Return the frames of a run that begins beside a gap, at most so many."""
     frames: list[int] = []
     frame = start
-    while 0 <= frame < len(seen) and seen[frame] and len(frames) < AROUND:
+    while 0 <= frame < len(visible) and visible[frame] and len(frames) < AROUND:
         frames.append(frame)
         frame += step
     return frames

@@ -16,7 +16,7 @@ QUANTILES = (15.87, 50.0, 84.13)
 
 
 @dataclass(frozen=True, slots=True)
-class Distances:
+class MarkerDistances:
     """Distances between M markers.
 
     Attributes:
@@ -28,7 +28,7 @@ class Distances:
     spread: FloatArray
 
 
-def distances(positions: FloatArray) -> Distances:
+def distances(positions: FloatArray) -> MarkerDistances:
     """Return the distances of markers over frames, robust against a few outliers.
 
     positions: ``(F, M, 3)`` [m]; NaN where not seen.
@@ -40,16 +40,16 @@ def distances(positions: FloatArray) -> Distances:
     spread = np.full((count, count), np.nan)
     least = min(MIN_FRAMES, len(sample))
     for i in range(count - 1):
-        apart = np.linalg.norm(sample[:, i + 1 :] - sample[:, i : i + 1], axis=-1)
-        known = np.isfinite(apart)
+        lengths = np.linalg.norm(sample[:, i + 1 :] - sample[:, i : i + 1], axis=-1)
+        known = np.isfinite(lengths)
         enough = np.flatnonzero(known.sum(axis=0) >= least)
         if not len(enough):
             continue
-        low, middle, high = _quantiles(apart[:, enough])
+        low, middle, high = _quantiles(lengths[:, enough])
         columns = enough + i + 1
         mean[i, columns] = mean[columns, i] = middle
         spread[i, columns] = spread[columns, i] = 0.5 * (high - low)
-    return Distances(mean, spread)
+    return MarkerDistances(mean, spread)
 
 
 def _quantiles(values: FloatArray) -> FloatArray:
@@ -68,10 +68,10 @@ def _quantiles(values: FloatArray) -> FloatArray:
     )
 
 
-def joined(rest: Distances, moving: Distances) -> Distances:
+def joined(rest: MarkerDistances, moving: MarkerDistances) -> MarkerDistances:
     """Return distances at rest where a take shows none, else those of the take."""
     known = np.isfinite(moving.mean)
-    return Distances(
+    return MarkerDistances(
         np.where(known, moving.mean, rest.mean),
         np.where(known, moving.spread, rest.spread),
     )
@@ -95,8 +95,8 @@ def fitted(
     weights = weights / weights.sum(axis=1, keepdims=True)
     centre = np.einsum("fk,fki->fi", weights, points)
     middle = weights @ shape
-    own = shape - middle[:, None]
-    cross = np.einsum("fk,fki,fkj->fij", weights, points - centre[:, None], own)
+    centred = shape - middle[:, None]
+    cross = np.einsum("fk,fki,fkj->fij", weights, points - centre[:, None], centred)
     left, _, right = np.linalg.svd(cross)
     sign = np.sign(np.linalg.det(left) * np.linalg.det(right))
     left[:, :, 2] *= np.where(sign == 0, 1.0, sign)[:, None]

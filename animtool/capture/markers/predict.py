@@ -62,7 +62,7 @@ class Prediction:
 
 def predict(
     positions: FloatArray,
-    seen: BoolArray,
+    visible: BoolArray,
     marker: int,
     gap: slice,
     spread: FloatArray,
@@ -77,20 +77,20 @@ def predict(
     positions: ``(F, M, 3)`` [m], filled gaps included. seen: ``(F, M)``. spread: How
     much the distance to each marker varies ``(M,)``. rate: [frame/s].
     """
-    near = _near(seen, marker, gap, spread)
+    near = _near(visible, marker, gap, spread)
     if len(near) < 3:
         return None
-    training = _training(seen, marker, gap, near, rate)
+    training = _training(visible, marker, gap, near, rate)
     if len(training) < MIN_TRAINING:
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
-    found = []
+    predictions = []
     for count in FRAME_MARKERS:
         if count <= len(near):
             local, pose, back = _local(positions, frames, marker, near, count)
             best = _best(local, pose, frames, gap, rate, STRAYS, count)
-            found.append(Prediction(back(best.positions), best.off))
-    return min(found, key=lambda made: made.off)
+            predictions.append(Prediction(back(best.positions), best.off))
+    return min(predictions, key=lambda each: each.off)
 
 
 def _best(
@@ -118,17 +118,17 @@ def _best(
             if not many and reach != REACHES[0]:
                 continue
             kernel = _kernel(part, frames / rate, reach, stray, time, local[:known])
-            off, found = _regressed(local[:known], kernel, frames, gap)
+            off, values = _regressed(local[:known], kernel, frames, gap)
             if best is None or off < best.off:
-                best = Prediction(found, off)
+                best = Prediction(values, off)
     assert best is not None
     return best
 
 
-def turned(
+def predict_in_parent(
     skeleton: SkeletonMarkers,
     positions: FloatArray,
-    seen: BoolArray,
+    visible: BoolArray,
     marker: int,
     gap: slice,
     spread: FloatArray,
@@ -140,27 +140,27 @@ def turned(
     marker on the same joint if there is any. How it moves there is learnt, as of
     `predict`. Arguments are those of it.
     """
-    near = _near(seen, marker, gap, spread)
-    training = _training(seen, marker, gap, near, rate)
+    near = _near(visible, marker, gap, spread)
+    training = _training(visible, marker, gap, near, rate)
     if len(training) < MIN_TRAINING or not skeleton.above(marker):
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
     known = len(training)
     origin, above = skeleton.origins[frames, marker], skeleton.parents[frames, marker]
-    turns = [above]
-    whole = np.asarray(seen[gap].all(axis=0))
-    for mate in skeleton.mates(marker, whole):
-        if np.isin(training, np.flatnonzero(seen[:, mate])).all():
-            turns.append(_towards(above, positions[frames, mate] - origin))
-    found = []
-    for rotation in turns:
+    rotations = [above]
+    visible_throughout = np.asarray(visible[gap].all(axis=0))
+    for mate in skeleton.mates(marker, visible_throughout):
+        if np.isin(training, np.flatnonzero(visible[:, mate])).all():
+            rotations.append(_towards(above, positions[frames, mate] - origin))
+    predictions = []
+    for rotation in rotations:
         local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
         around = positions[frames][:, near] - origin[:, None]
         pose = np.einsum("fji,fkj->fki", rotation, around)
         best = _best(local, pose, frames, gap, rate, LOOSE)
         back = np.einsum("fij,fj->fi", rotation[known:], best.positions)
-        found.append(Prediction(back + origin[known:], best.off))
-    return min(found, key=lambda made: made.off)
+        predictions.append(Prediction(back + origin[known:], best.off))
+    return min(predictions, key=lambda each: each.off)
 
 
 def _towards(above: FloatArray, arms: FloatArray) -> FloatArray:
@@ -181,7 +181,7 @@ def _towards(above: FloatArray, arms: FloatArray) -> FloatArray:
 def follow(
     skeleton: SkeletonMarkers,
     positions: FloatArray,
-    seen: BoolArray,
+    visible: BoolArray,
     marker: int,
     gap: slice,
     rate: float,
@@ -194,41 +194,41 @@ def follow(
 
     positions: ``(F, M, 3)`` [m]. seen: Measured ones ``(F, M)``. rate: [frame/s].
     """
-    training = _training(seen, marker, gap, np.zeros(0, np.int64), rate)
+    training = _training(visible, marker, gap, np.zeros(0, np.int64), rate)
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
-    turns, points = skeleton.rotations[frames, marker], skeleton.positions[frames]
-    places, known = points[:, marker], len(training)
+    rotations, points = skeleton.rotations[frames, marker], skeleton.positions[frames]
+    path, known = points[:, marker], len(training)
     off = np.einsum(
-        "fji,fj->fi", turns[:known], positions[training, marker] - places[:known]
+        "fji,fj->fi", rotations[:known], positions[training, marker] - path[:known]
     )
-    found = np.zeros((gap.stop - gap.start, 3))
+    correction = np.zeros((gap.stop - gap.start, 3))
     least = np.inf
     nothing = np.zeros((len(frames), 0))
     for stray, time in SKIN if known >= MIN_TRAINING else ():
         kernel = _kernel(nothing, frames / rate, REACHES[0], stray, time, off)
-        missed, made = _regressed(off, kernel, frames, gap)
+        missed, values = _regressed(off, kernel, frames, gap)
         if missed < least:
-            least, found = missed, made
-    back = np.einsum("fij,fj->fi", turns[known:], found)
-    return Prediction(np.asarray(places[known:] + back, np.float64), least)
+            least, correction = missed, values
+    back = np.einsum("fij,fj->fi", rotations[known:], correction)
+    return Prediction(np.asarray(path[known:] + back, np.float64), least)
 
 
-def _near(seen: BoolArray, marker: int, gap: slice, spread: FloatArray) -> IntArray:
+def _near(visible: BoolArray, marker: int, gap: slice, spread: FloatArray) -> IntArray:
     """Return the markers that are seen in all of a gap, the most rigid ones first."""
-    whole = seen[gap].all(axis=0) & np.isfinite(spread)
-    whole[marker] = False
-    order = np.argsort(np.where(whole, spread, np.inf), kind="stable")
-    return np.asarray(order[: min(max(POSE_MARKERS), int(whole.sum()))])
+    usable = visible[gap].all(axis=0) & np.isfinite(spread)
+    usable[marker] = False
+    order = np.argsort(np.where(usable, spread, np.inf), kind="stable")
+    return np.asarray(order[: min(max(POSE_MARKERS), int(usable.sum()))])
 
 
 def _training(
-    seen: BoolArray, marker: int, gap: slice, near: IntArray, rate: float
+    visible: BoolArray, marker: int, gap: slice, near: IntArray, rate: float
 ) -> IntArray:
     """Return the frames to learn from: all next to the gap, and some farther off."""
     reach = int(WINDOW * rate)
-    begin, end = max(gap.start - reach, 0), min(gap.stop + reach, len(seen))
-    whole = seen[begin:end, marker] & seen[begin:end][:, near].all(axis=1)
-    frames = np.flatnonzero(whole) + begin
+    begin, end = max(gap.start - reach, 0), min(gap.stop + reach, len(visible))
+    usable = visible[begin:end, marker] & visible[begin:end][:, near].all(axis=1)
+    frames = np.flatnonzero(usable) + begin
     frames = frames[(frames < gap.start) | (frames >= gap.stop)]
     away = np.where(frames < gap.start, gap.start - frames, frames - gap.stop + 1)
     close = frames[away <= DENSE]
@@ -247,12 +247,12 @@ def _local(
     shape = mean_shape(around[:, :count])
     rotation, shift = fitted(around[:, :count], shape)
     pose = np.einsum("fji,fkj->fki", rotation, around - shift[:, None])
-    own = positions[frames, marker] - shift
-    local = np.einsum("fji,fj->fi", rotation, own)
+    offset = positions[frames, marker] - shift
+    local = np.einsum("fji,fj->fi", rotation, offset)
 
-    def back(found: FloatArray) -> FloatArray:
-        gapped = rotation[-len(found) :], shift[-len(found) :]
-        return np.asarray(np.einsum("fij,fj->fi", gapped[0], found) + gapped[1])
+    def back(values: FloatArray) -> FloatArray:
+        gapped = rotation[-len(values) :], shift[-len(values) :]
+        return np.asarray(np.einsum("fij,fj->fi", gapped[0], values) + gapped[1])
 
     return local, pose, back
 
@@ -274,27 +274,27 @@ def _regressed(
     factor = cho_factor(kernel[:known] + noise * np.eye(known))
     inverse = cho_solve(factor, np.eye(known))
     weights = inverse @ (local - mean)
-    found = kernel[known:] @ weights + mean
+    values = kernel[known:] @ weights + mean
     length = gap.stop - gap.start
-    own = frames[:known]
+    training = frames[:known]
     off = []
-    for begin in _spans(own, gap):
-        left_out = np.flatnonzero((own >= begin) & (own < begin + length))
+    for begin in _spans(training, gap):
+        left_out = np.flatnonzero((training >= begin) & (training < begin + length))
         if 0 < len(left_out) < known - MIN_TRAINING:
             block = inverse[np.ix_(left_out, left_out)]
             missed = np.linalg.solve(block, weights[left_out])
             off.append((missed**2).sum(axis=1).mean())
-    return (float(np.sqrt(np.mean(off))) if off else np.inf), found
+    return (float(np.sqrt(np.mean(off))) if off else np.inf), values
 
 
-def _spans(own: IntArray, gap: slice) -> list[int]:
+def _spans(training: IntArray, gap: slice) -> list[int]:
     """Return where spans begin that are left out, on both sides of a gap."""
     length = gap.stop - gap.start
     begins = []
     for k in range(CHECKS // 2):
         begins.append(gap.start - (k + 1) * (length + 2))
         begins.append(gap.stop + k * (length + 2) + 2)
-    return [b for b in begins if b + length > own[0] and b <= own[-1]]
+    return [b for b in begins if b + length > training[0] and b <= training[-1]]
 
 
 def _kernel(
@@ -312,9 +312,11 @@ def _kernel(
     over_time = stray**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
     centred = pose - pose[:known].mean(axis=0)
     features = centred / (np.sqrt((centred[:known] ** 2).sum(axis=1).mean()) + 1e-9)
-    alike = features @ features[:known].T
+    products = features @ features[:known].T
     if reach:
         square = (features**2).sum(axis=1)
-        apart = np.maximum(square[:, None] + square[None, :known] - 2.0 * alike, 0.0)
-        alike = alike + np.exp(-0.5 * apart / reach**2)
-    return np.asarray(variance * alike + over_time)
+        squares = np.maximum(
+            square[:, None] + square[None, :known] - 2.0 * products, 0.0
+        )
+        products = products + np.exp(-0.5 * squares / reach**2)
+    return np.asarray(variance * products + over_time)

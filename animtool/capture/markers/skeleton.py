@@ -22,7 +22,7 @@ DRIFT = (0.004, 0.008, 0.02)
 
 
 @dataclass(frozen=True, slots=True)
-class Subject:
+class MarkerSubject:
     """Who wears the markers.
 
     Attributes:
@@ -76,21 +76,21 @@ class SkeletonMarkers:
         joint = int(self.joints[marker])
         return joint >= 0 and int(self.above_joint[joint]) >= 0
 
-    def mates(self, marker: int, seen: BoolArray) -> list[int]:
+    def mates(self, marker: int, visible: BoolArray) -> list[int]:
         """Return the markers on the same joint that are seen ``(M,)``."""
-        same = (self.joints == self.joints[marker]) & seen
+        same = (self.joints == self.joints[marker]) & visible
         same[marker] = False
         return [int(mate) for mate in np.flatnonzero(same)]
 
-    def drift(self, marker: int, seen: BoolArray) -> float:
+    def drift(self, marker: int, visible: BoolArray) -> float:
         """Return how fast a marker strays from where the skeleton has it [m/s].
 
         Other markers that are seen hold its joint: three places on it or below do, one
         on it or below where it is a hinge. The fewer, the more of its pose is a guess.
         """
         joint = int(self.joints[marker])
-        mates = len(self.mates(marker, seen))
-        joints = self.joints[seen & (self.joints >= 0)]
+        mates = len(self.mates(marker, visible))
+        joints = self.joints[visible & (self.joints >= 0)]
         below = int((self.above_joint[joints] == joint).sum())
         if mates >= 2 or (not self.free[joint] and mates + below):
             return 0.0
@@ -99,7 +99,7 @@ class SkeletonMarkers:
         return DRIFT[1] if mates or below > 1 else DRIFT[2]
 
 
-def skeleton_markers(markers: Markers, subject: Subject) -> SkeletonMarkers:
+def skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:
     """Return the markers of a take on the skeleton of a subject.
 
     Bones and offsets are calibrated to the take, and then its poses are solved.
@@ -107,22 +107,24 @@ def skeleton_markers(markers: Markers, subject: Subject) -> SkeletonMarkers:
     Raises:
         OptionError: As of `animtool.capture.solve.calibrate`.
     """
-    found = calibrate(
+    calibration = calibrate(
         markers,
         subject.rig,
         subject.template,
         static=subject.static,
         options=subject.options,
     )
-    solve = solve_markers(markers, found.rig, found.template, subject.options)
+    solve = solve_markers(
+        markers, calibration.rig, calibration.template, subject.options
+    )
     take = solve.take()
     world, model = take.world(), solve.model
     turned = np.einsum("feij,ej->fei", world.linear[:, model.joints], model.offsets)
     points = world.positions[:, model.joints] + turned
     rotations = world.rotations[:, model.joints]
-    turn = up_from_up(model.rig.up, markers.up)
-    if turn is not None:
-        back = so3.conjugate(np.array(turn))
+    rotation = up_from_up(model.rig.up, markers.up)
+    if rotation is not None:
+        back = so3.conjugate(np.array(rotation))
         points, rotations = so3.rotate(back, points), so3.multiply(back, rotations)
     shape = len(markers), len(markers.names)
     positions = np.full((*shape, 3), np.nan)
@@ -133,7 +135,7 @@ def skeleton_markers(markers: Markers, subject: Subject) -> SkeletonMarkers:
     at = world.positions[:, model.joints]
     above_joint = np.asarray(model.rig.parents, np.int64)
     over = world.rotations[:, np.maximum(above_joint[model.joints], 0)]
-    if turn is not None:
+    if rotation is not None:
         at, over = so3.rotate(back, at), so3.multiply(back, over)
     origins[:, model.columns] = at
     above[:, model.columns] = so3.to_matrix(over)
@@ -141,7 +143,7 @@ def skeleton_markers(markers: Markers, subject: Subject) -> SkeletonMarkers:
     joints[model.columns] = model.joints
     known = np.ones(len(markers), np.bool_)
     known[solve.score.sparse] = False
-    notices = (*found.notices, *solve.notices)
+    notices = (*calibration.notices, *solve.notices)
     hinges = {JointType.PIN, JointType.FIXED, JointType.PRISMATIC}
     free = np.array([joint.type not in hinges for joint in model.rig.joints])
     return SkeletonMarkers(

@@ -66,15 +66,15 @@ def find_spikes(markers: Markers) -> list[Spike]:
     the frames around, those beyond a gap too, and the others are near that. How smooth
     a curve is, and how much is far, is what the motion of the marker mostly shows.
     """
-    found = []
+    spikes = []
     for index, name in enumerate(markers.names):
         path = markers.positions[:, index]
         for first, last, size in _spikes(path):
-            found.append(Spike(name, first, last, size))
-    return found
+            spikes.append(Spike(name, first, last, size))
+    return spikes
 
 
-def without_spikes(markers: Markers, spikes: list[Spike]) -> Markers:
+def remove_spikes(markers: Markers, spikes: list[Spike]) -> Markers:
     """Return markers in which spikes are gaps."""
     positions = markers.positions.copy()
     for spike in spikes:
@@ -85,37 +85,37 @@ def without_spikes(markers: Markers, spikes: list[Spike]) -> Markers:
 
 def _spikes(path: FloatArray) -> list[tuple[int, int, float]]:
     """Return first frame, last frame and size of the spikes of a marker ``(F, 3)``."""
-    seen = np.isfinite(path[:, 0])
-    if int(seen.sum()) < 2 * AROUND + 1:
+    visible = np.isfinite(path[:, 0])
+    if int(visible.sum()) < 2 * AROUND + 1:
         return []
-    path = np.where(seen[:, None], path, 0.0)
-    rough, noise = _model(path, seen)
-    found: list[tuple[int, int, float]] = []
+    path = np.where(visible[:, None], path, 0.0)
+    rough, noise = _model(path, visible)
+    spikes: list[tuple[int, int, float]] = []
     for _ in range(ROUNDS):
-        new = _round(path, seen, rough, noise)
+        new = _round(path, visible, rough, noise)
         if not new:
             break
-        found += new
+        spikes += new
         for first, last, _ in new:
-            seen[first : last + 1] = False
-    return sorted(found)
+            visible[first : last + 1] = False
+    return sorted(spikes)
 
 
 def _round(
-    path: FloatArray, seen: BoolArray, rough: float, noise: FloatArray
+    path: FloatArray, visible: BoolArray, rough: float, noise: FloatArray
 ) -> list[tuple[int, int, float]]:
     """Return spikes that do not touch each other, the clearest of each place."""
     candidates = []
-    usual: FloatArray | None = None
+    level: FloatArray | None = None
     for length in range(1, MAX_LENGTH + 1):
-        starts, off, gain, rest = _deviation(path, seen, length, rough)
+        starts, off, gain, rest = _deviation(path, visible, length, rough)
         if not len(starts):
             continue
-        factor = np.where(_one_sided(seen, starts, length), ONE_SIDED, 1.0)
+        factor = np.where(_one_sided(visible, starts, length), ONE_SIDED, 1.0)
         scale = noise[length - 1]
-        if usual is None:
-            usual = _usual(starts, gain / (3.0 * scale**2), len(path))
-        about = usual[starts]
+        if level is None:
+            level = _local_level(starts, gain / (3.0 * scale**2), len(path))
+        about = level[starts]
         limit = (factor * TIMES) ** 2 * 3.0 * length
         clear = gain / (scale**2 * about)
         flags = (off >= factor * LEAST) & (clear > limit)
@@ -126,19 +126,19 @@ def _round(
     candidates.sort()
     scale = noise[0] ** 2
     taken = np.zeros(len(path), bool)
-    found = []
+    spikes = []
     for _, first, length, size in candidates:
         if taken[first : first + length].any():
             continue
-        if not _is_upset(path, seen, first, length, rough, scale):
+        if not _is_upset(path, visible, first, length, rough, scale):
             taken[max(first - AROUND, 0) : first + length + AROUND] = True
-            found.append((first, first + length - 1, size))
-    return found
+            spikes.append((first, first + length - 1, size))
+    return spikes
 
 
 def _is_upset(
     path: FloatArray,
-    seen: BoolArray,
+    visible: BoolArray,
     first: int,
     length: int,
     rough: float,
@@ -146,12 +146,12 @@ def _is_upset(
 ) -> bool:
     """Return whether a span is off only for the fewer frames between it and a gap."""
     begin, end = max(first - AROUND, 0), first + length
-    before = begin + np.flatnonzero(seen[begin:first])
-    after = end + np.flatnonzero(seen[end : end + AROUND])
+    before = begin + np.flatnonzero(visible[begin:first])
+    after = end + np.flatnonzero(visible[end : end + AROUND])
     for side in (before, after):
         if not 0 < len(side) < length:
             continue
-        other = seen[begin : end + AROUND].copy()
+        other = visible[begin : end + AROUND].copy()
         other[side - begin] = False
         starts, off, gain, _ = _deviation(
             path[begin : end + AROUND], other, length, rough
@@ -164,9 +164,9 @@ def _is_upset(
     return False
 
 
-def _one_sided(seen: BoolArray, starts: IntArray, length: int) -> BoolArray:
+def _one_sided(visible: BoolArray, starts: IntArray, length: int) -> BoolArray:
     """Return which spans have no position before or none after them nearby."""
-    padded = np.concatenate([np.zeros(AROUND, bool), seen, np.zeros(AROUND, bool)])
+    padded = np.concatenate([np.zeros(AROUND, bool), visible, np.zeros(AROUND, bool)])
     sums = np.concatenate([[0], np.cumsum(padded)])
     before = sums[starts + AROUND] - sums[starts]
     end = starts + AROUND + length
@@ -174,7 +174,7 @@ def _one_sided(seen: BoolArray, starts: IntArray, length: int) -> BoolArray:
     return np.asarray((before == 0) | (after == 0))
 
 
-def _usual(starts: IntArray, square: FloatArray, frames: int) -> FloatArray:
+def _local_level(starts: IntArray, square: FloatArray, frames: int) -> FloatArray:
     """Return how much more than mostly single frames are off about each ``(F,)``."""
     level = np.ones(frames)
     order = np.searchsorted(starts, np.arange(frames))
@@ -191,7 +191,7 @@ def _usual(starts: IntArray, square: FloatArray, frames: int) -> FloatArray:
     return np.maximum(np.where(np.isfinite(level), level / 0.63, 1.0), 1.0)
 
 
-def _model(path: FloatArray, seen: BoolArray) -> tuple[float, FloatArray]:
+def _model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArray]:
     """Return how rough a motion is, and its noise by length of a span [m].
 
     That roughness is best by which positions are nearest to where those around have
@@ -199,14 +199,14 @@ def _model(path: FloatArray, seen: BoolArray) -> tuple[float, FloatArray]:
     """
     best = (np.inf, ROUGHNESS[0])
     for rough in ROUGHNESS:
-        _, off, _, _ = _deviation(path, seen, 2, rough, whole=True)
+        _, off, _, _ = _deviation(path, visible, 2, rough, complete=True)
         if len(off):
             best = min(best, (float(np.median(off)), rough))
     noise = np.zeros(MAX_LENGTH)
     for length in range(1, MAX_LENGTH + 1):
-        starts, _, gain, _ = _deviation(path, seen, length, best[1], whole=True)
+        starts, _, gain, _ = _deviation(path, visible, length, best[1], complete=True)
         if not len(starts):
-            starts, _, gain, _ = _deviation(path, seen, length, best[1])
+            starts, _, gain, _ = _deviation(path, visible, length, best[1])
         if len(starts):
             # The median of a chi-squared of k is about k - 2/3.
             noise[length - 1] = np.sqrt(np.median(gain) / (3 * length - 2 / 3))
@@ -215,7 +215,12 @@ def _model(path: FloatArray, seen: BoolArray) -> tuple[float, FloatArray]:
 
 
 def _deviation(
-    path: FloatArray, seen: BoolArray, length: int, rough: float, *, whole: bool = False
+    path: FloatArray,
+    visible: BoolArray,
+    length: int,
+    rough: float,
+    *,
+    complete: bool = False,
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Return spans, and by how much they are off the curve through the frames around.
 
@@ -225,14 +230,14 @@ def _deviation(
     """
     size = length + 2 * AROUND
     padded = np.zeros(len(path) + 2 * AROUND, bool)
-    padded[AROUND : AROUND + len(path)] = seen
+    padded[AROUND : AROUND + len(path)] = visible
     windows = np.lib.stride_tricks.sliding_window_view(padded, size)
     spans = windows[:, AROUND : AROUND + length].all(axis=1)
     around = np.concatenate(
         [windows[:, :AROUND], windows[:, AROUND + length :]], axis=1
     )
     support = around.sum(axis=1)
-    spans &= support == 2 * AROUND if whole else support >= MIN_SUPPORT
+    spans &= support == 2 * AROUND if complete else support >= MIN_SUPPORT
     starts = np.flatnonzero(spans)
     values = np.zeros((len(path) + 2 * AROUND, 3))
     values[AROUND : AROUND + len(path)] = path

@@ -50,7 +50,7 @@ def follow(positions: FloatArray, rate: float) -> Tracklets:
     from scipy.spatial.distance import cdist
 
     frames, count, _ = positions.shape
-    seen = np.asarray(np.isfinite(positions).all(axis=-1))
+    visible = np.asarray(np.isfinite(positions).all(axis=-1))
     ids = np.full((frames, count), -1)
     first: list[int] = []
     last: list[int] = []
@@ -60,7 +60,7 @@ def follow(positions: FloatArray, rate: float) -> Tracklets:
     age = np.zeros(0, np.int64)
     open_runs = np.zeros(0, np.int64)
     for frame in range(frames):
-        slots = np.flatnonzero(seen[frame])
+        slots = np.flatnonzero(visible[frame])
         points = positions[frame, slots]
         expected, radius = _expected(past, age, reach, fresh)
         near = cdist(expected, points) / radius[:, None]

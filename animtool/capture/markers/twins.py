@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from animtool.capture.markers.geometry import distances, fitted
-from animtool.capture.markers.naming import exchanges, gain_of, said_of
+from animtool.capture.markers.naming import exchanges, gain_of, pair_evidence
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 
@@ -23,7 +23,7 @@ SAMPLES, BEST, MIN_SAMPLES = 120, 0.1, 8
 # spoken against by so much [nat].
 NOISE, SHAPES = 0.001, 10.0
 # An exchange is made for more than this, and is in doubt for more than that [nat].
-MADE, DOUBTED = 0.05, -0.8
+MIN_GAIN, DOUBTED = 0.05, -0.8
 # In a part of a take, more than this [nat].
 IN_PART = 2.0
 MAX_EXCHANGES = 12
@@ -42,7 +42,7 @@ class Exchange:
     score: float
 
 
-def told_apart(
+def distinguish_twins(
     positions: FloatArray, shape: FloatArray
 ) -> tuple[IntArray, list[Exchange], list[tuple[int, int]]]:
     """Return which name each marker should have ``(M,)``, and what stays in doubt.
@@ -56,11 +56,11 @@ def told_apart(
     positions: By the names they have ``(F, M, 3)``. shape: At rest ``(M, 3)`` [m].
     """
     rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
-    seen = np.isfinite(positions[..., 0]).astype(np.float64)
-    overlap = seen.T @ seen
-    share = overlap / max(1.0, float(overlap.max()))
-    np.fill_diagonal(share, 0.0)
-    says = said_of(distances(positions), share, rest)
+    visible = np.isfinite(positions[..., 0]).astype(np.float64)
+    overlap = visible.T @ visible
+    fraction = overlap / max(1.0, float(overlap.max()))
+    np.fill_diagonal(fraction, 0.0)
+    pair_scores = pair_evidence(distances(positions), fraction, rest)
     moves = _near_only(exchanges(rest), rest)
     names = np.arange(len(shape))
     known: dict[tuple[int, ...], float] = {}
@@ -69,11 +69,11 @@ def told_apart(
     for _ in range(MAX_EXCHANGES):
         alone = np.zeros(rest.shape)
         for other, name in enumerate(names.tolist()):
-            alone += says[:, other, :, name]
-        best, most = None, MADE
+            alone += pair_scores[:, other, :, name]
+        best, most = None, MIN_GAIN
         doubts, pairs = [], []
         for old, new in moves:
-            gains = gain_of(says, alone, names, old, new)
+            gains = gain_of(pair_scores, alone, names, old, new)
             for row in np.flatnonzero(gains > -AGAINST).tolist():
                 if old.shape[1] == 2:
                     a, b = names[old[row]].tolist()
@@ -106,8 +106,8 @@ def exchanged_in(
     then = names.copy()
     then[list(pair)] = pair[::-1]
     rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
-    says = _shape_says(positions, shape, rest, list(pair), names, then, {})
-    return SHAPES * says > IN_PART
+    pair_scores = _shape_says(positions, shape, rest, list(pair), names, then, {})
+    return SHAPES * pair_scores > IN_PART
 
 
 def _near_only(
@@ -154,10 +154,10 @@ def _shape_says(
 def _off(positions: FloatArray, group: list[int], shape: FloatArray) -> float:
     """Return how far a shape is off points in the frames that fit it best [m]."""
     points = positions[:, group]
-    whole = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
-    if len(whole) < MIN_SAMPLES:
+    complete = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
+    if len(complete) < MIN_SAMPLES:
         return np.inf
-    points = points[whole[:: max(1, len(whole) // SAMPLES)]]
+    points = points[complete[:: max(1, len(complete) // SAMPLES)]]
     rotation, shift = fitted(points, shape)
     fit = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
     off = np.sqrt(((fit - points) ** 2).sum(axis=-1).mean(axis=1))

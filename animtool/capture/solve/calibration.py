@@ -20,7 +20,7 @@ from animtool.capture.solve.model import (
     MIN_MARKERS,
     MarkerProblem,
     marker_model,
-    seen_markers,
+    visible_markers,
 )
 from animtool.capture.solve.run import check_units, in_world_of
 from animtool.capture.solve.sampling import (
@@ -28,7 +28,7 @@ from animtool.capture.solve.sampling import (
     misses_of,
     sampled_frames,
     sampled_poses,
-    usual_noise,
+    typical_noise,
 )
 from animtool.capture.templates.match import match_markers
 from animtool.capture.templates.template import MarkerTemplate
@@ -52,7 +52,7 @@ BONES, OVERALL, SIDES, OFFSETS = 0.07, 0.25, 0.004, 0.008
 # where no marker says otherwise [rad].
 STANDING, MOVING = 0.08, 1.5
 # Steps, and the change of the parameters that ends them: bones [1], offsets [m].
-ROUNDS, STILL = 25, 2e-4
+ROUNDS, CONVERGED = 25, 2e-4
 # How far markers of a template for everyone may be off at first [m].
 GENERIC = 0.03
 # A bone whose scale is known no better is named.
@@ -87,7 +87,7 @@ class Calibration:
     frames: int
     converged: bool
     notices: tuple[Fault, ...] = ()
-    json_keys: ClassVar[str] = "rounds frames converged bones shifts=moved"
+    json_keys: ClassVar[str] = "rounds frames converged bones shifts=marker_shifts"
 
     @property
     def bones(self) -> dict[str, float]:
@@ -95,7 +95,7 @@ class Calibration:
         return dict(zip(self.rig.names, self.scales.tolist(), strict=True))
 
     @property
-    def moved(self) -> dict[str, float]:
+    def marker_shifts(self) -> dict[str, float]:
         """How far each marker went from its offset [m]."""
         return dict(zip(self.template.names, self.shifts.tolist(), strict=True))
 
@@ -127,9 +127,9 @@ def calibrate(
     the others.
     """
     options = options or SolveOptions()
-    found = _Calibrating(markers, rig, template, static, options)
-    rounds, converged = found.run()
-    return found.result(rounds, converged)
+    solver = _Calibrating(markers, rig, template, static, options)
+    rounds, converged = solver.run()
+    return solver.result(rounds, converged)
 
 
 class _Calibrating:
@@ -146,14 +146,14 @@ class _Calibrating:
         self.template, self.options = template, options
         match = match_markers(template, markers.names, options.subject)
         model = marker_model(rig, template, match.columns)
-        self.model = model.changed(without_limits(model), model.offsets)
-        self.given = rig
+        self.model = model.changed(unlimited_rig(model), model.offsets)
+        self.source_rig = rig
         motion = in_world_of(rig, markers)[:, self.model.columns]
         parts = [motion[sampled_frames(motion, MOTION_FRAMES)]]
         if static is not None:
-            still = self._named_alike(in_world_of(rig, static), static.names)
-            parts.insert(0, still[sampled_frames(still, STATIC_FRAMES)])
-        self.still = 0 if static is None else len(parts[0])
+            static_frames = self._in_model_order(in_world_of(rig, static), static.names)
+            parts.insert(0, static_frames[sampled_frames(static_frames, STATIC_FRAMES)])
+        self.static_frames = 0 if static is None else len(parts[0])
         self.positions = np.concatenate(parts)
         if len(self.positions) < MIN_FRAMES:
             message = (
@@ -166,13 +166,15 @@ class _Calibrating:
         self.base = self.model.rig.rest_translations
         self.offsets0 = self.model.offsets
         self.scales = np.full(len(self.bones), self._overall())
-        self.held = np.array([m.fixed for m in self.model.template.markers], np.bool_)
-        size = np.where(self.held, 1.0, self.scales[0])
+        self.fixed = np.array([m.fixed for m in self.model.template.markers], np.bool_)
+        size = np.where(self.fixed, 1.0, self.scales[0])
         self.offsets = size[:, None] * self.offsets0
         self.noise = np.full(len(self.model.joints), max(GENERIC, options.noise))
         self.surety = np.zeros(len(self.bones))
 
-    def _named_alike(self, positions: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    def _in_model_order(
+        self, positions: FloatArray, names: tuple[str, ...]
+    ) -> FloatArray:
         """Return the markers of another take in the order of the model's."""
         match = match_markers(self.model.template, names, self.options.subject)
         out = np.full((len(positions), len(match.columns), 3), np.nan)
@@ -182,15 +184,15 @@ class _Calibrating:
 
     def _overall(self) -> float:
         """Return how much larger the subject is than the rig."""
-        frames = self.positions[: max(self.still, 1)]
+        frames = self.positions[: max(self.static_frames, 1)]
         rest = self.model.points(self.model.starts(frames))
-        seen = seen_markers(frames)[:, :, None]
-        if self.still == 0:
+        visible = visible_markers(frames)[:, :, None]
+        if self.static_frames == 0:
             return 1.0
 
         def spread(points: FloatArray) -> float:
-            own = np.where(seen, points, np.nan)
-            return float(np.nanstd(own, axis=1).mean())
+            known = np.where(visible, points, np.nan)
+            return float(np.nanstd(known, axis=1).mean())
 
         return min(max(spread(frames) / max(spread(rest), 1e-9), 0.2), 5.0)
 
@@ -199,13 +201,16 @@ class _Calibrating:
         self._rebuild()
         poses = sampled_poses(self.model, self.positions, self.noise)
         for round_ in range(ROUNDS):
-            poses = self._settled(poses)
+            poses = self._fitted_poses(poses)
             step = self._step(poses)
             bones, shifts = step[: len(self.bones)], step[len(self.bones) :]
             self.scales = np.clip(self.scales + bones, 0.1, 10.0)
             self.offsets = self.offsets + shifts.reshape(-1, 3)
             self._rebuild()
-            if max(np.abs(bones).max(initial=0), np.abs(shifts).max(initial=0)) < STILL:
+            if (
+                max(np.abs(bones).max(initial=0), np.abs(shifts).max(initial=0))
+                < CONVERGED
+            ):
                 return round_ + 1, True
         return ROUNDS, False
 
@@ -214,16 +219,16 @@ class _Calibrating:
             scaled_rig(self.model.rig, self.bones, self.scales, self.base), self.offsets
         )
 
-    def _settled(self, poses: FloatArray) -> FloatArray:
+    def _fitted_poses(self, poses: FloatArray) -> FloatArray:
         """Return poses that fit the present bones; what is off says how noisy it is."""
         options = FitOptions(1.0, math.inf, robust=ROBUST, rounds=6)
         targets = self.model.targets(self.positions, self.noise)
-        found = fit(self.model.problem, targets, poses, options, path=poses)
-        misses = misses_of(self.model, found.coordinates, self.positions)
-        usual = usual_noise(misses, self.options.noise)
+        fitted = fit(self.model.problem, targets, poses, options, path=poses)
+        misses = misses_of(self.model, fitted.coordinates, self.positions)
+        typical = typical_noise(misses, self.options.noise)
         # Down by steps: markers that are far off at first must not be given up.
-        self.noise = np.minimum(self.noise, np.maximum(usual, self.noise / 2))
-        return found.coordinates
+        self.noise = np.minimum(self.noise, np.maximum(typical, self.noise / 2))
+        return fitted.coordinates
 
     def _step(self, poses: FloatArray) -> FloatArray:
         """Return the change of scales and offsets ``(B + 3 E,)``, poses following."""
@@ -239,26 +244,26 @@ class _Calibrating:
         )
         columns = self._columns(poses)
         off = np.linalg.norm(residuals.reshape(count, -1, 3), axis=2)
-        share = np.repeat(1 / (1 + (off / ROBUST) ** 2), 3, axis=1)
-        residuals = residuals * share
-        slopes = slopes * share[:, :, None]
-        columns = columns * share[:, :, None]
+        weight = np.repeat(1 / (1 + (off / ROBUST) ** 2), 3, axis=1)
+        residuals = residuals * weight
+        slopes = slopes * weight[:, :, None]
+        columns = columns * weight[:, :, None]
         normal = np.swapaxes(slopes, 1, 2) @ slopes
-        held = np.full((count, degrees), MOVING**-2.0)
-        held[: self.still] = STANDING**-2.0
-        normal += np.eye(degrees) * held[:, :, None]
+        fixed = np.full((count, degrees), MOVING**-2.0)
+        fixed[: self.static_frames] = STANDING**-2.0
+        normal += np.eye(degrees) * fixed[:, :, None]
         felt = np.swapaxes(slopes, 1, 2)
         # What poses take of parameters and residuals alike.
         taken = np.linalg.solve(normal, felt @ columns)
-        pull = held * self._from_rest(poses)
-        own = np.linalg.solve(
+        pull = fixed * self._from_rest(poses)
+        pose_step = np.linalg.solve(
             normal,
             (felt @ residuals[:, :, None])[:, :, 0][:, :, None] - pull[:, :, None],
         )[:, :, 0]
         rows = columns.reshape(-1, columns.shape[2])
         mixed = (felt @ columns).reshape(-1, columns.shape[2])
         matrix = rows.T @ rows - mixed.T @ taken.reshape(mixed.shape)
-        right = rows.T @ residuals.ravel() - mixed.T @ own.ravel()
+        right = rows.T @ residuals.ravel() - mixed.T @ pose_step.ravel()
         prior, drawn = self._prior()
         self.surety = np.diag(matrix)[: len(self.bones)] / (
             np.diag(matrix)[: len(self.bones)] + BONES**-2.0
@@ -269,8 +274,8 @@ class _Calibrating:
         """Return how far poses are from rest ``(F, D)``, but for where the root is."""
         chain = self.model.problem.chain
         start = chain.from_rig(self.model.starts(self.positions))
-        own = chain.from_rig(poses)
-        away = difference(chain, start, own)
+        coordinates = chain.from_rig(poses)
+        away = difference(chain, start, coordinates)
         # The root goes where it goes.
         away[:, : min(6, away.shape[1])] = 0.0
         return away
@@ -294,8 +299,8 @@ class _Calibrating:
             if not model.template.markers[e].fixed:
                 out[:, e, :, first : first + 3] = world.linear[:, j]
         weights = model.template.weights / self.noise
-        seen = seen_markers(self.positions)
-        out *= (seen * weights)[:, :, None, None]
+        visible = visible_markers(self.positions)
+        out *= (visible * weights)[:, :, None, None]
         return out.reshape(count, 3 * markers, -1)
 
     def _prior(self) -> tuple[FloatArray, FloatArray]:
@@ -303,12 +308,12 @@ class _Calibrating:
         bones, size = len(self.bones), len(self.bones) + self.offsets.size
         matrix, drawn = np.zeros((size, size)), np.zeros(size)
         # Bones about an overall scale that is itself about 1, which is summed out.
-        own = np.eye(bones) / BONES**2
+        precision = np.eye(bones) / BONES**2
         total = bones / BONES**2 + OVERALL**-2.0
-        own -= np.ones((bones, bones)) / BONES**4 / total
+        precision -= np.ones((bones, bones)) / BONES**4 / total
         away = self.scales - 1.0
-        matrix[:bones, :bones] = own
-        drawn[:bones] = -own @ away
+        matrix[:bones, :bones] = precision
+        drawn[:bones] = -precision @ away
         for left, right in self._pairs():
             difference = self.scales[left] - self.scales[right]
             for a, sign in ((left, 1.0), (right, -1.0)):
@@ -323,9 +328,9 @@ class _Calibrating:
         left_over[:, :bones] = -of_bones.reshape(-1, bones)
         away = self.offsets.ravel() - of_bones.reshape(-1, bones) @ self.scales
         # Those on landmarks stay, whatever the bones do.
-        held = np.repeat(self.held, 3)
-        left_over[held, :bones] = 0.0
-        away[held] = 0.0
+        fixed = np.repeat(self.fixed, 3)
+        left_over[fixed, :bones] = 0.0
+        away[fixed] = 0.0
         matrix += left_over.T @ left_over / OFFSETS**2
         drawn -= left_over.T @ away / OFFSETS**2
         return matrix, drawn
@@ -340,8 +345,8 @@ class _Calibrating:
         parents = np.array([rig.joints[group[0]].parent for group in self.bones])
         out = np.zeros((len(self.model.joints), len(self.bones)))
         for e, j in enumerate(self.model.joints.tolist()):
-            own = parents == j if (parents == j).any() else into == j
-            out[e, own if own.any() else slice(None)] = 1.0
+            begins = parents == j if (parents == j).any() else into == j
+            out[e, begins if begins.any() else slice(None)] = 1.0
         return np.asarray(out / out.sum(axis=1, keepdims=True))
 
     def _pairs(self) -> list[tuple[int, int]]:
@@ -349,11 +354,14 @@ class _Calibrating:
         rig = self.model.rig
         stated = [(j.name, j.mirror) for j in rig.joints if j.mirror]
         partners = pair_sides(rig.names, rig.parents, stated).partners
-        place = {j: b for b, group in enumerate(self.bones) for j in group}
+        bone_of = {j: b for b, group in enumerate(self.bones) for j in group}
         return [
-            (place[j], place[int(k)])
+            (bone_of[j], bone_of[int(k)])
             for j, k in enumerate(partners)
-            if j < k and j in place and int(k) in place and place[j] != place[int(k)]
+            if j < k
+            and j in bone_of
+            and int(k) in bone_of
+            and bone_of[j] != bone_of[int(k)]
         ]
 
     def result(self, rounds: int, converged: bool) -> Calibration:
@@ -362,15 +370,15 @@ class _Calibrating:
         scales = np.ones(len(rig.joints))
         for b, group in enumerate(self.bones):
             scales[list(group)] = self.scales[b]
-        found = {m.name: m for m in self.model.template.markers}
+        calibrated = {m.name: m for m in self.model.template.markers}
         shifts = np.full(len(self.template.markers), np.nan)
         markers = []
         for m, marker in enumerate(self.template.markers):
-            own = found.get(marker.name)
-            if own is not None:
-                shifts[m] = np.linalg.norm(np.subtract(own.offset, marker.offset))
+            match = calibrated.get(marker.name)
+            if match is not None:
+                shifts[m] = np.linalg.norm(np.subtract(match.offset, marker.offset))
             markers.append(
-                marker if own is None else replace(marker, offset=own.offset)
+                marker if match is None else replace(marker, offset=match.offset)
             )
         notices = []
         if not converged:
@@ -390,7 +398,7 @@ class _Calibrating:
             message += listed(unseen, 8)
             notices.append(Fault("SOL105", message, None, (), None, Severity.NOTE))
         return Calibration(
-            with_bones(self.given, scales),
+            with_bones(self.source_rig, scales),
             replace(self.template, markers=tuple(markers), document=None),
             scales,
             shifts,
@@ -411,7 +419,7 @@ def _bones(rig: Rig) -> list[tuple[int, ...]]:
     ]
 
 
-def without_limits(model: MarkerProblem) -> Rig:
+def unlimited_rig(model: MarkerProblem) -> Rig:
     """Return a model's rig; pins that markers tell the angle of have no limits.
 
     One that stands at its limit could not say that it is the marker that is elsewhere.

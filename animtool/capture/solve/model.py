@@ -59,10 +59,10 @@ class MarkerProblem:
 
         noise: How far each marker may be off, where its weight is 1 ``(E,)`` [m].
         """
-        seen = seen_markers(positions)
-        weights = np.zeros((*seen.shape, len(KINDS)))
-        weights[:, :, 0] = seen * self.template.weights * self.problem.length / noise
-        return Targets(np.where(seen[:, :, None], positions, 0.0), weights=weights)
+        visible = visible_markers(positions)
+        weights = np.zeros((*visible.shape, len(KINDS)))
+        weights[:, :, 0] = visible * self.template.weights * self.problem.length / noise
+        return Targets(np.where(visible[:, :, None], positions, 0.0), weights=weights)
 
     def starts(self, positions: FloatArray) -> FloatArray:
         """Return the rest pose moved onto markers ``(F, E, 3)`` as a whole ``(F, Q)``.
@@ -72,29 +72,29 @@ class MarkerProblem:
         rig = self.rig
         q = np.zeros((len(positions), self.problem.coordinates))
         slices = coordinate_slices(rig)
-        for place, joint in zip(slices, rig.joints, strict=True):
+        for columns, joint in zip(slices, rig.joints, strict=True):
             if joint.type in {JointType.BALL, JointType.FREE}:
-                q[:, place.stop - 1] = 1.0
+                q[:, columns.stop - 1] = 1.0
         root = self._root()
         if root is None:
             return q
         depths = np.array([len(rig.upwards(j)) for j in self.joints])
         near = LESS_BY_JOINT ** (depths - depths.min())
-        seen = seen_markers(positions)
-        turn, at = rigid_motions(
+        visible = visible_markers(positions)
+        rotation, at = rigid_motions(
             self.points(q[:1])[0],
-            np.where(seen[:, :, None], positions, 0.0),
-            seen * near * self.template.weights,
+            np.where(visible[:, :, None], positions, 0.0),
+            visible * near * self.template.weights,
         )
         rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
-        rest_at, rest_turn = rest.positions[0, root], rest.rotations[0, root]
+        rest_at, rest_rotation = rest.positions[0, root], rest.rotations[0, root]
         # world = T(rest) R(rest) motion: what is left of the world's turn.
-        world_turn = so3.multiply(turn, rest_turn)
-        world_at = so3.rotate(turn, rest_at) + at
-        back = so3.conjugate(rest_turn)
-        place = slices[root]
-        q[:, place.start : place.start + 3] = so3.rotate(back, world_at - rest_at)
-        q[:, place.start + 3 : place.stop] = so3.multiply(back, world_turn)
+        world_rotation = so3.multiply(rotation, rest_rotation)
+        world_at = so3.rotate(rotation, rest_at) + at
+        back = so3.conjugate(rest_rotation)
+        columns = slices[root]
+        q[:, columns.start : columns.start + 3] = so3.rotate(back, world_at - rest_at)
+        q[:, columns.start + 3 : columns.stop] = so3.multiply(back, world_rotation)
         return q
 
     def _root(self) -> int | None:
@@ -174,19 +174,22 @@ def rigid_motions(
         weights: ``(F, E)``; where all are 0, nothing turns.
     """
     total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-    share = weights / total
-    middle = share @ points
-    wanted = np.einsum("fe,fei->fi", share, positions)
+    fractions = weights / total
+    middle = fractions @ points
+    centre = np.einsum("fe,fei->fi", fractions, positions)
     spread = np.einsum(
-        "fe,fei,fej->fij", share, points - middle[:, None], positions - wanted[:, None]
+        "fe,fei,fej->fij",
+        fractions,
+        points - middle[:, None],
+        positions - centre[:, None],
     )
     left, _, right = np.linalg.svd(spread)
     mirror = np.sign(np.linalg.det(left @ right))
     left[:, :, 2] *= np.where(mirror == 0, 1.0, mirror)[:, None]
     rotation = so3.from_matrix(np.swapaxes(left @ right, 1, 2))
-    return rotation, wanted - so3.rotate(rotation, middle)
+    return rotation, centre - so3.rotate(rotation, middle)
 
 
-def seen_markers(positions: FloatArray) -> BoolArray:
+def visible_markers(positions: FloatArray) -> BoolArray:
     """Return which markers of ``(F, E, 3)`` have a position ``(F, E)``."""
     return np.asarray(np.isfinite(positions).all(axis=2))

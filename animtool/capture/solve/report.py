@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 from animtool.maths.runs import runs
 
 # Share of a frame's markers that must fit for it not to be poor.
-MIN_FITTED_SHARE = 0.5
+MIN_FITTED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ class SolveScore:
     total: float = field(init=False, default=float("nan"))
     _misses: FloatArray = field(init=False, repr=False)
     _taken: IntArray = field(init=False, repr=False)
-    _seen: BoolArray = field(init=False, repr=False)
+    _visible: BoolArray = field(init=False, repr=False)
     _begun: BoolArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -88,7 +88,7 @@ class SolveScore:
         shape = self.frames, len(self.names)
         self._misses = np.zeros(shape)
         self._taken = np.broadcast_to(np.arange(shape[1]), shape).copy()
-        self._seen = np.zeros(shape, np.bool_)
+        self._visible = np.zeros(shape, np.bool_)
         self._begun = np.zeros(shape[0], np.bool_)
 
     def add(
@@ -97,19 +97,21 @@ class SolveScore:
         misses: FloatArray,
         taken: IntArray,
         searched: BoolArray,
-        seen: BoolArray,
+        visible: BoolArray,
     ) -> None:
         """Note what was found of some frames ``(N, E)``, from one on."""
         rows = slice(first, first + len(misses))
         self._misses[rows], self._taken[rows] = misses, taken
-        self._begun[rows], self._seen[rows] = searched, seen
+        self._begun[rows], self._visible[rows] = searched, visible
 
     def finish(self) -> None:
         """Sum up."""
-        own = np.arange(len(self.names))
+        indices = np.arange(len(self.names))
         # A marker that took the position of another label has one.
         has = np.where(
-            self._taken == own, self._seen, (self._taken >= 0) & (self._taken != own)
+            self._taken == indices,
+            self._visible,
+            (self._taken >= 0) & (self._taken != indices),
         )
         fits = has & (self._misses <= ROBUST * self.noise)
         squares = np.where(fits, self._misses**2, 0.0)
@@ -119,21 +121,21 @@ class SolveScore:
             self.total = float(np.sqrt(squares.sum() / fits.sum()))
         counts = has.sum(axis=1)
         self.sparse = np.flatnonzero(counts < MIN_MARKERS)
-        lost = fits.sum(axis=1) < MIN_FITTED_SHARE * counts
+        lost = fits.sum(axis=1) < MIN_FITTED * counts
         self.poor = np.flatnonzero((counts >= MIN_MARKERS) & lost)
         self.searched = np.flatnonzero(self._begun)
         self.markers = [
             MarkerScore(
                 name,
                 float(by_marker[e]),
-                float(self._seen[:, e].mean()),
+                float(self._visible[:, e].mean()),
                 1.0 - float(fits[:, e].sum()) / max(int(has[:, e].sum()), 1),
             )
             for e, name in enumerate(self.names)
         ]
         self.exchanged = [
             ExchangedLabels(self.names[e], self.names[label], first, end - 1)
-            for e in own.tolist()
+            for e in indices.tolist()
             for label in np.unique(self._taken[:, e]).tolist()
             if label not in (e, -1)
             for first, end in runs(self._taken[:, e] == label)

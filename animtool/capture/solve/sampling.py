@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from animtool.capture.solve.model import MIN_MARKERS, MarkerProblem, seen_markers
+from animtool.capture.solve.model import MIN_MARKERS, MarkerProblem, visible_markers
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.ik.fit import FitOptions, fit
 
@@ -20,10 +20,10 @@ FEW = 5
 
 def sampled_frames(positions: FloatArray, count: int) -> IntArray:
     """Return frames of ``(F, E, 3)`` that are evenly apart and have most markers."""
-    seen = seen_markers(positions).sum(axis=1)
+    counts = visible_markers(positions).sum(axis=1)
     parts = np.array_split(np.arange(len(positions)), min(count, len(positions)))
-    best = [part[int(np.argmax(seen[part]))] for part in parts if len(part)]
-    return np.array([f for f in best if seen[f] >= MIN_MARKERS], np.int64)
+    best = [part[int(np.argmax(counts[part]))] for part in parts if len(part)]
+    return np.array([f for f in best if counts[f] >= MIN_MARKERS], np.int64)
 
 
 def sampled_poses(
@@ -34,15 +34,15 @@ def sampled_poses(
     targets = model.targets(positions, noise)
     points, weights = np.asarray(targets.positions), np.asarray(targets.weights)
     options = FitOptions(1.0, math.inf, robust=ROBUST)
-    found = np.zeros_like(starts)
+    poses = np.zeros_like(starts)
     for f in range(len(positions)):
         one = slice(f, f + 1)
-        own = type(targets)(points[one], weights=weights[one])
-        found[f] = fit(model.problem, own, starts[one], options).coordinates[0]
-    return found
+        target = type(targets)(points[one], weights=weights[one])
+        poses[f] = fit(model.problem, target, starts[one], options).coordinates[0]
+    return poses
 
 
-def usual_noise(misses: FloatArray, least: float) -> FloatArray:
+def typical_noise(misses: FloatArray, least: float) -> FloatArray:
     """Return the standard deviation of an axis of each marker ``(E,)`` [m].
 
     One that hardly misses, as its joints have no other to serve, is taken to be half as
@@ -52,12 +52,12 @@ def usual_noise(misses: FloatArray, least: float) -> FloatArray:
         misses: ``(F, E)`` [m], NaN where a marker is missing.
         least: No marker is nearer [m].
     """
-    seen = np.isfinite(misses)
-    usual = float(np.median(misses[seen])) / MEDIAN_LENGTH if seen.any() else least
-    own = np.full(misses.shape[1], usual)
-    has = seen.sum(axis=0) >= FEW
-    own[has] = np.nanmedian(misses[:, has], axis=0) / MEDIAN_LENGTH
-    return np.asarray(np.maximum(own, max(least, usual / 2)))
+    known = np.isfinite(misses)
+    median = float(np.median(misses[known])) / MEDIAN_LENGTH if known.any() else least
+    noise = np.full(misses.shape[1], median)
+    has = known.sum(axis=0) >= FEW
+    noise[has] = np.nanmedian(misses[:, has], axis=0) / MEDIAN_LENGTH
+    return np.asarray(np.maximum(noise, max(least, median / 2)))
 
 
 def misses_of(

@@ -26,7 +26,7 @@ from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
 # What a good solve leaves of a marker, skin moving [m], and of wrong labels [1].
-USUAL_MISS, USUAL_OUTLIERS = 0.005, 0.01
+TYPICAL_MISS, TYPICAL_OUTLIERS = 0.005, 0.01
 
 
 def open_markers_source(
@@ -110,19 +110,19 @@ def triangulated(
     from animtool.capture.cameras.observations import read_observations
     from animtool.capture.cameras.triangulate import triangulate
 
-    found = triangulate(
+    result = triangulate(
         read_observations(path, fps=fps), load_all_cameras([cameras], unit=unit, up=up)
     )
-    error = f"reprojection {found.error_px:.3g} px ({found.error_mm:.3g} mm)"
-    message = f"{counted(len(found.cameras), 'camera')}: {error}"
+    error = f"reprojection {result.error_px:.3g} px ({result.error_mm:.3g} mm)"
+    message = f"{counted(len(result.cameras), 'camera')}: {error}"
     note = Fault("SOL106", message, str(path), severity=Severity.NOTE)
-    return replace(found.markers, notices=(*found.notices, note))
+    return replace(result.markers, notices=(*result.notices, note))
 
 
-def at_file(path: Path, made: Callable[[], Any]) -> Any:
+def at_file(path: Path, read: Callable[[], Any]) -> Any:
     """Return what a function makes; faults without a file get that of the markers."""
     try:
-        return made()
+        return read()
     except (FormatError, OptionError) as error:
         faults = [f if f.path else replace(f, path=str(path)) for f in error.faults]
         raise type(error)(faults) from error
@@ -164,8 +164,8 @@ def solve_scores(solve: MarkerSolve) -> PassScores:
     score = solve.score
     outliers = float(np.mean([each.outliers for each in score.markers]))
     scores = (
-        Score("marker", score.total, ScoreUnit.LENGTH, USUAL_MISS),
-        Score("outliers", outliers, ScoreUnit.SHARE, USUAL_OUTLIERS),
+        Score("marker", score.total, ScoreUnit.LENGTH, TYPICAL_MISS),
+        Score("outliers", outliers, ScoreUnit.SHARE, TYPICAL_OUTLIERS),
     )
     return PassScores(scores, pass_name="solve")
 

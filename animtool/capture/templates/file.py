@@ -94,8 +94,8 @@ def template_of_document(document: Document) -> MarkerTemplate:
             if name in taken:
                 message = f"two markers are called {name!r}"
                 hint = f"rename it here, or in marker_set[{taken[name]}]"
-                place = ("aliases", int(where[8:-1])) if "[" in where else ("name",)
-                document.add("MKT002", ("marker_set", i, *place), message, hint)
+                key_path = ("aliases", int(where[8:-1])) if "[" in where else ("name",)
+                document.add("MKT002", ("marker_set", i, *key_path), message, hint)
             taken.setdefault(name, i)
         x, y, z = (value * unit for value in entry.offset)
         if max(abs(x), abs(y), abs(z)) > MAX_OFFSET:

@@ -59,13 +59,13 @@ def match_markers(
     [1]
     """
     labelled = [name for name in names if not name.startswith("*")]
-    found = {each: _columns(template, names, each) for each in _subjects(labelled)}
-    fitting = {each: c for each, c in found.items() if (c >= 0).any()}
+    matches = {each: _columns(template, names, each) for each in _subjects(labelled)}
+    fitting = {each: c for each, c in matches.items() if (c >= 0).any()}
     if subject is not None:
-        if subject not in found:
+        if subject not in matches:
             message = f"no marker is of the subject {subject!r}"
-            raise OptionError(Fault("SOL001", message, hint=nearest(subject, found)))
-        fitting = {subject: found[subject]}
+            raise OptionError(Fault("SOL001", message, hint=nearest(subject, matches)))
+        fitting = {subject: matches[subject]}
         labelled = [name for name in labelled if _split(name)[0] == subject]
     if len(fitting) > 1:
         count = counted(len(fitting), "subject")
@@ -97,7 +97,7 @@ def _split(name: str) -> tuple[str, str]:
 
 def _columns(template: MarkerTemplate, names: Sequence[str], subject: str) -> IntArray:
     """Return the index of each marker among the names of a subject; -1 without one."""
-    own = {
+    exact = {
         i: bare
         for i, (prefix, bare) in enumerate(map(_split, names))
         if prefix == subject and not names[i].startswith("*")
@@ -107,7 +107,7 @@ def _columns(template: MarkerTemplate, names: Sequence[str], subject: str) -> In
     # As it is written first, whatever its case then.
     for spelled in (str, str.casefold):
         index: dict[str, int] = {}
-        for i, bare in own.items():
+        for i, bare in exact.items():
             index.setdefault(spelled(bare), i)
         for m, marker in enumerate(template.markers):
             for name in (marker.name, *marker.aliases):

@@ -91,12 +91,12 @@ class MarkerTemplate:
             message = (
                 f"{marker.name!r} is on {marker.joint!r}, which {rig.name!r} lacks"
             )
-            place = ("marker_set", i, "joint")
+            key_path = ("marker_set", i, "joint")
             hint = nearest(marker.joint, index)
             faults.append(
-                Fault("MKT001", message, hint=hint, where=spelled(place))
+                Fault("MKT001", message, hint=hint, where=spelled(key_path))
                 if self.document is None
-                else self.document.fault("MKT001", place, message, hint)
+                else self.document.fault("MKT001", key_path, message, hint)
             )
         if faults:
             raise OptionError(faults) if self.document is None else FormatError(faults)
