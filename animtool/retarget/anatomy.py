@@ -1,4 +1,4 @@
-"""The anatomy of a skeleton: the role of every joint, by its name and its place."""
+"""The anatomy of a skeleton: the role of each joint, from names and geometry."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _SHAPES = {
         ("leg", LEG, (1.02, 0.25, 0.45, False)),
     )
 }
-# Confidence in a role by how it was found.
+# Confidence in a role by its evidence.
 _SURE = {
     RoleSource.PRESET: 1.0,
     RoleSource.NAME: 0.9,
@@ -59,24 +59,24 @@ _SURE = {
     RoleSource.NONE: 0.0,
 }
 MAX_NAMED = 4
-# What reaches less far ahead, over the longest toe, is a heel and no toe.
+# What extends less far forward, over the longest toe, is a heel, not a toe.
 _TOE = 0.4
-# Joints of a skeleton that is one more person, at least.
+# Least number of joints of a second body.
 MIN_BODY_JOINTS = 8
 
 
 @dataclass(slots=True)
 class _Search:
-    """What is known of a skeleton's joints while it is searched."""
+    """State of the search for the roles of a skeleton's joints."""
 
     body: SkeletonTree
     roles: list[str]
     tips: dict[str, int] = field(default_factory=dict)  # lowest known joint, by limb
     unsided: list[str] = field(default_factory=list)  # kinds of limbs without a name
-    guessed: bool = False  # whether the sides are those of the file's order
+    guessed: bool = False  # whether sides come from the order of the file
 
     def set_role(self, joint: int, role: str) -> None:
-        """Give a joint a role, where it has none yet."""
+        """Assign a role to a joint that has none yet."""
         if joint >= 0 and not self.roles[joint]:
             self.roles[joint] = role
 
@@ -93,17 +93,17 @@ def anatomy(
     Args:
         rig: J joints.
         preset: The convention of its names; None finds it.
-        positions: Of the joints in a pose of a person who stands ``(J, 3)`` [m], world;
-            None is the rest pose. Only sides and fingers depend on it, and only where
-            names do not say them.
+        positions: Joint positions in a standing pose ``(J, 3)`` [m], world;
+            None is the rest pose. Only sides and fingers depend on it, and only if
+            names do not tell.
         by_names: Whether names count.
 
     Raises:
-        OptionError: There is no preset of that name (MAP003).
+        OptionError: Unknown preset (MAP003).
     """
     names = [joint.source_name or joint.name for joint in rig.joints]
     if preset is None:
-        # What the file says goes before what a name may mean.
+        # Roles stated by the file precede guesses from names.
         pairs = zip(rig.joints, names, strict=True)
         names = [joint.humanoid or name for joint, name in pairs]
     read = read_names(names, rig.parents)
@@ -145,11 +145,11 @@ def _how(role: str, votes: Mapping[str, float]) -> RoleSource:
 
 
 def _largest_tree(search: _Search) -> list[Fault]:
-    """Leave out all trees but the largest; warn where others are persons too."""
+    """Ignore all trees but the largest; warn if others look like bodies too."""
     body = search.body
     tops = body.rig.roots
     if len(tops) == 1:
-        # Persons below one root: their hips are not below each other.
+        # Bodies below one root: their hips are not below each other.
         hips = [j for j, votes in enumerate(body.votes) if "hips" in votes]
         nested = [set(body.rig.upwards(j)[1:]) & set(hips) for j in hips]
         tops = [j for j, above in zip(hips, nested, strict=True) if not above]
@@ -174,7 +174,7 @@ def _largest_tree(search: _Search) -> list[Fault]:
 
 
 def _find_limbs(search: _Search) -> None:
-    """Find the lowest joint of each limb and of the head, by names or by the tree."""
+    """Find the end joint of each limb and of the head, by names or by the tree."""
     body = search.body
     for limb, roles in _LIMBS.items():
         for side in SIDES:
@@ -192,7 +192,7 @@ def _find_limbs(search: _Search) -> None:
 
 
 def _named_tip(search: _Search, roles: set[str]) -> int:
-    """Return the joint with most names of a limb above it; -1 where none has one."""
+    """Return the joint with the most limb names above it; -1 if no joint has one."""
     body = search.body
     best, most = -1, 0.0
     for j, votes in enumerate(body.votes):
@@ -206,7 +206,7 @@ def _named_tip(search: _Search, roles: set[str]) -> int:
 
 
 def _sides_by_position(search: _Search, across: FloatArray) -> None:
-    """Tell left from right by where limbs are; by the order of the file where same."""
+    """Tell left from right by limb positions; by file order where they coincide."""
     body, tips = search.body, search.tips
     for limb in search.unsided:
         pair = [f"{limb}_{side}" for side in SIDES]
@@ -227,7 +227,7 @@ def _sides_by_position(search: _Search, across: FloatArray) -> None:
 
 
 def _trunk(search: _Search) -> None:
-    """Give hips, spine, neck, head and what is above the hips their roles."""
+    """Assign the roles of hips, spine, neck, head and the joints above the hips."""
     body, tips = search.body, search.tips
     legs = [tips[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tips]
     arms = [tips[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tips]
@@ -254,7 +254,7 @@ def _trunk(search: _Search) -> None:
 
 
 def _spine(search: _Search, start: int, chest: int, head: int) -> None:
-    """Give the joints from the fork at the hips to chest and head their roles."""
+    """Assign roles to the joints from the hips' fork to chest and head."""
     body = search.body
     if chest not in body.rig.upwards(head):
         for j in body.path(start, chest):
@@ -270,7 +270,7 @@ def _spine(search: _Search, start: int, chest: int, head: int) -> None:
 
 
 def _best_named(search: _Search, role: str) -> int:
-    """Return the joint whose name says a role most surely, the highest; or -1."""
+    """Return the topmost joint whose name votes most for a role; -1 for none."""
     weights = [
         0.0 if search.roles[j] else votes.get(role, 0.0)
         for j, votes in enumerate(search.body.votes)
@@ -280,7 +280,7 @@ def _best_named(search: _Search, role: str) -> int:
 
 
 def _hips(search: _Search, fork: int, seat: int) -> int:
-    """Return the hips: as named if near the fork of legs and trunk, else the fork."""
+    """Return the named hips if near the leg-trunk fork, else the fork."""
     body = search.body
     named = _best_named(search, "hips")
     if fork < 0:
@@ -293,7 +293,7 @@ def _hips(search: _Search, fork: int, seat: int) -> int:
 
 
 def _head_below(search: _Search, chest: int) -> int:
-    """Return the head by structure: the first fork or the end of the way above."""
+    """Return the head by structure: the chain's first fork, or its end."""
     body = search.body
     arms = {j for s in SIDES for j in body.rig.upwards(search.tips[f"arm_{s}"])}
     others = [j for j in body.limb_children(chest) if j not in arms]
@@ -306,7 +306,7 @@ def _head_below(search: _Search, chest: int) -> int:
 
 
 def _limb(search: _Search, limb: str) -> None:
-    """Give the joints of an arm or a leg, and its fingers, their roles."""
+    """Assign roles to the joints of an arm or leg and to its fingers."""
     body, kind, side = search.body, *limb.split("_")
     tip = search.tips[limb]
     others = {
@@ -336,7 +336,7 @@ def _limb(search: _Search, limb: str) -> None:
 
 
 def _to_hand(search: _Search, path: list[int], side: str) -> tuple[list[int], int]:
-    """Return an arm's way without its fingers, and the joint they branch off."""
+    """Return an arm's chain without fingers, and the joint the fingers branch from."""
     votes = search.body.votes
     hands = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
     if hands:
@@ -348,7 +348,7 @@ def _to_hand(search: _Search, path: list[int], side: str) -> tuple[list[int], in
 
 
 def _to_toe(search: _Search, path: list[int]) -> list[int]:
-    """Return a leg's way, without the toes of a foot that has several."""
+    """Return a leg's chain without the toes if the foot has several."""
     body = search.body
     tops = [max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in path]
     named = [i for i, role in enumerate(tops) if base_role(role) == "toe"]
@@ -359,7 +359,7 @@ def _to_toe(search: _Search, path: list[int]) -> list[int]:
 
 
 def _toes(search: _Search, side: str) -> None:
-    """Give all toes of a foot that has several their role, to their last joints."""
+    """Assign the toe role to every toe chain of a foot that has several."""
     body, role = search.body, f"toe_{side}"
     feet = [j for j, each in enumerate(search.roles) if each == f"foot_{side}"]
     if not feet:
@@ -386,13 +386,13 @@ def _toes(search: _Search, side: str) -> None:
 
 
 def _chain_end(body: SkeletonTree, joint: int) -> FloatArray:
-    """Return where a chain that begins at a joint ends ``(3,)`` [m]."""
+    """Return the end position of the chain that starts at a joint ``(3,)`` [m]."""
     last = body.heaviest(joint)[-1]
     return np.asarray(body.positions[last] + body.last_bones[last])
 
 
 def _rest(search: _Search) -> None:
-    """Give the face its roles, and say of other joints why they have none."""
+    """Assign face roles, and mark why the remaining joints have no role."""
     body = search.body
     for j, votes in enumerate(body.votes):
         for role in votes:
@@ -408,7 +408,7 @@ ONE_LEG = ("whole left leg", "whole right leg")
 
 
 def _missing_legs(roles: Sequence[str]) -> str:
-    """Return what a skeleton lacks of its legs; empty where both are whole."""
+    """Return which leg joints a skeleton lacks; empty if both legs are complete."""
     intact = [
         {f"{role}_{side}" for role in ("thigh", "shin", "foot")} <= {*roles}
         for side in "lr"
@@ -419,7 +419,7 @@ def _missing_legs(roles: Sequence[str]) -> str:
 
 
 def _doubts(search: _Search) -> list[Fault]:
-    """Return what is odd about a skeleton, and what is done instead."""
+    """Return warnings about a skeleton's anatomy, with the fallback that was used."""
     body, rig, roles = search.body, search.body.rig, search.roles
     hands = [j for j, role in enumerate(roles) if base_role(role) == "hand"]
     blunt = [repr(rig.names[j]) for j in hands if body.size > 0 and body.reach[j] <= 0]

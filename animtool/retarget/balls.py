@@ -1,4 +1,4 @@
-"""Where feet roll: the balls of feet, whatever toes a skeleton has."""
+"""Balls of feet: where a foot rolls, for any number of toes."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from animtool.maths import so3
 from animtool.retarget.roled_skeleton import Ball, RoledSkeleton
 from animtool.retarget.roles import END
 
-# The end of a foot nearer to its ankle than this share of the leg is none [1].
+# A foot end nearer to its ankle than this fraction of the leg is ignored [1].
 SHORT = 0.04
-# Cosine to the shin from which on the end of a foot is its heel, or the ground [1].
+# Cosine to the shin above which a foot's end is its heel, or the ground [1].
 ALONG_SHIN = 0.97
 # A toe that begins this near to the ankle, over its length, has a metatarsal [1].
 AT_ANKLE = 0.15
 
 
 def balls_of(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]:
-    """Return the balls of the feet of a skeleton, by side.
+    """Return the ball of each foot of a skeleton, by side.
 
-    That is where its toes begin, of several the foremost, in their middle. A foot
-    without toes ends in its ball, or in the tip of its toes: whichever the foot of the
-    other skeleton is nearer to. A foot that shows no end has the other's, scaled. Feet
-    of which nothing is known have none.
+    It is where the toes begin: the middle of the foremost ones. A foot without toes
+    ends in its ball or in its toe tip, whichever fits the other skeleton's foot better.
+    A foot without a visible end takes the other's ball, scaled. Feet without any data
+    have none.
     """
     balls = {}
     for side in "lr":
@@ -51,14 +51,14 @@ def balls_of(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]:
 def ball_positions(
     ball: Ball, foot: int, positions: FloatArray, rotations: FloatArray
 ) -> FloatArray:
-    """Return where a ball is ``(F, 3)`` [m], of joints ``(F, J, …)`` in the world."""
+    """Return the ball's position ``(F, 3)`` [m] from world joints ``(F, J, …)``."""
     if ball.joint >= 0:
         return positions[:, ball.joint]
     return np.asarray(positions[:, foot] + so3.rotate(rotations[:, foot], ball.offset))
 
 
 def _toes(skeleton: RoledSkeleton, side: str) -> list[int]:
-    """Return the joints in which the toes of a foot begin."""
+    """Return the first joint of each toe of a foot."""
     joints = {j for j, role in enumerate(skeleton.roles) if role == f"toe_{side}"}
     parents = skeleton.rig.parents
     starts = []
@@ -73,7 +73,7 @@ def _toes(skeleton: RoledSkeleton, side: str) -> list[int]:
 
 
 def _roll(skeleton: RoledSkeleton, foot: int, toes: Sequence[int]) -> FloatArray:
-    """Return the way from an ankle to where its foot rolls over toes ``(3,)`` [m]."""
+    """Return the vector from the ankle to the ball, from toe joints ``(3,)`` [m]."""
     offsets = skeleton.positions[list(toes)] - skeleton.positions[foot]
     facing = skeleton.facing
     if len(offsets) == 1 or facing is None:
@@ -89,14 +89,14 @@ def _foot(skeleton: RoledSkeleton, side: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    """A foot at rest: left, up and ahead of who stands, from the ankle on [m]."""
+    """A foot at rest: left, up and forward components from the ankle [m]."""
 
     ball: FloatArray | None  # where toes begin (3,)
     tip: FloatArray | None  # where the last of it ends (3,)
 
 
 def _shape(skeleton: RoledSkeleton, side: str) -> _Shape | None:
-    """Return what is known of a foot; None of who faces nowhere."""
+    """Return the known shape of a foot; None if the skeleton's facing is unknown."""
     facing, foot, toes = skeleton.facing, _foot(skeleton, side), _toes(skeleton, side)
     if facing is None:
         return None
@@ -111,7 +111,7 @@ def _shape(skeleton: RoledSkeleton, side: str) -> _Shape | None:
 def _tip(
     skeleton: RoledSkeleton, joints: Sequence[int], start: FloatArray
 ) -> FloatArray | None:
-    """Return the way to the farthest end of joints and what is below them ``(3,)``."""
+    """Return the vector to the farthest end of a joint chain ``(3,)``."""
     rig = skeleton.rig
     count, tops = len(rig.joints), {*joints}
     below = [j for j in range(count) if not tops.isdisjoint(rig.upwards(j))]
@@ -129,7 +129,7 @@ def _tip(
 def _toeless(
     skeleton: RoledSkeleton, side: str, other: _Shape | None, size: float
 ) -> FloatArray | None:
-    """Return the way from the ankle to the ball of a foot without toes ``(3,)``."""
+    """Return the vector from the ankle to the ball of a foot without toes ``(3,)``."""
     leg = skeleton.leg(side)
     assert leg is not None
     start = skeleton.positions[leg[2]]
@@ -147,7 +147,7 @@ def _toeless(
     between = size * float(np.sqrt(lengths[0] * lengths[1]))
     if float(np.linalg.norm(tip)) <= between:
         return tip
-    # It ends where the other's toes do.
+    # It ends where the other foot's toes do.
     end = facing @ tip
     shares = [
         a / b if abs(b) > SHORT * lengths[1] else 1.0
@@ -159,7 +159,7 @@ def _toeless(
 def _foot_end(
     skeleton: RoledSkeleton, leg: tuple[int, int, int, int], start: FloatArray
 ) -> FloatArray | None:
-    """Return the way to where a foot without toes ends ``(3,)``, if that shows."""
+    """Return the vector to the end of a foot without toes ``(3,)``; None if unknown."""
     rig, (_, shin, foot, _) = skeleton.rig, leg
     rotation = skeleton.rotations[foot]
     offsets = [so3.rotate(rotation, np.asarray(tip)) for tip in rig.joints[foot].tips]

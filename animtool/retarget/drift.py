@@ -1,8 +1,8 @@
-"""Drift of captured roots: what feet that stand say about it, taken out again.
+"""Drift of captured roots, measured from planted feet and removed.
 
-Inertial suits lose where they are and which way they face, slowly. A foot that stands
-does not move: how it goes is how the root drifts. On level ground all that stands is as
-high as before.
+Inertial suits slowly lose their position and heading. A planted foot does not move, so
+its apparent motion is the root's drift. On level ground all planted feet are at one
+height.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
 SLOWER, STEPS = 0.1, 0.4
 # Drift is the median of contacts this long before and after [s].
 WINDOW = 10.0
-# Of a contact, the share at either end in which the foot still lands or leaves.
+# Fraction of a contact at either end in which the foot lands or lifts.
 LANDING = 0.2
-# Of fewer frames nobody says how fast they go.
+# Fewer frames have no reliable speed.
 MIN_FRAMES = 4
 
 
 @dataclass(frozen=True, slots=True)
 class DriftOptions:
-    """What of a root drifts.
+    """Which components of the root's drift are removed.
 
     Attributes:
-        place: Whether it drifts over the ground.
-        heading: Whether it turns about the vertical; feet that turn on the spot on
-            purpose, most of the time, look the same.
-        height: Whether it rises and sinks, on ground that is level.
-        closed: Whether the take ends where it begins, and as it faces; what feet do
-            not say is then spread over it.
-        map: A map file that says which joints are legs and feet; None finds them.
+        place: Whether its position on the ground drifts.
+        heading: Whether its rotation about the vertical drifts; feet that pivot on
+            purpose most of the time look the same.
+        height: Whether its height drifts, on level ground.
+        closed: Whether the take ends where it begins, with its heading; what feet do
+            not tell is then distributed over it.
+        map: A map file that names leg and foot joints; None detects them.
     """
 
     place: bool = True
@@ -64,22 +64,22 @@ class DriftOptions:
 
 @dataclass(frozen=True, slots=True)
 class _StanceTracks:
-    """What feet that stand do, smoothed over all frames.
+    """Motion of planted feet, smoothed over all frames.
 
-    Over the ground, complex numbers: a turn about the vertical is a factor.
+    Ground positions are complex numbers: a rotation about the vertical is a factor.
     """
 
-    position: ComplexArray  # where they stand (F,) [m]
-    speed: ComplexArray  # beside that of the spin about the origin (F,) [m/s]
+    position: ComplexArray  # of planted feet (F,) [m]
+    speed: ComplexArray  # without that of the spin about the origin (F,) [m/s]
     spin: FloatArray  # about the vertical (F,) [rad/s]
-    height: FloatArray  # above where they stand in the middle (F,) [m]
+    height: FloatArray  # above their median height (F,) [m]
 
 
 def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Take:
-    """Return a take whose root does not drift; its pose stays as it is.
+    """Return a take whose root does not drift; its local pose is unchanged.
 
     Raises:
-        FormatError: The map file cannot be read, or names joints that there are not.
+        FormatError: The map file cannot be read, or names an unknown joint.
     """
     path = None if options.map is None else context.folder / options.map
     try:
@@ -121,7 +121,7 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
 
 
 def _axes(take: Take) -> tuple[int, tuple[int, int]]:
-    """Return the vertical, and the axes that a turn about it takes one to the other."""
+    """Return the vertical axis and the two ground axes, right-handed about it."""
     return (1, (2, 0)) if take.rig.up is UpAxis.Y else (2, (0, 1))
 
 
@@ -132,10 +132,9 @@ def _corrected(
     root: ComplexArray,
     rotations: FloatArray,
 ) -> tuple[FloatArray, ComplexArray]:
-    """Return by which angle a root turns ``(F,)`` [rad], and then goes ``(F,)`` [m].
+    """Return the root's correction: rotation ``(F,)`` [rad] and shift ``(F,)`` [m].
 
-    So that what stands, and turns with it, stays: of ``e^(i angle) place + shift`` the
-    rate is 0.
+    Planted feet then stay in place: the rate of ``e^(i angle) position + shift`` is 0.
     """
     rate, up = float(take.clock.rate), _axes(take)[0]
     spin = -stance.spin
@@ -163,7 +162,7 @@ def _integral(values: Numbers, rate: float) -> Numbers:
 
 
 def _angle(rotations: FloatArray, up: int) -> FloatArray:
-    """Return by how much turns ``(N, 4)`` turn about the vertical ``(N,)`` [rad]."""
+    """Return the angle of rotations ``(N, 4)`` about the vertical ``(N,)`` [rad]."""
     angles = 2 * np.arctan2(rotations[:, up], rotations[:, 3])
     return np.asarray(np.angle(np.exp(1j * angles)))
 
@@ -171,7 +170,7 @@ def _angle(rotations: FloatArray, up: int) -> FloatArray:
 def _stance(
     take: Take, skeleton: RoledSkeleton, *, heading: bool
 ) -> _StanceTracks | None:
-    """Return what feet that stand do; None where none does for long."""
+    """Return the motion of planted feet; None if none is planted for long."""
     (up, (a, b)), rate, count = _axes(take), float(take.clock.rate), take.clock.count
     world = take.world()
     where, many = np.zeros((count, 3)), np.zeros(count)
@@ -190,7 +189,7 @@ def _stance(
             part = slice(start + edge, end - edge)
             if part.stop - part.start < MIN_FRAMES:
                 continue
-            # Who rolls over the toe moves the ankle.
+            # A foot that rolls over its toe moves its ankle.
             pivot = min(
                 (ankle, toe), key=lambda p: np.linalg.norm(_slope(p[part], rate))
             )
@@ -210,7 +209,7 @@ def _stance(
     contacts = np.array(sorted(rows))
     width, frames = WINDOW * rate, np.arange(count)
     turning = _medians(contacts, 2, width)
-    # Less what the spin about the origin moves them by.
+    # Without the motion from the spin about the origin.
     contacts[:, 3] += turning * contacts[:, 6]
     contacts[:, 4] -= turning * contacts[:, 5]
     slow = [turning, *(_medians(contacts, k, width) for k in (3, 4))]
@@ -228,9 +227,10 @@ def _stance(
 
 
 def _medians(contacts: FloatArray, column: int, width: float) -> FloatArray:
-    """Return medians of a column of contacts over those near each ``(N,)``.
+    """Return a windowed median of a contact column at each contact ``(N,)``.
 
-    Longer ones count more; a foot that turns or slides on purpose is one of many.
+    Contacts are weighted by duration, so that a foot that slides on purpose is
+    outvoted.
     """
     medians = np.zeros(len(contacts))
     for i, middle in enumerate(contacts[:, 0].tolist()):
@@ -243,7 +243,7 @@ def _medians(contacts: FloatArray, column: int, width: float) -> FloatArray:
 
 
 def _slope(values: FloatArray, rate: float) -> FloatArray:
-    """Return how fast rows ``(N, K)`` go, by least squares ``(K,)`` [1/s]."""
+    """Return the least-squares rate of rows ``(N, K)`` per second ``(K,)`` [1/s]."""
     times = (np.arange(len(values)) - (len(values) - 1) / 2) / rate
     return np.asarray(times @ values / (times @ times))
 

@@ -1,4 +1,4 @@
-"""What a take of a person says of itself: steps, how fast it goes, how noisy it is."""
+"""Statistics of a take of a body: steps, ground speed and noise."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.retarget.anatomy import anatomy
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import middle_of_hips
 
-# Speeds are those of the hips smoothed over this time [s]: a step sways them.
+# Smoothing time of hip speeds [s]: steps sway the hips.
 SPEED_TIME = 0.25
 # Frames whose joints are in memory at once.
 BLOCK_FRAMES = 1024
@@ -25,25 +25,25 @@ BLOCK_FRAMES = 1024
 
 @dataclass(frozen=True, slots=True)
 class FootFacts:
-    """When a foot stands."""
+    """How often and how long a foot is planted."""
 
-    standing: float  # share of frames
-    steps: int  # times that it comes to stand
+    standing: float  # fraction of frames
+    steps: int  # number of contacts
 
 
 @dataclass(frozen=True, slots=True)
 class CaptureFacts:
-    """A take of a person in numbers."""
+    """Statistics of a take of a body."""
 
     feet: dict[str, FootFacts]  # by ``left`` and ``right``
     speed_mean: float  # of the hips over the ground [m/s]
     speed_max: float
     noise: float  # standard deviation of the noisiest joint's rotation [rad]
-    noisiest: str  # that joint; empty where none turns
+    noisiest: str  # that joint; empty if none rotates
 
 
 def capture_facts(take: Take) -> CaptureFacts | None:
-    """Return what a take says of itself; None where it has no person with legs.
+    """Return the statistics of a take; None if it has no body with legs.
 
     Limits: feet are told by how slow and how low they are, the person by structure.
 
@@ -82,7 +82,7 @@ def capture_facts(take: Take) -> CaptureFacts | None:
 def hips_and_joints(
     take: Take, skeleton: RoledSkeleton, joints: Sequence[int]
 ) -> tuple[FloatArray, dict[int, FloatArray]]:
-    """Return the middle of the hips, and some joints by number, each ``(F, 3)`` [m]."""
+    """Return the middle of the hips and the given joints, each ``(F, 3)`` [m]."""
     kept = [j for j in joints if j >= 0]
     hips, positions = [], []
     for begin in range(0, take.clock.count, BLOCK_FRAMES):
@@ -95,14 +95,14 @@ def hips_and_joints(
 
 
 def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
-    """Return how fast hips ``(F, 3)`` go over the ground ``(F - 1,)`` [m/s]."""
+    """Return the ground speed of hips ``(F, 3)`` in each step ``(F - 1,)`` [m/s]."""
     up, fps = 1 if take.rig.up is UpAxis.Y else 2, float(take.clock.rate)
     flat = smoothed(np.delete(hips, up, axis=1), SPEED_TIME / 2 * fps)
     return np.asarray(np.linalg.norm(np.diff(flat, axis=0), axis=1) * fps)
 
 
 def _noise(take: Take) -> tuple[float, str]:
-    """Return the noise of the noisiest joint's rotation [rad], and its name."""
+    """Return the noise of the noisiest joint's rotation [rad], and the joint's name."""
     channel = take.motion.rotations
     levels = [
         noise_of_turns(channel.values[:, k]) for k in range(len(channel.animated))

@@ -1,4 +1,4 @@
-"""Map files, ``*.map.yaml``: which joints of a target follow which of a source."""
+"""Map files, ``*.map.yaml``: which target joints follow which source joints."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class MapModel(FileModel):
 
 @dataclass(frozen=True, slots=True)
 class MapFile:
-    """A map file that was read."""
+    """A parsed map file."""
 
     document: Document
     model: MapModel
@@ -104,17 +104,17 @@ class FileEntry(NamedTuple):
 
     source: tuple[int, ...]
     target: tuple[int, ...]
-    role: str  # empty where the file says none
+    role: str  # empty if the file states none
 
 
 @dataclass(frozen=True, slots=True)
 class FileMap:
-    """A map file for two skeletons."""
+    """A map file resolved for two skeletons."""
 
     entries: tuple[FileEntry, ...]
     twists: tuple[TwistFraction, ...] | None
     ignored: tuple[frozenset[int], frozenset[int]]  # of the source, of the target
-    only: bool  # whether joints that it does not name stay as they are
+    only: bool  # whether joints it does not name stay unmapped
 
 
 def load_map(path: Path | str) -> MapFile:
@@ -149,8 +149,8 @@ def map_of_document(document: Document) -> MapFile:
 def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     """Return a map file's joints as indices of two skeletons.
 
-    A joint is found by its name, by that of its file, and by either without namespace
-    and prefix.
+    A joint is matched by its name, by its name in the source file, and by either
+    without namespace and prefix.
 
     Raises:
         FormatError: Neither skeleton has a joint that is named (MAP001).
@@ -204,7 +204,7 @@ def _names(value: str | list[str]) -> list[str]:
 
 
 def _index(rig: Rig) -> Mapping[str, int]:
-    """Return the joints by every name that finds them."""
+    """Return the joints by every name that matches them."""
     index: dict[str, int] = {}
     written = [joint.source_name or joint.name for joint in rig.joints]
     for names in (rig.names, written, bare_names(written)):

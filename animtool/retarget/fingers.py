@@ -1,4 +1,4 @@
-"""The fingers of a hand: which is which, and which joint of it each joint is."""
+"""Fingers of a hand: which chain is which finger, and which phalanx each joint is."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[in
     if not paths:
         return {}
     digits = _digits(body, paths, hands[-1])
-    # What two fingers share is of the shorter one, and of a finger before a thumb.
+    # Shared joints belong to the shorter finger, and to a finger before a thumb.
     order = sorted(
         range(len(paths)), key=lambda i: (len(paths[i]), digits[i] == "thumb", i)
     )
@@ -35,7 +35,7 @@ def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[in
 
 
 def _finger_paths(body: SkeletonTree, hands: Sequence[int]) -> list[list[int]]:
-    """Return the way to the last joint of each finger, without the hand."""
+    """Return the joint path of each finger, without the hand."""
     paths: list[list[int]] = []
     below = [child for hand in hands for child in body.limb_children(hand)]
     stack = [[child] for child in below[::-1] if child not in hands]
@@ -49,7 +49,7 @@ def _finger_paths(body: SkeletonTree, hands: Sequence[int]) -> list[list[int]]:
 
 
 def _digits(body: SkeletonTree, paths: Sequence[list[int]], hand: int) -> list[str]:
-    """Return the digit of each way, by names where they say it, else by place."""
+    """Return the finger of each path, by names if they tell, else by position."""
     digits = []
     for path in paths:
         named = Counter(
@@ -67,10 +67,10 @@ def _digits(body: SkeletonTree, paths: Sequence[list[int]], hand: int) -> list[s
 def _digits_by_position(
     body: SkeletonTree, paths: Sequence[list[int]], hand: int
 ) -> list[str]:
-    """Return digits in the order of the knuckles, the thumb's nearest the wrist."""
+    """Return fingers in knuckle order; the thumb's knuckle is nearest the wrist."""
     count = len(paths)
     if count <= 2 and max(map(len, paths)) < 3:
-        # All fingers in one, next to a thumb that is shorter or begins first.
+        # A mitten next to a thumb that is shorter or begins first.
         thumb = min(range(count), key=lambda i: (len(paths[i]), -i))
         return ["thumb" if i == thumb and count > 1 else MITTEN for i in range(count)]
     if count == 1:

@@ -1,4 +1,4 @@
-"""Hands that keep the contacts they have: with each other, the ground and props."""
+"""Hand contacts kept by retargeting: with each other, the ground and props."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from animtool.retarget.props import PropMotion
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import Transfer
 
-# Hands hold each other that are nearer than this share of an arm, from wrist to wrist.
+# Hands hold each other if their wrists are nearer than this fraction of an arm,
 NEAR = 0.4
-# And whose way from one to the other changes less than this share of an arm a second.
+# and the vector between them changes by less than this fraction of an arm a second.
 TOGETHER = 0.25
-# Speeds are those of ways smoothed by a Gaussian of this width [s].
+# Gaussian width of smoothing before speeds are taken [s].
 SMOOTH = 0.03
-# A hand is at the ground below this share of an arm above it; below half of that, it is
-# as high as that of the source.
+# A hand touches the ground below this fraction of an arm; below half of that it keeps
+# the source's height.
 LOW = 0.3
-# Hands slow down from this share of an arm above the ground.
+# Hands slow down below this fraction of an arm above the ground.
 SOFT = 0.25
-# What hands hold fades in and out within about this time [s].
+# Hand contacts fade in and out within about this time [s].
 FADE = 0.15
-# Arms that hold each other's hands are bent a little: they reach this share of their
-# length. How often hands are brought nearer until both do.
+# Arms of joined hands stay slightly bent: they reach this fraction of their length.
+# Most iterations of bringing the hands within reach.
 REACH, NEARER = 0.99, 20
 
 
 @dataclass(frozen=True, slots=True)
 class ArmTracks:
-    """Where an arm of the target goes with the hips, and a hand of the source goes."""
+    """Motion of a target arm relative to the hips, and of the source's hand."""
 
     joints: FloatArray  # shoulder, elbow, wrist about the middle of the hips (F, 3, 3)
     rotations: FloatArray  # of upper arm and forearm in the world (F, 2, 4)
@@ -51,13 +51,13 @@ class ArmTracks:
         rotations: FloatArray,
         about: FloatArray,
     ) -> ArmTracks:
-        """Return those of some frames.
+        """Return the arm tracks of a block of frames.
 
         Args:
             transfer: How the target follows.
             side: Of the arm.
             source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
-            rotations: Of the target in the world ``(F, K, 4)``.
+            rotations: World rotations of the target ``(F, K, 4)``.
             about: Joints of the target about the middle of its hips ``(F, K, 3)`` [m].
         """
         target, other = (
@@ -72,26 +72,26 @@ class ArmTracks:
 
 @dataclass(frozen=True, slots=True)
 class HandContact:
-    """Where a hand is to be, and how its arm is turned for it."""
+    """Goals of a hand's contacts, and how its arm bends to reach them."""
 
     side: str
-    goal: FloatArray  # of the wrist where it holds something (F, 3) [m]
-    active: BoolArray  # frames in which it does (F,)
-    # By how much upper arm and forearm are turned in the world (F, 2, 3) [rad].
+    goal: FloatArray  # of the wrist while in contact (F, 3) [m]
+    active: BoolArray  # frames in contact (F,)
+    # World rotation vectors applied to upper arm and forearm (F, 2, 3) [rad].
     bends: FloatArray
     props: frozenset[int]  # tracks that it holds
 
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """How high ankles stand on the ground [m]."""
+    """Heights of planted ankles above the origin [m]."""
 
     source: float
     target: float
 
     @staticmethod
     def lift(floor: Floor | None, scale: float, up: int) -> FloatArray:
-        """Return how far what is scaled is then lifted to the ground ``(3,)`` [m]."""
+        """Return the offset of the scaled source onto the ground ``(3,)`` [m]."""
         lift = np.zeros(3)
         if floor is not None:
             lift[up] = floor.target - scale * floor.source
@@ -99,7 +99,7 @@ class Floor:
 
 
 def arm_of(skeleton: RoledSkeleton, side: str) -> list[int] | None:
-    """Return shoulder, elbow and wrist of an arm, if there is one."""
+    """Return shoulder, elbow and wrist of an arm; None if the skeleton lacks one."""
     arm = [
         skeleton.first(f"{role}_{side}") for role in ("upper_arm", "forearm", "hand")
     ]
@@ -115,12 +115,11 @@ def hand_contacts(
     fps: float,
     props: Sequence[PropMotion] = (),
 ) -> list[HandContact]:
-    """Return where hands are to be so that they keep their contacts.
+    """Return the goals of hands that keep the source's contacts.
 
-    Hands that hold each other are as far apart as those of the source, scaled as arms
-    are, about the middle between them; hands on the ground stay where they are, and
-    those on props where they hold them. What that takes fades in and out as smoothly as
-    can be.
+    Hands that hold each other keep the source's separation, scaled by arm length, about
+    their middle. Hands on the ground stay in place; hands on props keep their grip. The
+    corrections fade in and out as smoothly as possible.
 
     Args:
         transfer: How the target follows.
@@ -129,7 +128,7 @@ def hand_contacts(
         hips: The middle of the target's hips ``(F, 3)`` [m].
         floor: Where the ground is; None where there are no feet to say it.
         fps: Frames a second.
-        props: What they may hold.
+        props: Props they may grip.
     """
     up = up_index(transfer.target.rig)
     lift = Floor.lift(floor, transfer.scale, up)
@@ -198,10 +197,10 @@ def _bends(
     known: BoolArray,
     fps: float,
 ) -> FloatArray:
-    """Return turns of both bones of an arm that bring its hand there ``(F, 2, 3)``.
+    """Return rotations of both arm bones that bring the hand to its goal ``(F, 2, 3)``.
 
-    In frames that are known; they fade in and out about them. Turns do so, and not
-    places: a straight arm is bent far by what moves its hand but a little.
+    They are solved in known frames and fade around them. Rotations fade, not positions:
+    a nearly straight arm bends a lot for a small motion of its hand.
     """
     bends = np.zeros((len(known), 2, 3))
     arm, frames = arm_of(target, side), np.flatnonzero(known)
@@ -219,13 +218,13 @@ def _bends(
 
 
 def _bent(tracks: ArmTracks, bends: FloatArray) -> FloatArray:
-    """Return where turned arms bring the wrist, from the shoulder ``(F, 3)`` [m]."""
+    """Return the wrist relative to the shoulder for bent arms ``(F, 3)`` [m]."""
     bones = np.diff(tracks.joints, axis=1)
     return np.asarray(so3.rotate(so3.exp(bends), bones).sum(axis=1))
 
 
 def _softened(above: FloatArray, soft: float) -> FloatArray:
-    """Return heights above the ground that is reached softly: 0 from ``-soft`` down."""
+    """Return heights above ground, softened to 0 at ``-soft`` and below."""
     return np.asarray(np.clip(above + soft, 0.0, None) ** 2 / (4 * soft))
 
 
@@ -234,7 +233,7 @@ def _within_reach(
     starts: Sequence[FloatArray],
     reaches: Sequence[float],
 ) -> list[FloatArray]:
-    """Return goals of both hands brought so near that both arms reach, as one.
+    """Return the goals of both hands, shifted together until both arms reach.
 
     Args:
         goals: Of each wrist ``(F, 3)`` [m].
@@ -255,7 +254,7 @@ def _within_reach(
 
 
 def _together(separation: FloatArray, length: float, fps: float) -> BoolArray:
-    """Return when hands hold each other ``(F,)``: near, and going the same way."""
+    """Return when hands hold each other ``(F,)``: near, and moving together."""
     if len(separation) < 3 or length <= 0:
         return np.zeros(len(separation), np.bool_)
     smooth = smoothed(separation, SMOOTH * fps)
@@ -265,7 +264,7 @@ def _together(separation: FloatArray, length: float, fps: float) -> BoolArray:
 
 
 def _length(skeleton: RoledSkeleton, side: str) -> float:
-    """Return the length of upper arm and forearm at rest [m]."""
+    """Return the rest length of upper arm plus forearm [m]."""
     arm = arm_of(skeleton, side)
     if arm is None:
         return 0.0
@@ -274,9 +273,9 @@ def _length(skeleton: RoledSkeleton, side: str) -> float:
 
 
 def hinge_of(skeleton: RoledSkeleton, arm: Sequence[int]) -> FloatArray:
-    """Return what an elbow turns about, its arm straight, in its own frame ``(3,)``.
+    """Return an elbow's hinge axis for a straight arm, in the elbow's frame ``(3,)``.
 
-    Across the upper arm, and as level as can be.
+    It is across the upper arm and as level as possible.
     """
     bone = skeleton.bone(arm[0])
     facing = skeleton.facing

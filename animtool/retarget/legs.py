@@ -1,4 +1,4 @@
-"""Legs of a skeleton that follow another's: how they stand, and where they are put."""
+"""Legs of a retargeted skeleton: stance, foot placement and ankle goals."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from animtool.rig.skeleton import JointType, Rig
 
 @dataclass(frozen=True, slots=True)
 class LegTracks:
-    """Where a leg of the target goes with the hips, and one of the source goes.
+    """Motion of a target leg relative to the hips, and of the source's leg.
 
-    Of all frames: what decides where feet stand.
+    All frames: they decide where feet are planted.
     """
 
     hip: FloatArray  # of the target, about the middle of its hips (F, 3) [m]
     ankle: FloatArray  # (F, 3) [m]
     toe: FloatArray  # its ball (F, 3) [m]; the ankle where none is known
     knee: FloatArray  # (F, 3) [m]
-    # In the world: of what is above the thigh, of thigh, shin and foot (F, 4, 4).
+    # World rotations of the thigh's parent, thigh, shin and foot (F, 4, 4).
     rotations: FloatArray
     source: FloatArray  # hip, ankle and toe of the source, in the target's axes (F, 9)
 
@@ -44,14 +44,14 @@ class LegTracks:
         rotations: FloatArray,
         about: FloatArray,
     ) -> LegTracks:
-        """Return those of some frames.
+        """Return the leg tracks of a block of frames.
 
         Args:
             transfer: How the target follows.
             side: Of the leg.
             source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
             ball: That of its foot, or its ankle, in these axes ``(F, 3)`` [m].
-            rotations: Of the target in the world ``(F, K, 4)``.
+            rotations: World rotations of the target ``(F, K, 4)``.
             about: Joints of the target about the middle of its hips ``(F, K, 3)`` [m].
         """
         target = transfer.target
@@ -69,7 +69,7 @@ class LegTracks:
         )
 
     def foot(self, transfer: Transfer, side: str, fps: float) -> Foot:
-        """Return the foot of the target, and when that of the source stands."""
+        """Return the target's foot, with the contacts of the source's foot."""
         leg = leg_of(transfer.target, side)
         up = up_index(transfer.target.rig)
         hip, ankle, toe = self.source[:, :3], self.source[:, 3:6], self.source[:, 6:]
@@ -95,12 +95,12 @@ class LegTracks:
 
 
 def up_index(rig: Rig) -> int:
-    """Return which component points up."""
+    """Return the index of the up axis."""
     return 1 if rig.up is UpAxis.Y else 2
 
 
 def leg_of(skeleton: RoledSkeleton, side: str) -> tuple[int, int, int, int]:
-    """Return thigh, shin, foot and toe (-1 for none) of a leg that there is."""
+    """Return thigh, shin, foot and toe (-1 for none) of an existing leg."""
     leg = skeleton.leg(side)
     assert leg is not None
     return leg
@@ -109,10 +109,10 @@ def leg_of(skeleton: RoledSkeleton, side: str) -> tuple[int, int, int, int]:
 def ball_of_foot(
     skeleton: RoledSkeleton, side: str, positions: FloatArray, rotations: FloatArray
 ) -> FloatArray:
-    """Return where the ball of a foot is, or its ankle ``(F, 3)`` [m].
+    """Return the ball's position, or the ankle's if unknown ``(F, 3)`` [m].
 
     Args:
-        skeleton: Whose foot it is.
+        skeleton: The skeleton.
         side: Of the foot.
         positions: Of all joints ``(F, J, 3)`` [m].
         rotations: Of all joints in the world ``(F, J, 4)``.
@@ -126,7 +126,7 @@ def ball_of_foot(
 def _reach(
     target: RoledSkeleton, leg: tuple[int, int, int, int]
 ) -> tuple[float, float]:
-    """Return how near and how far an ankle can be [m]: a pin may have limits."""
+    """Return the least and largest hip-ankle distance [m]; pins may have limits."""
     rig, (_, shin, foot, _) = target.rig, leg
     joint, rest = rig.joints[shin], rig.rest_rotations[shin]
     upper, lower = rig.rest_translations[shin], rig.rest_translations[foot]
@@ -151,9 +151,9 @@ def _reach(
 
 
 def _level(transfer: Transfer, foot: int) -> FloatArray:
-    """Return how a foot is turned where it stands at rest ``(4,)``.
+    """Return the rotation of a foot planted flat at rest ``(4,)``.
 
-    A source that lies at rest says nothing of it.
+    A source that lies at rest does not define it.
     """
     target = transfer.target
     facing, up = target.facing, up_index(target.rig)
@@ -163,14 +163,14 @@ def _level(transfer: Transfer, foot: int) -> FloatArray:
 
 
 def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:
-    """Return how high an ankle stands above the ground [m]."""
+    """Return the height of a planted ankle above the ground [m]."""
     target, source = transfer.target, transfer.source
     leg = leg_of(target, side)
     if transfer.similar_legs:
         return transfer.scale * ground
     low = float(target.positions[:, up].min())
     ankle = float(target.positions[leg[2], up])
-    # A rig that stands on the ground at rest says how high its ankles are.
+    # A rig standing on the ground at rest gives the height of its ankles.
     if abs(low) < 0.1 * target.leg_length(side):
         return ankle
     balls = target.balls.get(side), source.balls.get(side)
@@ -188,15 +188,15 @@ def ankle_rotations(
     rotations: tuple[FloatArray, FloatArray],
     swivel: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns of thigh and shin in the world that bring the ankle to its goal.
+    """Return world rotations of thigh and shin that bring the ankle to its goal.
 
     Args:
-        target: Whose leg it is.
+        target: The skeleton.
         side: Of the leg.
         joints: Where thigh, shin and foot begin ``(F, 3, 3)`` [m].
         goal: Of the ankle ``(F, 3)`` [m].
-        rotations: Of thigh and shin in the world as they are ``(F, 4)``.
-        swivel: How far the knee then goes round the line from hip to ankle ``(F,)``
+        rotations: Current world rotations of thigh and shin ``(F, 4)``.
+        swivel: Rotation of the knee about the line from hip to ankle ``(F,)``
             [rad].
     """
     leg = leg_of(target, side)[:3]
@@ -212,14 +212,14 @@ def limb_rotations(
     rotations: tuple[FloatArray, FloatArray],
     hinge: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns of both bones of a limb that bring its end to a goal, in the world.
+    """Return world rotations of a limb's two bones that bring its end to a goal.
 
     Args:
-        target: Whose limb it is.
+        target: The skeleton.
         limb: Its joints: the first, the middle one and its end.
         joints: Where these are ``(F, 3, 3)`` [m].
         goal: Of the end ``(F, 3)`` [m].
-        rotations: Of both bones in the world as they are ``(F, 4)``.
+        rotations: Current world rotations of both bones ``(F, 4)``.
         hinge: What the middle joint turns about where the limb is straight, in its own
             frame ``(3,)``.
     """
@@ -234,7 +234,7 @@ def limb_rotations(
 def swivelled(
     rotations: tuple[FloatArray, FloatArray], line: FloatArray, angle: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns of thigh and shin that go round a way ``(F, 3)`` by an angle."""
+    """Return thigh and shin rotations swivelled about a line ``(F, 3)`` by an angle."""
     axis = line / np.maximum(np.linalg.norm(line, axis=1), 1e-12)[:, None]
     rotation = so3.from_axis_angle(axis, angle)
     return so3.multiply(rotation, rotations[0]), so3.multiply(rotation, rotations[1])
@@ -247,7 +247,7 @@ def _bent_pin(
     goal: FloatArray,
     rotations: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns of both bones in the world, of a limb that bends at a pin."""
+    """Return world rotations of both bones of a limb whose middle joint is a pin."""
     rig, (_, middle, end) = target.rig, limb
     joint, rest = rig.joints[middle], rig.rest_rotations[middle]
     local = so3.multiply(so3.conjugate(rotations[0]), rotations[1])
@@ -263,7 +263,7 @@ def _bent_pin(
 
 
 def _hinge(target: RoledSkeleton, shin: int) -> FloatArray:
-    """Return what a knee turns about, in its own frame ``(3,)``."""
+    """Return a knee's hinge axis in the knee's frame ``(3,)``."""
     joint = target.rig.joints[shin]
     if joint.type is JointType.PIN:
         return np.array(joint.axis, np.float64)

@@ -1,6 +1,6 @@
-"""Legs that limits stop: knees go round, and hips rise, so that feet stand even so.
+"""Legs at joint limits: knees swivel and hips rise so that planted feet stay in place.
 
-Where that is not enough, feet are where limits let them be.
+Where that is not enough, feet move to where the limits allow.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from animtool.retarget.legs import (
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.limits import BallLimit
 
-# How far knees may go round: what is tried, and then about the best of it [rad].
+# Knee swivels: a coarse grid, then a fine one about the best [rad].
 SWIVELS = np.radians(np.arange(-60.0, 60.1, 15.0))
 NEARBY = np.radians([-10.0, -5.0, 0.0, 5.0, 10.0])
-# What going round costs, over what limits take from a joint.
+# Cost of swivelling, over that of a limit violation.
 SWIVEL_COST = 0.05
-# Knees go round, and hips rise, within about these times [s].
+# Smoothing times of knee swivel and hip rise [s].
 SWIVEL_TIME, RISE_TIME = 0.1, 0.2
-# How often hips rise at most, and how deep feet may stay, over the skeleton's size.
+# Most hip iterations, and the tolerated foot depth over the skeleton's size.
 RISES, SUNK = 3, 5e-4
 
 
 @dataclass(frozen=True, slots=True)
 class _Leg:
-    """A leg whose foot is placed, at all frames."""
+    """A leg with a placed foot, in all frames."""
 
     target: RoledSkeleton
     side: str
     tracks: LegTracks
     goal: FloatArray  # of the ankle (F, 3) [m]
-    foot: FloatArray  # turns of the foot in the world (F, 4)
+    foot: FloatArray  # world rotations of the foot (F, 4)
     stands: BoolArray  # (F,)
 
     def rotations(self, hips: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return turns of thigh and shin that bring the ankle to its goal."""
+        """Return rotations of thigh and shin that bring the ankle to its goal."""
         tracks = self.tracks
         about = np.stack([tracks.hip, tracks.knee, tracks.ankle], axis=1)
         both = tracks.rotations[:, 1], tracks.rotations[:, 2]
@@ -56,9 +56,9 @@ class _Leg:
         )
 
     def swivel(self, hips: FloatArray, fps: float) -> FloatArray:
-        """Return how far the knee goes round for the limits of its leg ``(F,)`` [rad].
+        """Return the knee swivel that respects the leg's limits ``(F,)`` [rad].
 
-        The least that does, or the best where none is enough.
+        The smallest sufficient one, or the best if none is sufficient.
         """
         swivel = np.zeros(len(hips))
         rotations, axis = self.rotations(hips), self.goal - hips - self.tracks.hip
@@ -84,7 +84,7 @@ class _Leg:
         frames: IntArray,
         angles: FloatArray,
     ) -> FloatArray:
-        """Return the squares of what limits take from hip and ankle [rad²]."""
+        """Return the squared limit violations of hip and ankle [rad²]."""
         rig, (thigh, _, foot, _) = self.target.rig, leg_of(self.target, self.side)
         both = rotations[0][frames], rotations[1][frames]
         first, second = swivelled(both, axis[frames], angles)
@@ -101,9 +101,9 @@ class _Leg:
         return total
 
     def sunk(self, hips: FloatArray, swivel: FloatArray) -> FloatArray:
-        """Return how far below its goal the ankle is for the hip's limits ``(F,)`` [m].
+        """Return how far hip limits put a planted ankle below its goal ``(F,)`` [m].
 
-        Where the foot stands, and 0 elsewhere.
+        It is 0 while the foot is in the air.
         """
         rig, (thigh, shin, foot, _) = self.target.rig, leg_of(self.target, self.side)
         limit = rig.joints[thigh].limits
@@ -131,13 +131,13 @@ def within_limits(
     placed: Placed,
     fps: float,
 ) -> tuple[FloatArray, list[FloatArray]]:
-    """Return where hips are ``(F, 3)`` [m], and how far knees go round [rad].
+    """Return hip positions ``(F, 3)`` [m] and knee swivels [rad] within joint limits.
 
     Args:
-        target: Whose legs they are.
+        target: The skeleton.
         sides: Of the legs.
         tracks: Of each leg.
-        placed: Where hips and feet are to be.
+        placed: Goals of hips and feet.
         fps: Frames a second.
     """
     legs = [

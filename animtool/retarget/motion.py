@@ -1,7 +1,7 @@
-"""Takes of one skeleton as takes of another.
+"""Retargeting of takes from one skeleton onto another.
 
-A take is gone through twice, so that a long one is never held whole: where its feet
-stand depends on all of it, and needs little of each frame; the joints follow then.
+A take is read twice, so that a long one is never fully in memory: foot contacts depend
+on all frames but need little data of each; the joints follow in the second pass.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ from animtool.rig.skeleton import Rig
 # Frames of a block: its arrays stay in the processor's cache. Blocks begin at the first
 # frame of a take, however it arrives.
 BLOCK = 1024
-# How often an ankle gives way at most, and what is left of it then, over the size of
+# Most iterations of ankle compliance, and the tolerated error over the size of
 # the skeleton: each time leaves about a tenth.
 TRIES, CONVERGED = 5, 1e-5
-# What moves by less than this share of the skeleton, or turns by about its root, in
-# radians, does not move [1].
+# Motions below this fraction of the skeleton, or rotations about its root, in
+# radians, count as static [1].
 STATIC = 1e-6
 # Numbers that differ by less are one but for rounding [1], [m].
 ROUNDING = 1e-13
@@ -75,14 +75,14 @@ class _Posed:
 
 
 class Retargeting:
-    """A take on its way to another rig.
+    """A take being retargeted onto another rig.
 
     Attributes:
         transfer: How the rig follows.
-        standing: Which feet stand, and when.
-        clamped: Joints that their limits held, in shares of the frames so far.
+        standing: Which feet are planted, and when.
+        clamped: Fraction of the frames so far in which limits clamp each joint.
         moving: Joints of the source that move.
-        longest: How far its joints get from their parents, at most ``(J,)`` [m].
+        longest: Largest distance of its joints from their parents ``(J,)`` [m].
         forced: Errors that are passed over on request.
     """
 
@@ -98,26 +98,26 @@ class Retargeting:
         hands: bool = False,
         props: Props | None = None,
     ) -> None:
-        """Go through a take for the first time.
+        """Read the take once: the first pass.
 
         Args:
             transfer: How the rig follows.
             joint_map: Which joints follow which.
             motions: Of the source, block by block.
             fps: Frames a second.
-            lock: Whether feet stay where they stand.
+            lock: Whether planted feet stay in place.
             same: Whether they do so on legs like those of the source, too; else such
                 legs move as the source's.
             hands: Whether hands keep their contacts.
-            props: Tracks of the take that they may hold.
+            props: Tracks of the take that hands may grip.
         """
         self.transfer, self._moves = transfer, False
-        # Errors that were passed over on request.
+        # Errors ignored on request.
         self.forced: list[Fault] = []
         self._start: tuple[FloatArray, FloatArray] | None = None
-        # Joints of the source that move.
+        # Moving joints of the source.
         self.moving: set[int] = set()
-        # How far its joints get from their parents, at most (J,) [m].
+        # Largest distance of its joints from their parents (J,) [m].
         self.longest: FloatArray = np.zeros(len(transfer.source.rig.joints))
         self._spool = Spool()
         self._stopped: list[dict[int, BoolArray]] = []
@@ -149,7 +149,7 @@ class Retargeting:
             fps,
             props.motions(transfer) if props is not None and arms else (),
         )
-        # How far props that hands hold are lifted (3,) [m].
+        # Offset of gripped props (3,) [m].
         self.lift = Floor.lift(floor, transfer.scale, up_index(transfer.target.rig))
         contacts = tuple(foot.contacts for foot in feet)
         self.standing = Standing(legs, contacts, placed, hand_goals)
@@ -160,7 +160,7 @@ class Retargeting:
     def _tracks(
         self, motions: Iterable[Motion], legs: str, arms: str
     ) -> tuple[list[LegTracks], list[ArmTracks]]:
-        """Go through a take; return what is needed of the legs and arms of sides."""
+        """Read the take; return the tracks of legs and arms on the given sides."""
         transfer = self.transfer
         tracks: list[list[LegTracks]] = []
         reaches: list[list[ArmTracks]] = []
@@ -198,7 +198,7 @@ class Retargeting:
         )
 
     def _note_moving(self, motion: Motion) -> None:
-        """Take the joints that leave where they are in the first frame."""
+        """Record the joints that move away from their first frame."""
         values = motion.translations.dense(), motion.rotations.dense()
         if self._start is None:
             self._start = values[0][0].copy(), values[1][0].copy()
@@ -216,10 +216,10 @@ class Retargeting:
         feet: Sequence[Foot],
         fps: float,
     ) -> Placed:
-        """Return feet that stay where they stand; hips and legs reach them."""
+        """Return planted feet, with hips and legs that reach them."""
         transfer = self.transfer
         up = up_index(transfer.target.rig)
-        # The ground of the source, scaled, is that of the target.
+        # The target's ground is the source's, scaled.
         off = [foot.height - transfer.scale * foot.contacts.ground for foot in feet]
         self._hips[:, up] += float(np.mean(off))
         placed = plant_feet(self._hips, feet, fps, up)
@@ -229,7 +229,7 @@ class Retargeting:
         return placed
 
     def _posed(self, motion: Motion, legs: str) -> _Posed:
-        """Return frames of the target whose joints follow those of the source."""
+        """Return target frames whose joints follow the source's."""
         transfer = self.transfer
         source, target = transfer.source, transfer.target
         local = motion.translations.dense(), motion.rotations.dense()
@@ -248,19 +248,19 @@ class Retargeting:
 
     @property
     def clamped(self) -> Mapping[int, float]:
-        """Joints that their limits held, in shares of the frames so far."""
+        """Joints stopped by their limits, as fractions of the frames so far."""
         return {j: count / self._frames for j, count in self._clamped_frames.items()}
 
     def report(self) -> RetargetReport:
-        """Return how well the frames so far fit."""
+        """Return the fit of the frames so far."""
         return self._meter.report(self.clamped)
 
     def verdict(self) -> Verdict:
-        """Return whether the frames so far can be used."""
+        """Return whether the frames so far are usable."""
         return self._meter.verdict(self.clamped, self.forced)
 
     def blocks(self) -> Iterator[Motion]:
-        """Yield the motion of the target; to be called once."""
+        """Yield the target's motion; call it once."""
         rig = self.transfer.target.rig
         first: tuple[FloatArray, FloatArray] | None = None
         signs: FloatArray | None = None
@@ -289,7 +289,7 @@ class Retargeting:
             first = (
                 (translations[0].copy(), local[0].copy()) if first is None else first
             )
-            # What moves by rounding alone does not move.
+            # Motion from rounding alone is removed.
             for values, start in zip((translations, local), first, strict=True):
                 static = np.abs(values - start) < ROUNDING
                 np.copyto(values, start, where=static)
@@ -299,7 +299,7 @@ class Retargeting:
             )
 
     def _channel(self, values: FloatArray, first: FloatArray) -> Channel:
-        """Return a channel whose joints all move, if any joint of the source does."""
+        """Return a channel with all joints animated if any source joint moves."""
         if not self._moves:
             return Channel.still(first, len(values))
         return Channel(first, np.arange(values.shape[1]), values)
@@ -307,7 +307,7 @@ class Retargeting:
     def _with_legs(
         self, rotations: LocalRotations, hips: FloatArray, about: FloatArray, begin: int
     ) -> LocalRotations:
-        """Return turns with legs that bring the feet to where they are placed."""
+        """Return rotations with legs that bring the feet to their placed positions."""
         target, placed = self.transfer.target, self.standing.placed
         if placed is None:
             return rotations
@@ -316,7 +316,7 @@ class Retargeting:
         rows = np.arange(len(hips))
         solved = self._solved(rotations, hips, about, goals, rows + begin)
         for _ in range(TRIES - 1):
-            # Where a limit stops the foot, the ankle gives way for the toe.
+            # If a limit stops the foot, the ankle yields so that the toe stays.
             most = np.zeros(len(rows))
             at = rows + begin
             for k, (_, _, foot, _) in enumerate(legs):
@@ -351,7 +351,7 @@ class Retargeting:
         goals: Sequence[FloatArray],
         frames: IntArray,
     ) -> LocalRotations:
-        """Return turns with legs whose ankles are at goals, and feet as they stand."""
+        """Return rotations with ankles at their goals and feet as placed."""
         target, placed = self.transfer.target, self.standing.placed
         assert placed is not None
         world = rotations.world.copy()
@@ -368,7 +368,7 @@ class Retargeting:
         return local_rotations(self.transfer, world, rotations, changed)
 
     def _with_arms(self, rotations: LocalRotations, begin: int) -> LocalRotations:
-        """Return turns with arms that bring the hands to what they hold."""
+        """Return rotations with arms that bring the hands to their contacts."""
         changed: set[int] = set()
         part, world = slice(begin, begin + len(rotations.world)), rotations.world.copy()
         for hand in self.standing.hands:
@@ -384,7 +384,7 @@ class Retargeting:
 
 
 def _floor(transfer: Transfer, feet: Sequence[Foot], *, placed: bool) -> Floor | None:
-    """Return how high ankles stand where feet are placed, or not; None without feet."""
+    """Return ankle heights on the ground; None without feet."""
     if not feet:
         return None
     ground = float(np.mean([foot.contacts.ground for foot in feet]))
@@ -396,14 +396,14 @@ Tracks = TypeVar("Tracks", LegTracks, ArmTracks)
 
 
 def joined(parts: list[Tracks]) -> Tracks:
-    """Return the tracks of consecutive frames as one."""
+    """Return blocks of consecutive frames as one set of tracks."""
     names = parts[0].__dataclass_fields__
     arrays = (np.concatenate([getattr(one, name) for one in parts]) for name in names)
     return type(parts[0])(*arrays)
 
 
 def in_blocks(motions: Iterable[Motion], size: int) -> Iterator[Motion]:
-    """Yield a motion in blocks of a size [frames], the last of what is left."""
+    """Yield a motion in blocks of a size [frames]; the last has the remainder."""
     buffered: list[Motion] = []
     count = 0
     for motion in motions:
@@ -422,7 +422,7 @@ def in_blocks(motions: Iterable[Motion], size: int) -> Iterator[Motion]:
 
 @dataclass(frozen=True, slots=True)
 class Retargeted:
-    """A take on another rig, and what became of it."""
+    """A retargeted take with its report."""
 
     take: Take
     transfer: Transfer
@@ -431,12 +431,12 @@ class Retargeted:
 
     @property
     def world(self) -> WorldTransforms:
-        """Where the joints of the target are."""
+        """World transforms of the target's joints."""
         return self.take.world()
 
 
 def limbs_of(skeleton: RoledSkeleton) -> set[int]:
-    """Return the joints that say where hips, legs and arms are."""
+    """Return the joints that determine hips, legs and arms."""
     joint_map = {max(skeleton.first("hips"), 0)}
     for side in "lr":
         joint_map.update(skeleton.leg(side) or (), arm_of(skeleton, side) or ())
@@ -452,7 +452,7 @@ def transfer_of(
     *,
     as_rig: bool = False,
 ) -> Transfer:
-    """Return how a rig follows another one.
+    """Return the transfer of poses from one rig to another.
 
     Args:
         source: The rig of the takes.
@@ -484,7 +484,7 @@ def retarget_take(
         joint_map: Which joints follow which.
         rest: Local turns of the source's joints in its rest pose ``(J, 4)``; None is
             that of its rig.
-        lock: Whether feet stay where they stand.
+        lock: Whether planted feet stay in place.
         hands: Whether hands keep their contacts.
     """
     transfer = transfer_of(take.rig, rig, joint_map, rest)

@@ -1,4 +1,4 @@
-"""Poses of a skeleton: turns in the world as local ones that its joints can have."""
+"""World rotations as local rotations that joint types and limits allow."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from animtool.retarget.transfer import Transfer, middle_of_hips
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Sines of a bend below and above which a limb is straight, and is not.
+# Sines of a bend below which a limb is straight, and above which it is bent.
 BENT = (0.05, 0.2)
-# Cosine from which on a pin's axis is along its bone, which it twists.
+# Cosine above which a pin's axis is along its bone, which it twists.
 ALONG = 0.9
-# Coordinates that are beyond their limits by less are within them, but for rounding.
+# Limit violations below this are rounding.
 LIMIT_ROUNDING = 1e-6
 
 
@@ -28,9 +28,9 @@ def about_hips(
     bones: FloatArray,
     joints: Collection[int],
 ) -> FloatArray:
-    """Return where joints are about the middle of the hips ``(F, K, 3)`` [m].
+    """Return joint positions relative to the hips' middle ``(F, K, 3)`` [m].
 
-    Of some joints and what they hang on; the others are left at the root.
+    Only the given joints and their ancestors are computed; the others stay at the root.
     """
     rig = target.rig
     positions = np.zeros((len(rotations), len(rig.joints), 3))
@@ -46,10 +46,10 @@ def about_hips(
 
 
 def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
-    """Return turns where what bends at a pin is across its axis ``(F, K, 4)``.
+    """Return rotations with limbs bent across their pin's axis ``(F, K, 4)``.
 
-    The joint above twists about its own bone, so that the bone below the pin points
-    where it did; a straight limb does not say how, and keeps its twist.
+    The joint above twists about its bone, so that the bone below the pin keeps its
+    direction; a straight limb keeps its twist.
     """
     target, adjusted = transfer.target, rotations
     rig = target.rig
@@ -57,7 +57,7 @@ def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
         parent = int(rig.parents[j])
         if joint.type is not JointType.PIN or parent < 0:
             continue
-        # Who follows nobody rests.
+        # Joints that follow none rest.
         if rig.joints[parent].type is not JointType.BALL or transfer.follows[j] < 0:
             continue
         bone = target.bone(j)
@@ -71,7 +71,7 @@ def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
         normal = np.cross(upper, direction)
         sine = np.linalg.norm(normal, axis=1)
         normal = normal / np.maximum(sine, 1e-12)[:, None]
-        # It bends the way that its limits let it, or else that is nearer to the axis.
+        # It bends as its limits allow, or else towards the axis.
         side = np.where((normal * axis).sum(axis=1) < 0, -1.0, 1.0)[:, None]
         if isinstance(joint.limits, RangeLimit):
             side = np.full_like(side, _bends(joint.limits))
@@ -88,7 +88,7 @@ def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
 
 
 def _bends(limits: RangeLimit) -> float:
-    """Return which way a pin bends: 1 for angles above 0, -1 for those below."""
+    """Return the bending direction of a pin: 1 for positive angles, -1 for negative."""
     return 1.0 if limits.low + limits.high >= 0 else -1.0
 
 
@@ -99,19 +99,19 @@ def _unit(vector: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class LocalRotations:
-    """Turns that joints can have."""
+    """Rotations that the joints allow."""
 
     local: FloatArray  # (F, K, 4)
-    world: FloatArray  # what these make (F, K, 4)
-    clamped: dict[int, BoolArray]  # joints that limits hold anywhere, and when (F,)
+    world: FloatArray  # the same in the world (F, K, 4)
+    clamped: dict[int, BoolArray]  # joints that limits clamp, and when (F,)
 
     def rows(self, frames: IntArray) -> LocalRotations:
-        """Return those of some frames."""
+        """Return the rotations of some frames."""
         clamped = {j: mask[frames] for j, mask in self.clamped.items()}
         return LocalRotations(self.local[frames], self.world[frames], clamped)
 
     def set_rows(self, frames: IntArray, other: LocalRotations) -> None:
-        """Change those of some frames."""
+        """Replace the rotations of some frames."""
         self.local[frames], self.world[frames] = other.local, other.world
         for j in {*self.clamped, *other.clamped}:
             mask = self.clamped.setdefault(j, np.zeros(len(self.local), np.bool_))
@@ -124,16 +124,16 @@ def local_rotations(
     known: LocalRotations | None = None,
     changed: Collection[int] = (),
 ) -> LocalRotations:
-    """Return local turns within limits of those in the world ``(F, K, 4)``.
+    """Return local rotations within limits, from world rotations ``(F, K, 4)``.
 
-    What a limit takes from a joint, the joints below it make up for; who follows
-    nobody rests.
+    Joints below compensate for what a limit takes from a joint; joints that follow none
+    stay at rest.
 
     Args:
         transfer: How the target follows.
         rotations: Of its joints in the world.
-        known: Those of other turns, of which only some joints are to be changed.
-        changed: These joints; what is below them changes as well.
+        known: Rotations of which only some joints are recomputed.
+        changed: These joints; joints below them change as well.
     """
     target = transfer.target
     rig = target.rig
@@ -171,7 +171,7 @@ def local_rotations(
 
 
 def _twisted(target: RoledSkeleton, j: int) -> int:
-    """Return the joint whose twist a pin along its bone has; -1 where it is no such."""
+    """Return the joint whose twist a pin along its bone carries; -1 for other pins."""
     joint, rig = target.rig.joints[j], target.rig
     if joint.type is not JointType.PIN:
         return -1
@@ -186,7 +186,7 @@ def _twisted(target: RoledSkeleton, j: int) -> int:
 def _within(
     joint: Joint, rest: FloatArray, local: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return local turns that a joint can have ``(F, 4)``, and where limits stop it."""
+    """Return allowed local rotations ``(F, 4)``, and where limits clamp them."""
     free = np.zeros(len(local), np.bool_)
     limits = joint.limits
     if joint.type is JointType.FREE or (
@@ -209,7 +209,7 @@ def _within(
 
 
 def world_rotations(rig: Rig, local: FloatArray) -> FloatArray:
-    """Return turns in the world of local ones, both ``(F, K, 4)``."""
+    """Return world rotations from local ones, both ``(F, K, 4)``."""
     world = local.copy()
     for j, parent in enumerate(rig.parents.tolist()):
         if parent >= 0:
@@ -220,12 +220,12 @@ def world_rotations(rig: Rig, local: FloatArray) -> FloatArray:
 def distribute_twist(
     transfer: Transfer, local: FloatArray, before: FloatArray | None
 ) -> FloatArray:
-    """Give twist joints their share of the turn of the joint at the bone's end.
+    """Give twist joints their fraction of the twist at the bone's end.
 
     Args:
         transfer: How the target follows.
-        local: Turns ``(F, K, 4)``, changed.
-        before: The angles of the frame before ``(T,)`` [rad], which these go on from;
+        local: Local rotations ``(F, K, 4)``, changed in place.
+        before: Angles of the frame before ``(T,)`` [rad], for continuity;
             None at the beginning of a take.
 
     Returns:
@@ -260,9 +260,9 @@ def root_translations(
     """Return the joint that moves the hips, and its local translations ``(F, 3)`` [m].
 
     Args:
-        target: Whose hips they are.
+        target: The skeleton.
         hips: The middle between the thighs ``(F, 3)`` [m].
-        rotations: Of all joints in the world ``(F, K, 4)``.
+        rotations: World rotations of all joints ``(F, K, 4)``.
         bones: Local translations ``(F or 1, K, 3)`` [m].
         about: Joints about the middle of the hips ``(F, K, 3)`` [m].
     """

@@ -1,4 +1,4 @@
-"""Props of a take that hands hold: where they are, and where they go with the rig."""
+"""Props held by hands: their motion, and how they follow the retargeted hands."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.transforms import Track, Transforms, turned_track
 from animtool.retarget.transfer import Transfer
 
-# A hand holds what goes with it: its place changes less than this share of an arm a
-# second, seen from the prop.
+# A hand grips a prop in whose frame it moves by less than this fraction of an arm a
+# second,
 STEADY = 0.25
-# And is nearer to its origin than this many arms.
+# and is nearer to its origin than this many arms.
 NEAR = 1.5
-# What is held is carried: it goes further than this share of an arm.
+# A gripped prop moves farther than this fraction of an arm.
 TAKEN_ALONG = 0.1
-# Speeds are those of ways smoothed by a Gaussian of this width [s].
+# Gaussian width of smoothing before speeds are taken [s].
 SMOOTH = 0.03
 
 
 @dataclass(frozen=True, slots=True)
 class PropMotion:
-    """Where a prop is in all frames, in the target's axes."""
+    """Motion of a prop in the target's axes, in all frames."""
 
     track: int  # which of the take's it is
     positions: FloatArray  # (F, 3) [m]
     rotations: FloatArray  # (F, 4)
 
     def gripped_by(self, wrist: FloatArray, arm: float, fps: float) -> BoolArray:
-        """Return when a hand holds it ``(F,)``.
+        """Return when a hand grips the prop ``(F,)``.
 
         Args:
             wrist: Of the source ``(F, 3)`` [m].
@@ -56,26 +56,26 @@ class PropMotion:
         return gripped
 
     def in_prop_frame(self, points: FloatArray) -> FloatArray:
-        """Return points in the prop's own frame ``(F, 3)`` [m]."""
+        """Return points in the prop's frame ``(F, 3)`` [m]."""
         return so3.rotate(so3.conjugate(self.rotations), points - self.positions)
 
 
 class Props:
-    """The tracks of a take, with what its frames show of them."""
+    """The tracks of a take, and the times at which its frames show them."""
 
     def __init__(self, tracks: Sequence[Track]) -> None:
         self.tracks = tuple(tracks)
         self._times: list[Channel] = []
 
     def noting(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
-        """Yield blocks, and note which times of the tracks they show."""
+        """Yield blocks, recording the track times they show."""
         for block in blocks:
             assert block.track_times is not None
             self._times.append(block.track_times)
             yield block
 
     def motions(self, transfer: Transfer) -> list[PropMotion]:
-        """Return where those are that move, once all frames were read."""
+        """Return the motion of props that move; call it after all frames were read."""
         times = Channel.concatenate(self._times).dense()[..., 0]
         motions = []
         for i, track in enumerate(self.tracks):
@@ -87,12 +87,12 @@ class Props:
     def with_gripped(
         self, gripped: set[int], transfer: Transfer, lift: FloatArray
     ) -> tuple[Track, ...]:
-        """Return the tracks, of which those that hands hold go with the target.
+        """Return the tracks, with gripped props scaled to follow the target.
 
         Args:
-            gripped: Which they are.
+            gripped: Indices of the gripped tracks.
             transfer: How the target follows.
-            lift: By how much its ground is higher ``(3,)`` [m].
+            lift: Offset of the target's ground ``(3,)`` [m].
         """
         return tuple(
             _scaled(turned_track(track, transfer.upright), transfer.scale, lift)
@@ -103,7 +103,7 @@ class Props:
 
 
 def _scaled(track: Track, scale: float, lift: FloatArray) -> Track:
-    """Return a track whose way is scaled, and its size is not."""
+    """Return a track with its path scaled and its size unchanged."""
 
     def sample(times: FloatArray) -> Transforms:
         sampled = track.sample(times)

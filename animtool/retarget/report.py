@@ -1,4 +1,4 @@
-"""How well a take fits the skeleton that it was brought onto."""
+"""Fit report: how well a take fits the rig it was retargeted onto."""
 
 from __future__ import annotations
 
@@ -34,67 +34,67 @@ BONES = {
 
 ARM = ("upper_arm", "forearm", "hand")
 
-# The most that a good take has; above these a viewer sees it, or the map is wrong.
+# Largest values of a good take; above, viewers notice or the map is wrong.
 MAX_DRIFT = 1e-3  # [m]
 MAX_SOLE_ERROR = 1e-3  # [m]
 MAX_REACH_ERROR = 0.01  # of the arm
 MAX_ANGLE = np.radians(3.0)  # [rad]
 MAX_ACCELERATION = 1.25  # of the source's
 MAX_CLAMPED = 0.05  # of frames
-# A heel that is farther from where it is placed has given way, over the size [1].
+# A heel farther from its goal than this has yielded, over the size [1].
 YIELDED_HEEL = 1e-4
 MAX_UNMAPPED = 0.2  # of the source's joints
 
 
 @dataclass(frozen=True, slots=True)
 class RetargetReport:
-    """How well a take fits its rig; a score of what there is none of is NaN."""
+    """How well a take fits its rig; a score without data is NaN."""
 
     frames: int
     scale: float  # lengths of the target's legs over those of the source's
     pairs: int  # joints that follow one of the source
-    contacts: float  # share of frames in which a foot stands
-    # How far what stands goes from the middle of where it stands [m].
+    contacts: float  # fraction of frames in which a foot is planted
+    # Distance of planted feet from the middle of their contact [m].
     drift_mean: float
     drift_max: float
     source_drift_max: float  # of the source, scaled
-    sole_error: float  # of the height of what stands, at most [m]
-    penetration: float  # how far soles come below where they stand, at most [m]
+    sole_error: float  # largest height error of planted feet [m]
+    penetration: float  # deepest sole below its planted height [m]
     # Of the distance of hands from shoulders, over the length of the arms, at most.
     reach_error: float
     # How far hands that hold each other, or stand, are from where they are to be, at
     # most [m].
     hand_error: float
-    # Between bones of both, feet that stand apart [rad].
+    # Between bones of both, without planted feet [rad].
     bone_angle_mean: float
     bone_angle_max: float
     # The largest acceleration over that of the source, scaled as legs are, or as the
     # way from the hips to the joint where that is more.
     acceleration: float
-    lowered: float  # how far the hips came down so that legs reach, at most [m]
-    held: Mapping[str, float]  # share of frames in which limits stop a joint
-    held_mean: float  # of that, over the paired joints but for fingers
+    lowered: float  # most that the hips sank so that legs reach [m]
+    held: Mapping[str, float]  # fraction of frames in which limits stop a joint
+    held_mean: float  # its mean over the paired joints without fingers
     unmapped_source: tuple[str, ...]
     unmapped_target: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Which feet stand, and when."""
+    """Which feet and hands are in contact, and when."""
 
     sides: str  # of the legs that both skeletons have, such as "lr"
     contacts: Sequence[FootContacts]  # of each
-    placed: Placed | None  # None where feet are not held
+    placed: Placed | None  # None if feet are not planted
     hands: Sequence[HandContact] = ()  # that keep their contacts
 
 
 class FitMeter:
-    """How well a take fits, gathered block by block.
+    """Accumulates the fit of a take, block by block.
 
     Args:
         transfer: How the rig follows.
         found: Which joints follow which.
-        standing: Which feet stand, of all frames.
+        standing: Which feet are planted, in all frames.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class FitMeter:
     def add(
         self, begin: int, world: WorldTransforms, source: FloatArray, balls: FloatArray
     ) -> None:
-        """Take the frames that come next.
+        """Add the next block of frames.
 
         Args:
             begin: The first of them.
@@ -177,7 +177,7 @@ class FitMeter:
     def _both(
         self, target: FloatArray, source: FloatArray
     ) -> list[tuple[RoledSkeleton, FloatArray, float]]:
-        """Return both skeletons with where they are, and what scales them."""
+        """Return both skeletons with their positions and scale factors."""
         transfer = self._transfer
         return [
             (transfer.target, target, 1.0),
@@ -185,7 +185,7 @@ class FitMeter:
         ]
 
     def _add_angles(self, part: slice, target: FloatArray, source: FloatArray) -> None:
-        """Take angles between bones of both, legs that stand left out."""
+        """Add angles between bones of both skeletons; planted legs are left out."""
         standing = self._standing
         total, count, most = self._angles
         bends, counts = np.zeros((2, len(target)))
@@ -216,7 +216,7 @@ class FitMeter:
         self._note("limbs", bends / np.maximum(counts, 1))
 
     def _raised(self, k: int, ankle: FloatArray) -> BoolArray:
-        """Return where a limit raises a heel about its toe, which stands ``(F,)``."""
+        """Return where limits lift a heel whose toe is planted ``(F,)``."""
         placed, contacts = self._standing.placed, self._standing.contacts[k]
         if placed is None or not contacts.toe.any():
             return np.zeros(len(ankle), np.bool_)
@@ -226,18 +226,18 @@ class FitMeter:
         )
 
     def _keep_worst(self, score: str, values: FloatArray) -> None:
-        """Take values of all frames; the worst of several counts."""
+        """Add per-frame values of a score; the worst of several is kept."""
         before = self._worst.get(score)
         self._worst[score] = values if before is None else np.fmax(before, values)
 
     def verdict(
         self, clamped: Mapping[int, float], forced: Sequence[Fault] = ()
     ) -> Verdict:
-        """Return whether the frames so far can be used; see `report`.
+        """Return whether the frames so far are usable; see `report`.
 
         Args:
-            clamped: Joints that limits held, in shares of the frames.
-            forced: Errors that were passed over on request.
+            clamped: Fraction of frames in which limits clamp each joint.
+            forced: Errors ignored on request.
         """
         report = self.report(clamped)
         values = {
@@ -251,10 +251,10 @@ class FitMeter:
         return verdict_of(scores_of(report), values, least, forced)
 
     def report(self, clamped: Mapping[int, float]) -> RetargetReport:
-        """Return how well the frames so far fit.
+        """Return the fit of the frames so far.
 
         Args:
-            clamped: Joints that limits held, in shares of the frames.
+            clamped: Fraction of frames in which limits clamp each joint.
         """
         transfer, joint_map, standing = self._transfer, self._joint_map, self._standing
         self._worst.clear()
@@ -317,7 +317,7 @@ class FitMeter:
 
 
 def scores_of(report: RetargetReport) -> PassScores:
-    """Return the numbers by which takes are compared, and the joints they concern."""
+    """Return the scores by which takes are compared, and the joints they concern."""
     length, fraction = ScoreUnit.LENGTH, ScoreUnit.SHARE
     lost, stopped = len(report.unmapped_source), report.held_mean
     values = (
@@ -341,16 +341,16 @@ def scores_of(report: RetargetReport) -> PassScores:
 
 
 def _mean_clamped(joint_map: JointMap, clamped: Mapping[int, float]) -> float:
-    """Return the mean share of frames in which limits stop a joint, without fingers."""
+    """Return the mean fraction of frames with a clamped joint, without fingers."""
     fingers = {*FINGERS, MITTEN}
     joints = [p.target for p in joint_map.pairs if base_role(p.role) not in fingers]
     return sum(clamped.get(j, 0.0) for j in joints) / max(len(joints), 1)
 
 
 def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
-    """Return distances on the ground from the middle of each contact ``(F,)`` [m].
+    """Return ground distances from the middle of each contact ``(F,)`` [m].
 
-    NaN where nothing stands.
+    NaN while nothing is planted.
     """
     flat = [k for k in range(3) if k != up]
     drift = np.full(len(points), math.nan)
@@ -363,9 +363,9 @@ def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
 def _reach_errors(
     both: Sequence[tuple[RoledSkeleton, FloatArray, float]],
 ) -> FloatArray:
-    """Return how far the share of the arm that a hand is off differs ``(F,)``.
+    """Return how much relative hand distance from the shoulder differs ``(F,)``.
 
-    NaN where there is no pair of arms.
+    NaN without a pair of arms.
     """
     worst = np.full(len(both[0][1]), math.nan)
     for side in "lr":

@@ -1,4 +1,4 @@
-"""A skeleton as a person: where its joints rest, and which are its limbs."""
+"""A skeleton with roles: rest positions and rotations, and its limbs."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from animtool.retarget.roles import base_role
 from animtool.rig.kinematics import forward, rest_world
 from animtool.rig.skeleton import Rig
 
-# Bones shorter than this share of the skeleton have no direction [1].
+# Bones shorter than this fraction of the skeleton have no direction [1].
 NO_BONE = 1e-4
-# What leads from a joint of a role to where its bone ends.
+# Role at the end of each role's bone.
 _NEXT = {
     "upper_arm": "forearm",
     "forearm": "hand",
@@ -30,26 +30,26 @@ _NEXT = {
 class Ball:
     """The point that a foot rolls over."""
 
-    joint: int  # the toe that begins there; -1 where no joint does
+    joint: int  # the toe that begins there; -1 for none
     offset: FloatArray  # from the ankle, in the frame of the foot (3,) [m]
 
 
 @dataclass(frozen=True, slots=True)
 class RoledSkeleton:
-    """A skeleton at rest, with the joints of its roles."""
+    """A skeleton at rest, with the role of each joint."""
 
     rig: Rig
     roles: tuple[str, ...]  # of each joint (J,)
     positions: FloatArray  # at rest (J, 3) [m]
     rotations: FloatArray  # at rest, in the world (J, 4)
-    # Where its feet roll, by side; of a skeleton beside another one.
+    # Balls of its feet by side, for a pair of skeletons.
     balls: Mapping[str, Ball] = field(default_factory=dict)
 
     @staticmethod
     def of(
         rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None
     ) -> RoledSkeleton:
-        """Return a skeleton; ``pose``: local rotations ``(J, 4)`` in place of rest."""
+        """Return a skeleton; ``pose``: local rotations ``(J, 4)`` that replace rest."""
         if pose is None:
             rest = rest_world(rig)
         else:
@@ -65,7 +65,10 @@ class RoledSkeleton:
         return self.roles.index(role) if role in self.roles else -1
 
     def bone(self, joint: int) -> FloatArray | None:
-        """Return the unit direction of a joint's bone at rest ``(3,)``, if any."""
+        """Return the rest direction of a joint's bone, a unit vector ``(3,)``.
+
+        None for a joint without a bone.
+        """
         end, role = -1, self.roles[joint]
         side, base = role[len(base_role(role)) :], base_role(role)
         if base in _NEXT:
@@ -83,23 +86,23 @@ class RoledSkeleton:
         return np.asarray(bone / np.linalg.norm(bone))
 
     def offset(self, joint: int, below: int) -> FloatArray:
-        """Return where a joint below another is at rest, in its frame ``(3,)`` [m]."""
+        """Return a joint's rest offset from one above, in its frame ``(3,)`` [m]."""
         offset = self.positions[below] - self.positions[joint]
         return so3.rotate(so3.conjugate(self.rotations[joint]), offset)
 
     def separate(self, joint: int, other: int) -> bool:
-        """Return whether two joints are not at one place at rest."""
+        """Return whether two joints are at distinct positions at rest."""
         offset = self.positions[other] - self.positions[joint]
         return float(np.linalg.norm(offset)) > NO_BONE * self.size
 
     @property
     def size(self) -> float:
-        """How far the joints reach [m]."""
+        """The largest extent of the joints [m]."""
         return float(np.ptp(self.positions, axis=0).max())
 
     @property
     def path_lengths(self) -> FloatArray:
-        """Lengths of all bones from the hips to each joint at rest ``(J,)`` [m]."""
+        """Rest length of the path from the hips to each joint ``(J,)`` [m]."""
         lengths = np.zeros(len(self.rig.joints))
         hips = self.first("hips")
         for j, parent in enumerate(self.rig.parents.tolist()):
@@ -110,7 +113,7 @@ class RoledSkeleton:
 
     @property
     def facing(self) -> FloatArray | None:
-        """Left, up and forward of a person who stands, rows ``(3, 3)``, if known."""
+        """Left, up and forward of the upright body, rows ``(3, 3)``, if known."""
         directions = []
         for pair in (("thigh_l", "thigh_r"), ("upper_arm_l", "upper_arm_r")):
             left, right = map(self.first, pair)

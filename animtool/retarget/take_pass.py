@@ -1,4 +1,4 @@
-"""The pass ``retarget``: a take brought onto another rig."""
+"""The pass ``retarget``: takes onto another rig."""
 
 from __future__ import annotations
 
@@ -55,24 +55,24 @@ from animtool.rig.kinematics import forward
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
-# Whether enough of a take is paired for its motion to be that of the rig.
+# Thresholds for how much of a take has to be paired.
 
-# Bones that a whole limb has.
+# Bones of a complete limb.
 LIMBS = {"arm": ("upper_arm", "forearm", "hand"), "leg": ("thigh", "shin", "foot")}
-# Least share of the joints that move in a take that are paired [1].
+# Least fraction of a take's moving joints that are paired [1].
 PAIRED = 1 / 3
-# Joints that say nothing of how a body moves: some takes have hundreds of them.
+# Joints irrelevant to body motion: some takes have hundreds of them.
 _DETAIL = {*FINGERS, MITTEN, "toe", "jaw", "eye", TWIST, END, CONTROL}
 _ENDS = {"head", "hand", "foot"}
 MAX_NAMED = 6
-# Share of its length at rest that a bone keeps at most that has none [1].
+# A bone shorter than this fraction of its rest length has no length [1].
 NO_LENGTH = 1e-4
 
 
 def lacking_pairs(
     source: Rig, joint_map: JointMap, follows: IntArray, moving: Collection[int]
 ) -> Fault | None:
-    """Return why a take does not fit a rig (MAP010); None where it does.
+    """Return why too little of a take is mapped to its rig (MAP010); None if enough is.
 
     Args:
         source: The skeleton of the take, of J joints.
@@ -110,7 +110,7 @@ def collapsed(source: Rig, joint_map: JointMap, longest: FloatArray) -> Fault | 
     Args:
         source: The skeleton of the take, of J joints.
         joint_map: Which joints follow which.
-        longest: How far its joints get from their parents, at most ``(J,)`` [m].
+        longest: Largest distance of its joints from their parents ``(J,)`` [m].
     """
     roles = joint_map.source.roles
     lengths = np.linalg.norm(source.rest_translations, axis=1)
@@ -141,7 +141,7 @@ def collapsed(source: Rig, joint_map: JointMap, longest: FloatArray) -> Fault | 
 
 
 def nothing_paired(source: Rig, roles: tuple[str, ...], target: Rig) -> Fault | None:
-    """Return that nothing of a body is paired (MAP010); None for what is no body."""
+    """Return the fault that no body joint is paired (MAP010); None for non-bodies."""
     limbs = _limbs(roles)
     if not limbs:
         return None
@@ -151,7 +151,7 @@ def nothing_paired(source: Rig, roles: tuple[str, ...], target: Rig) -> Fault | 
 
 
 def _limbs(roles: tuple[str, ...]) -> dict[str, list[int]]:
-    """Return the joints of the limbs that a skeleton has whole, by name."""
+    """Return the joints of a skeleton's complete limbs, by name."""
     limbs = {}
     for name, bones in LIMBS.items():
         for side, text in (("l", "left"), ("r", "right")):
@@ -176,7 +176,7 @@ def _body(rig: Rig, roles: tuple[str, ...]) -> list[int]:
 class RetargetPassOptions:
     """The rig that the take goes onto, and the options of `RetargetOptions`."""
 
-    rig: Path | None = None  # the file of the rig
+    rig: Path | None = None  # the rig file
 
 
 def onto_rig(
@@ -187,17 +187,17 @@ def onto_rig(
     same: bool = False,
     props: Props | None = None,
 ) -> tuple[Retargeting, JointMap, list[Fault]]:
-    """Return a take on its way to another rig, the map of joints, and what is odd.
+    """Return a retargeting of a take, the joint map, and warnings.
 
     Args:
         stream: The take.
         rig: The rig that it goes onto.
         options: How.
         same: Whether feet are held on legs like those of the source, too.
-        props: Tracks of the take that hands may hold.
+        props: Tracks of the take that hands may grip.
 
     Raises:
-        FormatError: The map file cannot be read, or names joints that neither has; or
+        FormatError: The map file cannot be read, or names an unknown joint; or
             too little is paired (MAP010), or limbs have no length (MAP011).
         OptionError: Nothing maps (MAP004), or the rest frame is none of the take's
             (MAP006).
@@ -209,7 +209,7 @@ def onto_rig(
     first = next(blocks)
     joint_map = _paired(stream.rig, rig, options, _positions(stream.rig, first, rest))
     notices = list(joint_map.notices)
-    # How a stage turns its character is part of the motion, and not of how it rests.
+    # A stage's rotation of its character is motion, not part of its rest pose.
     source = at_origin(stream.rig)
     stands = None
     if stream.details.get("up_choice") != "stated":
@@ -260,7 +260,7 @@ def onto_rig(
 def _paired(
     source: Rig, target: Rig, options: RetargetOptions, positions: FloatArray
 ) -> JointMap:
-    """Return which joints follow which; ``positions``: of the source's ``(J, 3)``."""
+    """Return the joint map; ``positions``: of the source's joints ``(J, 3)``."""
     try:
         return map_joints(
             source,
@@ -283,7 +283,7 @@ def _paired(
 def _rest(
     blocks: Iterator[Motion], frame: int | None
 ) -> tuple[FloatArray | None, Iterator[Motion]]:
-    """Return local turns of the frame that is the rest pose ``(J, 4)``, and all blocks.
+    """Return local rotations of the rest frame ``(J, 4)``, and all blocks.
 
     Raises:
         OptionError: There is no such frame (MAP006).
@@ -302,22 +302,22 @@ def _rest(
 
 
 def _positions(rig: Rig, first: Motion, rest: FloatArray | None) -> FloatArray:
-    """Return where joints are in a pose of a person who stands ``(J, 3)`` [m].
+    """Return joint positions in a standing pose ``(J, 3)`` [m].
 
-    That of the rest pose, or of the first frame: of a skeleton that has none.
+    That of the rest pose, or of the first frame if the skeleton has no rest pose.
     """
     start = first.select(slice(0, 1))
     rotations = start.rotations.dense() if rest is None else rest[None]
     return np.asarray(forward(rig, start.translations.dense(), rotations).positions[0])
 
 
-# Between these a person, a child, a giant and a doll stand; beyond them it is rather a
-# unit that is wrong, of which the smallest step but one is 10.
+# Size ratios that a child, a giant or a doll explains; beyond them it is rather a
+# wrong unit, the smallest of which but one is a factor of 10.
 LIKELY_SCALES = (1 / 9, 9.0)
 
 
 def _scale_warnings(scale: float) -> list[Fault]:
-    """Return a warning of a rig that is of another order of size than the take."""
+    """Return a warning if rig and take differ in size by an order of magnitude."""
     low, high = LIKELY_SCALES
     if low <= scale <= high:
         return []
@@ -337,7 +337,7 @@ def _named_rig(options: RetargetPassOptions) -> Path:
 
 
 def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
-    # The take says where it goes, and not the stage that has the rig.
+    # The take determines root motion, not the rig's stage.
     rig = at_origin(Rig.load(context.folder / _named_rig(options)))
     names = RetargetOptions.__dataclass_fields__
     settings = RetargetOptions(**{name: getattr(options, name) for name in names})
@@ -346,7 +346,7 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     props = Props(stream.tracks) if stream.tracks and settings.hold_hands else None
     if props is not None:
         stream = replace(stream, blocks=props.noting(stream.blocks))
-    # What is beside the rig passes by; frames stay as they are.
+    # Other tracks pass through; frames stay unchanged.
     beyond = PassthroughTracks(stream) if stream.tracks else None
     source = stream if beyond is None else beyond.stream
     retargeting, _, notices = onto_rig(source, rig, settings, props=props)
@@ -367,7 +367,7 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
 def _scored(
     retargeting: Retargeting, blocks: Iterator[Motion], context: PassContext
 ) -> Iterator[Motion]:
-    """Yield the motion of the target, and say how well it fits at the end."""
+    """Yield the target's motion; report the fit at the end."""
     yield from blocks
     context.scores.append(scores_of(retargeting.report()))
 
@@ -378,9 +378,9 @@ def checked_blocks(
     notices: list[Fault],
     path: Path | None = None,
 ) -> Iterator[Motion]:
-    """Yield the motion of the target, and at the end add warnings of bad scores.
+    """Yield the target's motion; add warnings of bad scores at the end.
 
-    path: the file that they are located at.
+    path: the file that the warnings refer to.
     """
     yield from retargeting.blocks()
     if options.warn_above is None:
@@ -396,7 +396,7 @@ def checked_blocks(
 
 
 def _check_bound(options: Any) -> None:
-    """Refuse a bound of scores that is none (CAP001)."""
+    """Refuse an invalid score bound (CAP001)."""
     bound = options.warn_above
     if bound is not None and not 0 <= bound < np.inf:
         message = f"warn_above must be finite and 0 or more, not {bound:g}"
@@ -424,17 +424,17 @@ PASS = Pass(
 
 @dataclass(frozen=True, slots=True)
 class FeetOptions:
-    """What feet are told by.
+    """How feet are identified.
 
     Attributes:
-        map: A map file that says which joints are legs and feet; None finds them.
+        map: A map file that names leg and foot joints; None detects them.
     """
 
     map: Path | None = None
 
 
 def nobody(error: OptionError) -> Fault:
-    """Return a warning that a take is of no person, where that is what is wrong."""
+    """Return a warning that a take has no body, if that is the cause of an error."""
     if error.code != "MAP004":
         raise error
     message = "no person was recognised in the take: it is unchanged"
@@ -443,7 +443,7 @@ def nobody(error: OptionError) -> Fault:
 
 
 def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
-    """Return a take whose feet stay where they stand; its legs and hips move for it."""
+    """Return a take with planted feet locked in place; legs and hips adapt."""
     path = None if options.map is None else context.folder / options.map
     settings = RetargetOptions(map=path)
     try:

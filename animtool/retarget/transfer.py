@@ -1,4 +1,4 @@
-"""Poses of one skeleton as those of another: turns in the world, and the root's way."""
+"""Transfer of poses between skeletons: world rotations and root motion."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from animtool.retarget.roles import base_role
 from animtool.retarget.standing import STANDS
 from animtool.rig.skeleton import Rig
 
-# Roles whose bones point the way that those of the source do, however they rest.
+# Roles whose bones point along the source's, whatever their rest pose.
 _POINTING = {"upper_arm", "forearm", "hand", "thigh", "shin"}
-# Joints that leave their rest by less, over the skeleton, do by rounding alone [1].
+# Deviations from rest below this, over the skeleton, are rounding [1].
 NO_MOVE = 1e-9
-# Bones whose lengths differ by less, over the leg, are alike [1].
+# Bones with lengths that differ by less, over the leg, are equal [1].
 EQUAL_LENGTHS = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Transfer:
-    """How a skeleton follows another one."""
+    """The transfer of poses from one skeleton to another."""
 
     source: RoledSkeleton
     target: RoledSkeleton
-    # From the world of the source to that of the target: its up axis (4,).
+    # Rotation from the source's up axis to the target's (4,).
     upright: FloatArray
     # Lengths of the target over those of the source.
     scale: float
-    # Of each joint of the target (K,): which of the source it follows, -1 for none;
-    # and which is next in its chain, with the share of that.
+    # For each target joint (K,): the source joint it follows, -1 for none;
+    # and the next in its chain, with its weight.
     follows: IntArray
     after: IntArray
     fraction: FloatArray
-    # Turns of the target in the world where the source rests (K, 4).
+    # World rotations of the target at the source's rest pose (K, 4).
     aligned: FloatArray
     twists: Sequence[tuple[int, int, int, float]] = field(default=())
 
@@ -53,9 +53,9 @@ class Transfer:
         *,
         as_rig: bool = False,
     ) -> Transfer:
-        """Return how the joints of a map follow.
+        """Return the transfer for a joint map.
 
-        ``as_rig``: whether the source rests as the target does.
+        ``as_rig``: whether the source's rest pose equals the target's.
         """
         balls = balls_of(source, target), balls_of(target, source)
         source = replace(source, balls=balls[0])
@@ -95,12 +95,12 @@ class Transfer:
 
     @property
     def similar_legs(self) -> bool:
-        """Whether legs and feet of both are the same but for their size."""
+        """Whether legs and feet of both skeletons are the same up to scale."""
         sides = [s for s in "lr" if self.target.leg(s) and self.source.leg(s)]
         both = self.target, self.source
         for side in sides:
             balls = [each.balls.get(side) for each in both]
-            # Feet with other toes roll otherwise, though they are as long.
+            # Feet with other toes roll differently, even if they are as long.
             if len({ball is not None and ball.joint >= 0 for ball in balls}) > 1:
                 return False
             bones = [each.leg_bones(side) for each in both]
@@ -112,12 +112,12 @@ class Transfer:
         return bool(sides)
 
     def rotations(self, world: FloatArray) -> FloatArray:
-        """Return turns of the target in the world ``(F, K, 4)``.
+        """Return world rotations of the target ``(F, K, 4)``.
 
         Args:
-            world: Turns of the source ``(F, J, 4)``.
+            world: World rotations of the source ``(F, J, 4)``.
 
-        Joints that follow none are as their parents carry them.
+        Joints that follow none move with their parents.
         """
         rig = self.target.rig
         changed = so3.multiply(world, so3.conjugate(self.source.rotations))
@@ -145,13 +145,13 @@ class Transfer:
     ) -> FloatArray:
         """Return local translations of the target ``(F, K, 3)`` [m].
 
-        Those of rest, and by how much the source's leave its own, scaled; ``(1, K, 3)``
-        where they never do.
+        The rest translations plus the source's deviations from its own rest, scaled;
+        ``(1, K, 3)`` if there are none.
 
         Args:
-            world: Turns of the source ``(F, J, 4)``.
+            world: World rotations of the source ``(F, J, 4)``.
             translations: Local, of the source ``(F, J, 3)`` [m].
-            rotations: Of the target in the world ``(F, K, 4)``.
+            rotations: World rotations of the target ``(F, K, 4)``.
         """
         ours, theirs = self.source.rig, self.target.rig
         off = translations - ours.rest_translations
@@ -189,7 +189,7 @@ class Transfer:
 
 
 def middle_of_hips(skeleton: RoledSkeleton, positions: FloatArray) -> FloatArray:
-    """Return what is between the thighs ``(F, 3)``; the root, where there are none."""
+    """Return the middle of the thigh joints ``(F, 3)``; the root if there are none."""
     thighs = [skeleton.first(f"thigh_{side}") for side in "lr"]
     thighs = [j for j in thighs if j >= 0]
     joints = thighs if len(thighs) == 2 else [max(skeleton.first("hips"), 0)]
@@ -197,7 +197,7 @@ def middle_of_hips(skeleton: RoledSkeleton, positions: FloatArray) -> FloatArray
 
 
 def _namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, int]]:
-    """Return joints of which no more is known than that both have them: tails."""
+    """Return pairs of otherwise unmapped joints with equal names, such as tails."""
     used, names = {*follows.tolist()}, {name: j for j, name in enumerate(source.names)}
     return [
         (joint, names[name])
@@ -212,7 +212,7 @@ def _middles(at: Sequence[float]) -> FloatArray:
 
 
 def _below(skeleton: RoledSkeleton, bone: int) -> int:
-    """Return the joint whose turn twists a bone: the next with a role below it."""
+    """Return the joint whose rotation twists a bone: the next below it with a role."""
     below = [k for k, parent in enumerate(skeleton.rig.parents) if parent == bone]
     with_role = [k for k in below if skeleton.roles[k] not in {"", "twist", "end"}]
     return with_role[0] if with_role else -1
@@ -226,10 +226,10 @@ def _aligned(
     *,
     as_rig: bool,
 ) -> FloatArray:
-    """Return how the target is turned where the source rests ``(K, 4)``.
+    """Return target rotations that match the source's rest pose ``(K, 4)``.
 
-    All of it faces the same way; limbs point the way of the source's, feet along the
-    ground, unless it rests as the target does.
+    Headings agree; limbs point along the source's limbs, feet along the ground, unless
+    the rest poses are equal.
     """
     up = np.eye(3)[1 if target.rig.up is UpAxis.Y else 2]
     heading = _heading(source, target, upright, up)
@@ -257,9 +257,9 @@ def _aligned(
 def _heading(
     source: RoledSkeleton, target: RoledSkeleton, upright: FloatArray, up: FloatArray
 ) -> FloatArray:
-    """Return the turn of the target's rest pose to the way the source faces ``(4,)``.
+    """Return the rotation from the target's rest heading to the source's ``(4,)``.
 
-    Who stands is turned about the vertical alone, so that soles stay level.
+    A standing body rotates about the vertical alone, so that soles stay level.
     """
     ours, theirs = source.facing, target.facing
     if ours is None or theirs is None:
@@ -272,15 +272,15 @@ def _heading(
     return so3.from_axis_angle(up, angle)
 
 
-# Roles whose way from the hips says how large a person is, whatever its arms are.
+# Roles whose path from the hips measures body size, independent of arms.
 BODY = {"neck", "head", "upper_arm", "thigh", "shin"}
 _FINGERS = {"thumb", "index", "middle", "ring", "pinky"}
 
 
 def _scale(source: RoledSkeleton, target: RoledSkeleton) -> float:
-    """Return the lengths of the target's legs over those of the source's.
+    """Return the ratio of target leg length to source leg length.
 
-    Without legs, the lengths of the bones from the hips to the rest of the body.
+    Without legs, of the path lengths from the hips to the rest of the body.
     """
     pairs = [
         (target.leg_length(side), source.leg_length(side))

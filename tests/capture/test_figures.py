@@ -28,7 +28,7 @@ from animtool.capture.markers.fill import fill
 from animtool.capture.markers.geometry import MarkerDistances, distances
 from animtool.capture.markers.naming import Naming, pair_evidence, searched
 from animtool.capture.markers.predict import follow as by_skeleton
-from animtool.capture.markers.predict import predict, turned
+from animtool.capture.markers.predict import predict, predict_in_parent
 from animtool.capture.markers.runs import RunLabels
 from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.capture.markers.tracklets import follow
@@ -148,8 +148,10 @@ def test_weights_of_landmarks() -> None:
     )
     actor = model.of_actor(seen[2])
     camera = np.array([900.0, 880.0, 640.0, 360.0])
-    turned = so3.rotate(np.array([1.0, 0, 0, 0]), model.points(made_weights(14)))
-    away = turned + np.array([0.01, 0.02, 0.35])
+    predict_in_parent = so3.rotate(
+        np.array([1.0, 0, 0, 0]), model.points(made_weights(14))
+    )
+    away = predict_in_parent + np.array([0.01, 0.02, 0.35])
     pixels = away[..., :2] / away[..., 2:] * camera[:2] + camera[2:]
     flat = fit_face(model, pixels, 60, camera=camera)
     check_figures(
@@ -359,9 +361,9 @@ def test_where_markers_are_in_gaps_by_what_moves_with_them() -> None:
     found = [predict(positions, seen, 0, gap, spread, 100.0)]
     for mates in ([], [1], [1, 3]):
         bones: Any = SimpleNamespace(**known, mates=lambda *_, m=mates: m)
-        found.append(turned(bones, positions, seen, 0, gap, spread, 100.0))
+        found.append(predict_in_parent(bones, positions, seen, 0, gap, spread, 100.0))
         far = np.where(np.arange(count) < 4, np.nan, spread)
-        found.append(turned(bones, positions, seen, 0, gap, far, 100.0))
+        found.append(predict_in_parent(bones, positions, seen, 0, gap, far, 100.0))
     found.append(by_skeleton(bones, positions, seen, 0, gap, 100.0))
     check_figures(__file__, "predicted", found)
 
@@ -412,7 +414,7 @@ def test_what_says_that_frames_are_spikes() -> None:
         for length in (1, 3, 4):
             starts, *rest = spikes._deviation(path, seen, length, rough)
             found += [starts, *rest, spikes._one_sided(seen, starts, length)]
-            found += [spikes._usual(starts, rest[1] * 1e6, len(path))]
+            found += [spikes._local_level(starts, rest[1] * 1e6, len(path))]
         found += [
             spikes._is_upset(path, seen, first, length, rough, noise[0] ** 2)
             for first in range(52, 80, 3)

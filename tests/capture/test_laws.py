@@ -20,7 +20,7 @@ from animtool.capture.cameras.camera import (
     rays,
 )
 from animtool.capture.cameras.noise import (
-    _own,
+    _camera_noise,
     _pooled,
     first_noise,
     measured_noise,
@@ -30,10 +30,10 @@ from animtool.capture.cameras.openpose import (
     _continued,
     _gathered,
     _missed,
+    _PersonTrack,
     _rays,
     _size,
     _solved,
-    _Track,
     follow_people,
 )
 from animtool.capture.cameras.stale import (
@@ -50,7 +50,7 @@ from animtool.capture.cameras.stale import (
 )
 from animtool.capture.cameras.triangulate import _check_options, _TriangulationRun
 from animtool.capture.face.model import FaceModel, spread
-from animtool.capture.face.poses import camera_pose, head_poses, held
+from animtool.capture.face.poses import camera_pose, head_poses, held_poses
 from animtool.capture.markers.fill import _curve, _gaps, _likeliest, _run
 from animtool.capture.markers.geometry import (
     MarkerDistances,
@@ -70,9 +70,9 @@ from animtool.capture.markers.predict import (
 from animtool.capture.markers.runs import RunLabels, _learnt
 from animtool.capture.markers.spikes import (
     _deviation,
+    _local_level,
     _model,
     _one_sided,
-    _usual,
 )
 from animtool.capture.markers.tracklets import (
     Tracklets,
@@ -301,14 +301,16 @@ def test_each_camera_has_the_noise_of_its_own_median() -> None:
     lengths[:, 1] = 5.0
     states = np.full((20, 3, 1), 1, np.uint8)
     states[:, 1] = 2
-    found = _own(lengths, states)
+    found = _camera_noise(lengths, states)
     # Two are used: of four residuals three are taken; who is rejected keeps all.
     assert_allclose(found[1], 5 / 1.1774100225)
-    assert np.isnan(_own(lengths[:19], states[:19])).all()
+    assert np.isnan(_camera_noise(lengths[:19], states[:19])).all()
     states[:] = 1
     free = 1 - 1.5 / 3
     assert_allclose(
-        _own(lengths, states), np.array([2, 5, 2]) / np.sqrt(free) / 1.17741, rtol=1e-5
+        _camera_noise(lengths, states),
+        np.array([2, 5, 2]) / np.sqrt(free) / 1.17741,
+        rtol=1e-5,
     )
 
 
@@ -388,11 +390,11 @@ def test_people_are_told_by_their_rays() -> None:
     assert_allclose(points, BODY, atol=1e-6)
     assert _solved({1: 0}, [[one] for one in person], cameras, 6) is None
     shown = [[one] for one in person]
-    track = _Track(BODY, 0)
+    track = _PersonTrack(BODY, 0)
     free = {(c, 0) for c in range(3)}
     ((again, group),) = _continued([track], shown, cameras, free)
     assert (again, group, free) == (track, {0: 0, 1: 0, 2: 0}, set())
-    away = _Track(BODY + np.array([0.5, 0, 0]), 0)
+    away = _PersonTrack(BODY + np.array([0.5, 0, 0]), 0)
     ((_, group),) = _continued([away], shown, cameras, {(c, 0) for c in range(3)})
     assert 0 not in group
 
@@ -416,7 +418,7 @@ def test_people_are_followed_out_of_sight_and_mistakes_left_out() -> None:
     assert follow_people(frames, cameras, 12.0, 6, None).shape[2] == 12
     one = follow_people(frames, cameras, 12.0, 6, 1)
     assert_allclose(one[:, 0, :, :2], np.stack([frames[0][0][0][:, :2]] * 10))
-    track = _Track(BODY, 0)
+    track = _PersonTrack(BODY, 0)
     track.detections = {(1, 2): 0}
     made = _gathered([track], frames, 3, 6)
     assert np.isnan(made[0, 0, :, :2]).all()
@@ -633,7 +635,7 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     path = np.stack([t**2, 3 * t, 0 * t], axis=1) / 1000
     seen = np.ones(40, bool)
     for length in (1, 2):
-        starts, off, gain, rest = _deviation(path, seen, length, 0.01, whole=True)
+        starts, off, gain, rest = _deviation(path, seen, length, 0.01, complete=True)
         assert starts.tolist() == list(range(7, 40 - 7 - length + 1))
         assert np.abs(off).max() < 1e-9
         assert max(gain.max(), rest.max()) < 1e-15
@@ -644,7 +646,7 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     seen[10:20] = False
     found = _one_sided(seen, np.array([0, 5, 20, 22, 33, 39]), 1).tolist()
     assert found == [True, False, True, False, False, True]
-    level = _usual(np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100)
+    level = _local_level(np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100)
     assert (level[0], level[99]) == (1, pytest.approx(10))
     assert level.min() == 1
 
@@ -677,8 +679,8 @@ def test_heads_are_posed_by_weighted_landmarks() -> None:
     assert_array_equal(found[2], found[1])
     assert_array_equal(found[3], found[1])
     rows = np.arange(4.0)[:, None]
-    assert held(rows, np.array([0, 1, 0, 1], bool))[:, 0].tolist() == [1, 1, 1, 3]
-    assert held(rows, np.zeros(4, bool)) is rows
+    assert held_poses(rows, np.array([0, 1, 0, 1], bool))[:, 0].tolist() == [1, 1, 1, 3]
+    assert held_poses(rows, np.zeros(4, bool)) is rows
     placed = so3.rotate(turn, BODY) + np.array([0.1, -0.2, 4.0])
     pixels = placed[:, :2] / placed[:, 2:] * [800, 700] + [320, 240]
     lens = np.array([800.0, 700, 320, 240])

@@ -59,7 +59,8 @@ def test_points_are_as_near_as_clean_observations(
         HEAD,
         f"{path.stem:24}{found.triangulated:8d}{rms:9.4f}{floor:9.4f}{rms / floor:9.5f}"
         f"{p999:8.3f}{worst:8.3f}{found.visible - found.triangulated:9d}"
-        f"{found.triangulated / seconds:10.0f}{found.error_px:8.3f}{found.error_mm:8.3f}",
+        f"{found.triangulated / seconds:10.0f}"
+        f"{found.error_px:8.3f}{found.error_mm:8.3f}",
     )
     assert rms <= MAX_RATIO * floor
     assert worst <= max(MAX_ERROR, float(np.nanmax(best)))

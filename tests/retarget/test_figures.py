@@ -23,7 +23,7 @@ from animtool.motion.take import TakeStream
 from animtool.retarget import map_joints, map_text, retarget_take
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.facts import capture_facts
-from animtool.retarget.fingers import _digits_by_place
+from animtool.retarget.fingers import _digits_by_position
 from animtool.retarget.options import RetargetOptions
 from animtool.retarget.report import scores_of
 from animtool.retarget.roled_skeleton import RoledSkeleton
@@ -249,7 +249,7 @@ def test_maps_of_conventions(preset: str) -> None:
         f"map {preset}",
         {
             "roles": known.roles,
-            "found": known.found,
+            "found": known.evidence,
             "confidence": known.confidence,
             "text": map_text(found, rig, target),
             "back": map_text(map_joints(target, rig), target, rig),
@@ -299,7 +299,7 @@ def test_bodies_of_all_kinds(kind: str, named_: bool) -> None:
     facing = body.facing
     shown = {
         "roles": known.roles,
-        "found": known.found,
+        "found": known.evidence,
         "confidence": known.confidence,
         "notices": known.notices,
         "facing": None if facing is None else np.asarray(facing),
@@ -324,7 +324,7 @@ def test_digits_of_hands_that_are_shaped_at_random() -> None:
                 positions.append(at + k * bone)
             ways.append(way)
         body: Any = SimpleNamespace(positions=np.array(positions))
-        found.append(" ".join(_digits_by_place(body, ways, 0)))
+        found.append(" ".join(_digits_by_position(body, ways, 0)))
     check_figures(__file__, "digits", found)
 
 

@@ -324,7 +324,7 @@ def test_a_limb_is_put_and_goes_round(kind: JointType) -> None:
     person = leg(kind, RangeLimit(-1.0, 2.0) if kind is JointType.PIN else None)
     limb = leg_of(person, "l")[:3]
     joints = person.positions[None, list(limb)]
-    turns = person.turns[None, 1], person.turns[None, 2]
+    turns = person.rotations[None, 1], person.rotations[None, 2]
     goal = joints[:, 0] + [0.2, -0.6, 0.1]
     thigh, shin = limb_rotations(person, limb, joints, goal, turns, X)
     found = so3.rotate(thigh, [0, -0.5, 0]) + so3.rotate(shin, [0, -0.4, 0])
@@ -345,10 +345,12 @@ def test_how_high_an_ankle_stands_without_a_ground_at_rest() -> None:
     def standing(alike: bool, feet: Any, low: float = 0.5) -> float:
         moved = target.positions.copy()
         moved[:, 1] += low - moved[:, 1].min()
-        own = RoledSkeleton(target.rig, target.roles, moved, target.turns, feet[0])
-        other = RoledSkeleton(target.rig, target.roles, moved, target.turns, feet[1])
+        own = RoledSkeleton(target.rig, target.roles, moved, target.rotations, feet[0])
+        other = RoledSkeleton(
+            target.rig, target.roles, moved, target.rotations, feet[1]
+        )
         transfer: Any = SimpleNamespace(
-            target=own, source=other, scale=2.0, alike=alike
+            target=own, source=other, scale=2.0, similar_legs=alike
         )
         return _standing(transfer, "l", 0.3, 1)
 
@@ -375,7 +377,7 @@ def test_a_ball_goes_with_its_foot_or_is_a_joint() -> None:
         (Ball(2, np.zeros(3)), places[:, 2]),
     ):
         own = RoledSkeleton(
-            person.rig, person.roles, person.positions, person.turns, {"l": ball}
+            person.rig, person.roles, person.positions, person.rotations, {"l": ball}
         )
         assert_allclose(ball_of_foot(own, "l", places, turns), expected, atol=1e-12)
 
@@ -454,8 +456,8 @@ def test_a_prop_is_held_that_goes_with_a_hand(
     prop = PropMotion(3, places, turns)
     wrist = places + np.array([0, 0, far])
     wrist[:, 1] += speed * np.arange(count) / 30.0
-    assert_allclose(prop.seen(wrist)[0], [-far, 0, 0], atol=1e-12)
-    assert prop.held_by(wrist, 1.0, 30.0).all() == held
-    assert prop.held_by(wrist, 1.0, 30.0).any() == held
-    assert not prop.held_by(wrist, 0.0, 30.0).any()
-    assert not prop.held_by(wrist[:2], 1.0, 30.0).any()
+    assert_allclose(prop.in_prop_frame(wrist)[0], [-far, 0, 0], atol=1e-12)
+    assert prop.gripped_by(wrist, 1.0, 30.0).all() == held
+    assert prop.gripped_by(wrist, 1.0, 30.0).any() == held
+    assert not prop.gripped_by(wrist, 0.0, 30.0).any()
+    assert not prop.gripped_by(wrist[:2], 1.0, 30.0).any()

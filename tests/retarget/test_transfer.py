@@ -20,7 +20,7 @@ from animtool.retarget.drift import (
     _integral,
     _medians,
     _slope,
-    _Stance,
+    _StanceTracks,
 )
 from animtool.retarget.map import JointMap, JointPair
 from animtool.retarget.poses import (
@@ -37,7 +37,7 @@ from animtool.retarget.report import (
     FitMeter,
     Standing,
     _drift,
-    _mean_held,
+    _mean_clamped,
     _reach_errors,
     scores_of,
 )
@@ -105,7 +105,7 @@ def test_lengths_and_directions_of_a_person() -> None:
     assert own.leg("l") == (3, 4, 5, -1)
     assert (own.first("spine"), own.first("jaw"), own.joint("jaw")) == (1, -1, -1)
     assert own.size == pytest.approx(1.5)
-    ways = own.ways
+    ways = own.path_lengths
     assert ways[0] == 0
     assert ways[[5, 11]] == pytest.approx(
         [np.hypot(0.1, 0.05) + 0.85, 0.2 + np.hypot(0.2, 0.3) + 0.55]
@@ -117,9 +117,9 @@ def test_lengths_and_directions_of_a_person() -> None:
     assert_allclose(balled.bone(5), Z)
     assert own.bone(5) is None
     assert_allclose(own.bone(9), X)
-    assert_allclose(own.way(0, 4), [0.1, -0.5, 0], atol=1e-12)
-    assert own.apart(0, 1)
-    assert not own.apart(1, 1)
+    assert_allclose(own.offset(0, 4), [0.1, -0.5, 0], atol=1e-12)
+    assert own.separate(0, 1)
+    assert not own.separate(1, 1)
 
 
 def test_the_scale_is_that_of_legs_or_of_what_there_is_of_a_body() -> None:
@@ -182,22 +182,22 @@ def test_turns_follow_by_the_change_from_rest() -> None:
     own = body()
     made = Transfer.of(own, body(2.0), mapped(WHOLE))
     assert made.scale == pytest.approx(2)
-    assert made.alike
+    assert made.similar_legs
     assert made.follows.tolist() == list(range(13))  # tails have one name
     world = np.tile(so3.IDENTITY, (1, 13, 1))
     world[0, 3:6] = turn(X, 40)
-    found = made.turns(world)
+    found = made.rotations(world)
     assert_allclose(found[0], world[0], atol=1e-12)
     assert_allclose(made.hips(own.positions[None]), [[0, 1.9, 0]])
     less = Transfer.of(own, body(), mapped([p for p in WHOLE if p.target != 4]))
     # A shin that follows none, but for its name.
     assert less.follows[4] == 4
     free = replace(less, follows=np.where(np.arange(13) == 4, -1, less.follows))
-    assert_allclose(free.turns(world)[0, 4], turn(X, 40), atol=1e-12)
+    assert_allclose(free.rotations(world)[0, 4], turn(X, 40), atol=1e-12)
     halved = replace(
         less, after=np.where(np.arange(13) == 1, 3, less.after), share=np.full(13, 0.25)
     )
-    assert_allclose(halved.turns(world)[0, 1], turn(X, 10), atol=1e-9)
+    assert_allclose(halved.rotations(world)[0, 1], turn(X, 10), atol=1e-9)
 
 
 def test_axes_of_the_target_are_those_of_its_up() -> None:
@@ -205,7 +205,7 @@ def test_axes_of_the_target_are_those_of_its_up() -> None:
     made = Transfer.of(own, tall, mapped(WHOLE))
     assert_allclose(made.turned(np.array([[1.0, 2, 3]])), [[1, -3, 2]], atol=1e-12)
     world = np.tile(turn(Y, 30), (1, 13, 1))
-    changed = so3.multiply(made.turns(world), so3.conjugate(made.aligned))
+    changed = so3.multiply(made.rotations(world), so3.conjugate(made.aligned))
     assert_allclose(np.abs(changed[0, 0]), np.abs(turn(Z, 30)), atol=1e-9)
     same = Transfer.of(own, own, mapped(WHOLE))
     points = np.ones((2, 3))
@@ -253,7 +253,7 @@ def test_legs_are_alike_but_for_their_size(
         replace(p, balls=b)
         for p, b in zip((made.target, made.source), balls, strict=True)
     )
-    assert replace(made, target=own, source=other).alike is alike
+    assert replace(made, target=own, source=other).similar_legs is alike
 
 
 def test_places_about_the_hips_and_those_of_the_root() -> None:
@@ -359,15 +359,15 @@ def test_rows_of_turns_are_taken_and_put_with_who_was_held() -> None:
         np.zeros((4, 2, 4)), np.zeros((4, 2, 4)), {0: np.array([1, 1, 0, 0], bool)}
     )
     frames = np.array([1, 2])
-    assert whole.rows(frames).held[0].tolist() == [True, False]
+    assert whole.rows(frames).clamped[0].tolist() == [True, False]
     other = LocalRotations(
         np.ones((2, 2, 4)), 2 * np.ones((2, 2, 4)), {1: np.array([1, 0], bool)}
     )
-    whole.put(frames, other)
+    whole.set_rows(frames, other)
     assert whole.local[:, 0, 0].tolist() == [0, 1, 1, 0]
     assert whole.world[:, 0, 0].tolist() == [0, 2, 2, 0]
-    assert whole.held[0].tolist() == [True, False, False, False]
-    assert whole.held[1].tolist() == [False, True, False, False]
+    assert whole.clamped[0].tolist() == [True, False, False, False]
+    assert whole.clamped[1].tolist() == [False, True, False, False]
 
 
 def test_drift_is_on_the_ground_and_reach_is_of_the_arm() -> None:
@@ -385,8 +385,8 @@ def test_drift_is_on_the_ground_and_reach_is_of_the_arm() -> None:
     none = replace(own, roles=("",) * 13)
     assert np.isnan(_reach_errors([(own, straight, 1.0), (none, bent, 1.0)])).all()
     found = mapped([*WHOLE, pair(12, 12, "index_1_l")])
-    assert _mean_held(found, {3: 0.6, 4: 0.3, 12: 1.0}) == pytest.approx(0.9 / 12)
-    assert _mean_held(mapped([]), {3: 1.0}) == 0
+    assert _mean_clamped(found, {3: 0.6, 4: 0.3, 12: 1.0}) == pytest.approx(0.9 / 12)
+    assert _mean_clamped(mapped([]), {3: 1.0}) == 0
 
 
 def meter(target: RoledSkeleton, sides: str = "") -> FitMeter:
@@ -496,12 +496,12 @@ def test_a_root_goes_back_as_fast_as_feet_drift(place: bool) -> None:
     )
     still, turns = np.zeros(count), np.tile(so3.IDENTITY, (count, 1))
     options: Any = SimpleNamespace(place=place, closed=False)
-    stance = _Stance(still + 0j, still + (2 + 1j), still, still)
+    stance = _StanceTracks(still + 0j, still + (2 + 1j), still, still)
     root = still + (3 + 4j)
     angle, shift = _corrected(take, options, stance, root, turns)
     assert_allclose(angle, 0)
     assert_allclose(shift, -(2 + 1j) * np.arange(count) / rate * place, atol=1e-12)
-    spun = _Stance(still + (1 + 1j), still + 0j, still + 0.4, still)
+    spun = _StanceTracks(still + (1 + 1j), still + 0j, still + 0.4, still)
     angle, shift = _corrected(take, options, spun, root, turns)
     assert_allclose(angle, -0.04 * np.arange(count))
     assert_allclose(shift, 0, atol=1e-12)

@@ -86,8 +86,8 @@ class Triangulation:
     output: Path | None = None  # the file of the markers, likewise
     json_keys: ClassVar[str] = (
         "'mocap triangulate' observations=source output frames=markers.clock.count "
-        "fps=markers.clock.rate markers=markers.names points=.{seen=visible found=triangulated} "
-        "reprojection=.{px=error_px mm=error_mm} cameras notices"
+        "fps=markers.clock.rate markers=markers.names "
+        "points=.{seen=visible found=triangulated} reprojection=.{px=error_px mm=error_mm} cameras notices"
     )
 
     @property

@@ -18,9 +18,9 @@ WORTH = 1.0
 RIGID, PARTNERS = 0.006, 3
 # Names taken away and assigned again, and what has to be gained by it [nat].
 TRIALS, GAIN = 40, 0.05
-# Markers found for less than this, of what was seen longest, and points without a name
-# that were seen for longer than that, have names around them assigned again: how often, how
-# far [m], how much is left to chance [nat], and how often all names are.
+# Markers named for less than this fraction of the longest visible one, and unnamed
+# points visible for longer than that, have the names around them reassigned: number of
+# restarts, radius [m], random bias [nat], and probability of restarting from scratch.
 LACKING, LONG, RESTARTS, RADIUS, BIAS, EMPTY_START = (
     0.5,
     0.3,

@@ -32,7 +32,7 @@ def test_runs_are_joined_that_are_surely_and_clearly_one(
     table = np.zeros((4, 4))
     for (a, b), value in alike.items():
         table[a, b] = table[b, a] = value
-    monkeypatch.setattr(chains, "alike_of", lambda *_: table.copy())
+    monkeypatch.setattr(chains, "likelihoods", lambda *_: table.copy())
     overlap = np.eye(4)
     overlap[0, 2] = overlap[2, 0] = 5
     nothing = MarkerDistances(table, table)

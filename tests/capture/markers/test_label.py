@@ -22,7 +22,7 @@ from animtool.capture.markers.label import (
     _exchange_parts,
     _fours,
     _matches,
-    _misfit,
+    _shape_error,
     _window,
     label,
 )
@@ -165,14 +165,14 @@ def test_a_shape_is_off_by_the_median_of_what_frames_leave() -> None:
     shape = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]])
     turned = so3.rotate(so3.exp(np.array([0.3, -1.0, 0.5])), shape)
     turned += np.array([1.0, 2, 3])
-    assert _misfit(np.stack([turned] * 9), shape) < 1e-9
+    assert _shape_error(np.stack([turned] * 9), shape) < 1e-9
     pair = np.array([[0.0, 0, 0], [1.0, 0, 0]])
     # Each end of a longer pair is off by half of what it is longer.
     points = np.stack([1.2 * pair] * 17)
-    assert _misfit(points, pair) == pytest.approx(0.1)
+    assert _shape_error(points, pair) == pytest.approx(0.1)
     points[8:] = 1.4 * pair
-    assert _misfit(points, pair) == pytest.approx(0.2)
-    assert _misfit(np.full((9, 2, 3), np.nan), pair) == np.inf
+    assert _shape_error(points, pair) == pytest.approx(0.2)
+    assert _shape_error(np.full((9, 2, 3), np.nan), pair) == np.inf
 
 
 def test_groups_that_contradict_a_better_one_are_left_out() -> None:
