@@ -1,4 +1,4 @@
-"""A take at and between its frames: curves are evaluated, samples joined straight."""
+"""Sampling of a take between frames: curves evaluated, samples interpolated."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion, MotionCurve
 from animtool.motion.take import Take
 
-# A sample this near to its curve, next to the larger of 1 and its own size, is the
-# curve's: what rounding leaves of times in the millions is less, and it is a tenth of
-# what a curve's value may be off [m], [rad], [1].
+# A sample this near to its curve, relative to the larger of 1 and its size, is on it:
+# rounding of times in the millions is less, and it is a tenth of a curve's tolerance
+# [m], [rad], [1].
 SAME = 1e-10
-# Curves are compared with samples in blocks of so many frames.
+# Frames per block of the comparison.
 BLOCK_FRAMES = 512
-# Times are rounded to so many decimals [frame]: what is left of a decimal that a
-# person wrote is that decimal again, so that a step is on its own side of its key.
+# Times are rounded to these decimals [frame], which restores decimals that users wrote,
+# so that a step stays on its side of its key.
 TIME_DECIMALS = 11
 
 CURVED = ("translations", "rotations", "scales", "weights", "controls")
@@ -31,11 +31,10 @@ CURVED = ("translations", "rotations", "scales", "weights", "controls")
 class Between:
     """A take that can be sampled at any time.
 
-    A row is a joint, a shape or a control of a channel. Where the take has a curve and
-    all samples of a row are the curve's, the row is evaluated between the frames. Other
-    rows, which have no curve or which a pass changed, go along straight lines, their
-    rotations along the shortest arc at constant speed. On a frame every row is its
-    sample exactly.
+    A row is a joint, a shape or a control of a channel. If the take has a curve and all
+    samples of a row are on it, the row is evaluated between frames. Other rows, which
+    have no curve or which a pass changed, are interpolated linearly, rotations along
+    the shortest arc at constant speed. On a frame every row is its sample exactly.
 
     Attributes:
         take: F frames.
@@ -48,7 +47,7 @@ class Between:
 
     @staticmethod
     def of(take: Take) -> Between:
-        """Return a take between its frames, its samples compared with its curve.
+        """Return a take for sampling between frames; compares samples with its curve.
 
         >>> from fractions import Fraction
         >>> from animtool.clip.clip import Clip
@@ -73,11 +72,10 @@ class Between:
     def at(
         self, at: FramePositions, *, smooth: bool = False, shared: bool = False
     ) -> Motion:
-        """Return the take at places between its frames.
+        """Return the take at positions between its frames.
 
-        smooth: rows of joints that are not evaluated go along curves of class C1;
-        shared: rows move that move from frame to frame, and no others, as blocks of
-        one motion have to share them.
+        smooth: rows of joints without curves follow splines of class C1; shared: the
+        animated rows are those of the take, as blocks of one motion have to share them.
         """
         motion = self.take.motion
         blended = motion.map(at.blend)
@@ -98,7 +96,7 @@ class Between:
     def curve(self, shown: Callable[[FloatArray], FloatArray]) -> MotionCurve | None:
         """Return the curve of a take whose time t shows time ``shown(t)`` of this one.
 
-        None where no row is evaluated.
+        None if no row has a curve.
         """
         if not self.curved:
             return None
@@ -111,7 +109,7 @@ class Between:
         return sample
 
     def _times(self, at: FramePositions) -> FloatArray:
-        """Return the time codes of places ``(N,)``."""
+        """Return the time codes of positions ``(N,)``."""
         clock = self.take.clock
         frames = at.frames + at.fractions
         times = float(clock.start) + frames * float(clock.step)
@@ -120,7 +118,7 @@ class Between:
     def _evaluated(
         self, blended: Motion, between: BoolArray, times: FloatArray, *, shared: bool
     ) -> Motion:
-        """Return a motion with its rows that have curves evaluated between frames."""
+        """Return a motion with the rows that have curves evaluated between frames."""
         assert self.take.curve is not None
         evaluated = self.take.curve(times)
         changed: dict[str, Channel] = {}
@@ -148,9 +146,9 @@ class Between:
 
 
 def _same_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
-    """Return which rows of two channels have the same values in every frame ``(J,)``.
+    """Return which rows of two channels have equal values in all frames ``(J,)``.
 
-    None where there is nothing to compare.
+    None if there is nothing to compare.
     """
     if a is None or b is None or a.rest.shape != b.rest.shape:
         return None

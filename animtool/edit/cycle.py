@@ -1,9 +1,9 @@
-"""Where a take comes back to what it was: the search for a cycle, and its seam.
+"""Search for a cycle: two frames of a take with similar poses and speeds.
 
-Two frames are compared by where the joints are and how fast they go, seen from
-the joint that carries the character: from the ground below it, along its heading.
-Joints count by the length of the bones that they move, and speeds by how far they
-lead in a tenth of a second. The difference is a root mean square [m].
+Frames are compared by joint positions and velocities relative to the joint that carries
+the character: its ground position and heading. Joints are weighted by the length of the
+bones they move, velocities by the distance covered in a tenth of a second. The
+difference is a root mean square [m].
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 
-# What a difference of speed leads to in this time [s] counts as one of place.
+# A speed difference counts as the position difference it makes in this time [s].
 SPEED_TIME = 0.1
-# Frames a second at which pairs are compared; the best is then looked at closer.
+# Frame rate of the coarse comparison; the best pair is then refined.
 SEARCH_RATE = Fraction(30)
-# A cycle must lead this far away, as a share of what the take varies by.
+# Least extent of a cycle, as a fraction of the take's variation.
 MIN_EXTENT = 0.25
-# What differs by less than this share of the rig's size does not move.
+# Differences below this fraction of the rig's size are static.
 STATIC = 1e-4
-# Of cycles nearly as good as the best the shortest is meant, not several of it:
-# by how much worse, as a factor and a share, and how much longer the best near it.
+# Among nearly equal cycles the shortest is chosen, not a multiple of it:
+# how much worse, as factor and offset, and how much longer the best near it is.
 NEARLY, NEARLY_EQUAL, NEAR = 1.5, 0.01, 1.25
 BLOCK_FRAMES = 1024
 
@@ -45,14 +45,14 @@ class Cycle:
 
     first: float  # time code of its first frame
     last: float  # time code of the frame that shows the first pose again
-    apart: float  # how different the two are [m], see `animtool.edit.cycle`
-    # How different from the first the frames between become [m], and no less than a ten
+    apart: float  # distance of the two poses [m], see `animtool.edit.cycle`
+    # Largest distance of the frames between from the first [m], at least a ten
     # thousandth of the rig's size.
     moved: float
 
     @property
     def share(self) -> float:
-        """What the ends differ by, of what the cycle moves [1]."""
+        """Difference of the ends over the cycle's extent [1]."""
         return self.apart / self.moved
 
 
@@ -67,13 +67,12 @@ def find_cycle(
     shortest: float = _DEFAULTS.shortest,
     longest: float = _DEFAULTS.longest,
 ) -> Cycle:
-    """Return the cycle of a take whose ends agree best, for how far it moves.
+    """Return the cycle of a take whose ends match best, relative to its extent.
 
-    Of cycles that are nearly as good the shortest is taken, then the earliest. The
-    time needed grows with the frames and with ``longest``, the memory with the
-    frames alone.
+    Among nearly equal cycles the shortest is taken, then the earliest. Time grows with
+    the frames and with ``longest``, memory with the frames alone.
 
-    Limits: shape weights and controls are not looked at.
+    Limits: shape weights and controls are ignored.
 
     Args:
         take: F frames.
@@ -114,7 +113,7 @@ def find_cycle(
 def measure_cycle(
     take: Take, first: float | None = None, last: float | None = None
 ) -> Cycle:
-    """Return how well the two ends of a cycle agree."""
+    """Return how well the two ends of a cycle match."""
     low, high = _ends(take.clock, first, last)
     if low >= high:
         raise _none(f"from frame {first} to {last}")
@@ -150,14 +149,14 @@ def _cycle(clock: Clock, i: int, j: int, distance: float, extent: float) -> Cycl
 
 @dataclass(frozen=True, slots=True)
 class _PoseView:
-    """Sees frames of a take as columns of numbers [m] that can be subtracted."""
+    """Frames of a take as columns of comparable numbers [m]."""
 
     take: Take
     chief: int
     leaves: IntArray
     reach: FloatArray  # how far the points beside a leaf are from it (N,) [m]
     weights: FloatArray  # of joints, then of the points beside leaves (P,)
-    static_extent: float  # what counts as no motion [m]
+    static_extent: float  # distances below are static [m]
 
     @staticmethod
     def of(take: Take) -> _PoseView:
@@ -174,7 +173,7 @@ class _PoseView:
             weights = np.ones(len(bones))
         size = rest_size(rig) or 1.0
         reach = np.where(bones[leaves] > 0, bones[leaves], size)
-        # A leaf is seen by its origin and by a point along two of its axes.
+        # A leaf counts by its origin and a point along two of its axes.
         weights[leaves] /= 3
         weights = np.concatenate([weights, np.tile(weights[leaves], 2)])
         travellers = [traveller(rig, take.motion, root) for root in rig.roots]
@@ -216,7 +215,7 @@ class _PoseView:
         return np.concatenate([origins, *neighbours], axis=1)
 
     def _standing(self, frames: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return where the character stands ``(N, 3)`` and its heading ``(N, 4)``."""
+        """Return the character's ground position ``(N, 3)`` and heading ``(N, 4)``."""
         rig: Rig = self.take.rig
         up = np.array(rig.up.vector)
         frame = joint_frame(rig, self.take.motion.select(frames), self.chief)
@@ -226,8 +225,8 @@ class _PoseView:
 
 
 def _pose_distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return how far columns ``(D, N)`` differ ``(N,)`` [m]."""
-    # Sums over rows, one after the other, round alike on every machine.
+    """Return the distance of columns ``(D, N)``: ``(N,)`` [m]."""
+    # Sums over rows in order round the same on every machine.
     away = a - b
     np.multiply(away, away, out=away)
     return np.asarray(np.sqrt(away.sum(axis=0)))
@@ -236,7 +235,7 @@ def _pose_distance(a: FloatArray, b: FloatArray) -> FloatArray:
 def _best(
     table: FloatArray, least: int, most: int, static_extent: float
 ) -> tuple[int, int, float] | None:
-    """Return start, length and distance moved of the best cycle, in columns."""
+    """Return start, length and extent of the best cycle, in columns."""
     count = table.shape[1]
     variety = _pose_distance(table, table.mean(axis=1, keepdims=True))
     enough = max(static_extent, MIN_EXTENT * math.sqrt(float(np.mean(variety**2))))
@@ -260,7 +259,7 @@ def _best(
 
 
 def _pose_distances_by(table: FloatArray, lag: int) -> FloatArray:
-    """Return how far each column is from the one ``lag`` on, in blocks for a cache."""
+    """Return the distance of columns ``lag`` apart, in cache-sized blocks."""
     count = table.shape[1] - lag
     begins = range(0, count, BLOCK_FRAMES)
     ranges = [(begin, min(begin + BLOCK_FRAMES, count)) for begin in begins]
@@ -270,8 +269,8 @@ def _pose_distances_by(table: FloatArray, lag: int) -> FloatArray:
 
 
 def _least(values: FloatArray) -> tuple[float, int]:
-    """Return the least value, to a thousandth, and the first place that has it."""
-    # Else rounding, which is not the same on every machine, would choose.
+    """Return the least value, to a thousandth, and its first index."""
+    # Else rounding, which differs between machines, would decide.
     coarse = np.round(values, 3)
     index = int(np.argmin(coarse))
     return float(coarse[index]), index
@@ -285,14 +284,14 @@ def _shortest(scores: FloatArray) -> int:
 
 
 def _nearby(i: int, j: int, stride: int, ends: tuple[int, int]) -> IntArray:
-    """Return the pairs of frames between those compared about one ``(2, N)``."""
+    """Return the pairs of frames around a coarse pair ``(2, N)``."""
     around = np.arange(1 - stride, stride)
     sides = (np.unique(np.clip(frame + around, *ends)) for frame in (i, j))
     return np.stack([grid.ravel() for grid in np.meshgrid(*sides, indexing="ij")])
 
 
 def _closest(eye: _PoseView, pairs: IntArray) -> tuple[int, int, float]:
-    """Return the pair of frames that agree best, and how far apart they are [m]."""
+    """Return the best-matching pair of frames, and its distance [m]."""
     frames, at = np.unique(pairs, return_inverse=True)
     table, (starts, ends) = eye.see(frames), at.reshape(pairs.shape)
     distances = _pose_distance(table[:, starts], table[:, ends])

@@ -1,4 +1,4 @@
-"""Takes over each other: layers, blends and differences."""
+"""Layering of takes: layers, blends and differences."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from animtool.rig.skeleton import Rig
 
 @dataclass(frozen=True, slots=True)
 class BlendOptions:
-    """What is blended with, and when.
+    """The other take of a blend, its weight and timing.
 
     Attributes:
         take: File of the other take.
@@ -68,8 +68,8 @@ def blend(
 ) -> Take:
     """Return the weighted mean of two takes, on the clock of the first.
 
-    The result lasts from the first frame of ``take`` to the end of the later of
-    the two; each is held at its ends. The other starts ``delay`` later.
+    The result runs from the first frame of ``take`` to the end of the later one; each
+    is clamped at its ends. The other starts ``delay`` later.
 
     Args:
         take: F frames, whose clock the result has.
@@ -146,9 +146,9 @@ class DifferenceOptions:
 def difference(
     take: Take, base: Take | None = None, frame: float | None = None
 ) -> Take:
-    """Return the additive take that makes ``take`` when it is put on ``base``.
+    """Return the additive take that turns ``base`` into ``take``.
 
-    The layer pass puts it back, with the convention of `animtool.maths.additive`.
+    The layer pass adds it back, with the convention of `animtool.maths.additive`.
 
     Args:
         take: F frames.
@@ -165,7 +165,7 @@ def difference(
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
-    """Return one frame of a rig at rest, on the rate of a clock."""
+    """Return a one-frame take of a rig at rest, on the rate of a clock."""
     constant = Channel.still
     motion = Motion(constant(rig.rest_translations), constant(rig.rest_rotations))
     return Take(rig, replace(clock, count=1), motion)
@@ -223,7 +223,7 @@ DIFFERENCE = Pass(
 
 
 class LayerMode(StrEnum):
-    """What a layer does to what is below it."""
+    """How a layer combines with the take below it."""
 
     ADDITIVE = "additive"
     OVERRIDE = "override"
@@ -231,7 +231,7 @@ class LayerMode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LayerOptions:
-    """What is put on top, where and how strongly.
+    """The layer take, its joints and weight.
 
     Attributes:
         take: File of the other take.
@@ -266,10 +266,10 @@ def layer(
     children: bool = False,
     delay: float = 0.0,
 ) -> Take:
-    """Return a take with another on top.
+    """Return a take with another layered on top.
 
     The result has the frames of ``take``. The other take starts with it, ``delay``
-    later, is resampled to its rate and held at its own ends.
+    later, is resampled to its rate and clamped at its ends.
 
     Args:
         take: F frames, whose clock and rig the result has.

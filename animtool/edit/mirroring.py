@@ -1,4 +1,4 @@
-"""Left and right of a take change places, controls too."""
+"""Mirroring of a take: left and right exchanged, controls too."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from animtool.rig.kinematics import rest_size, rest_world
 from animtool.rig.sides import SidePairs, pair_sides, stray_sides
 from animtool.rig.skeleton import Rig
 
-# How far a control is moved to see what it does, as a share of its range [1].
+# Test change of a control, as a fraction of its range [1].
 NUDGE = 0.1
-# Effects that differ by less are the same [rad], [m].
+# Effects that differ by less are equal [rad], [m].
 SAME_EFFECT = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class ControlMirror:
-    """How values of each control look on its partner."""
+    """How values of each control map to its partner."""
 
     partners: IntArray  # index of each one's partner ``(C,)``
-    # 1 where both go the same way, -1 where they go opposite ways ``(C,)``.
+    # 1 for equal signs, -1 for opposite signs ``(C,)``.
     signs: FloatArray
     pivots: FloatArray  # the values that stay where signs change ``(C,)``
 
@@ -54,16 +54,16 @@ class ControlMirror:
         shapes: IntArray,
         normal: FloatArray,
     ) -> ControlMirror:
-        """Return what a rig's controls do in a mirror.
+        """Return how a rig's controls are mirrored.
 
-        A control and its partner go opposite ways where the mirror image of what one
-        does to joints and shapes is nearer to what the other does when it goes back:
-        a control that turns the head to the left above 0, to the right below it.
+        A control and its partner have opposite signs if the mirror image of one's
+        effect on joints and shapes is nearer to the other's negative effect: a control
+        that turns the head left above 0 and right below it.
 
         ``partners`` ``(C,)``, ``joints`` ``(J,)``, ``shapes`` ``(S,)``, ``normal``
         ``(3,)``.
         """
-        # Axes of rotation turn the other way round.
+        # A mirror reverses axes of rotation.
         across = np.concatenate([-normal, normal])
         turned = rest_world(rig).linear[0]
 
@@ -86,13 +86,13 @@ class ControlMirror:
         return ControlMirror(partners, signs, pivots)
 
     def __call__(self, values: FloatArray, c: IntArray) -> FloatArray:
-        """Return values ``(..., A, 1)`` of controls as their partners have them."""
+        """Return values ``(..., A, 1)`` of controls mapped to their partners."""
         turned = self.pivots[self.partners[c], None] - (values - self.pivots[c, None])
         return np.where(self.signs[c, None] < 0, turned, values)
 
 
 def _pivot(control: Control) -> float:
-    """Return 0, or the default of a control whose range is without 0."""
+    """Return 0, or the default of a control whose range excludes 0."""
     if control.low is None or control.high is None:
         return 0.0
     return 0.0 if control.low <= 0 <= control.high else control.default
@@ -105,11 +105,10 @@ def _flat(effect: tuple[FloatArray, FloatArray]) -> FloatArray:
 def _effect(
     rig: Rig, c: int, sign: float, turned: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what a control does when it moves a little one way, 1 or -1.
+    """Return the effect of a small change of a control, in direction 1 or -1.
 
-    That is to each joint in the world ``(J, 6)``, a rotation vector [rad] and a
-    translation [m]; and to each shape ``(S,)``. ``turned`` are joints at rest, world
-    ``(J, 3, 3)``.
+    On each joint in the world ``(J, 6)``, a rotation vector [rad] and a translation
+    [m]; and on each shape ``(S,)``. ``turned`` are joints at rest, world ``(J, 3, 3)``.
     """
     control = rig.controls[c]
     span = 1.0
@@ -156,7 +155,7 @@ class Axis(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MirrorOptions:
-    """Where the mirror stands, and what it swaps.
+    """The mirror plane, and the joints it exchanges.
 
     Attributes:
         axis: Normal of the mirror's plane.
@@ -244,7 +243,7 @@ def _mirrored(
 
 
 def _kept(rig: Rig, partners: IntArray) -> BoolArray:
-    """Return which joints have no partner, and a parent that has one ``(J,)``."""
+    """Return which joints have no partner but a parent that has one ``(J,)``."""
     parents = rig.parents
     alone = partners == np.arange(len(partners))
     return np.asarray(alone & (parents >= 0) & (partners[parents] != parents))
@@ -253,7 +252,7 @@ def _kept(rig: Rig, partners: IntArray) -> BoolArray:
 def _strays(
     kind: str, names: Sequence[str], pairs: SidePairs, kept: BoolArray | None = None
 ) -> Iterator[Fault]:
-    """Yield a warning about parts of one side that have no partner."""
+    """Yield a warning about joints of one side without a partner."""
     alone = {*pairs.strays, *([] if kept is None else np.flatnonzero(kept).tolist())}
     if not alone:
         return
@@ -305,7 +304,7 @@ def _asymmetries(
 
 
 def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) -> None:
-    """Refuse stated pairs whose parents are no partners."""
+    """Refuse stated pairs whose parents are not partners."""
     faults = []
     for a, b in pairs:
         above = [rig.joints[rig.index(name)].parent for name in (a, b)]
@@ -336,7 +335,7 @@ def _check_tree(rig: Rig, partners: IntArray, kept: BoolArray) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Glass:
-    """How values of each joint look on its partner."""
+    """How values of each joint map to its partner."""
 
     partners: IntArray
     kept: BoolArray  # those that keep their values (J,)
@@ -360,7 +359,7 @@ class _Glass:
         p = self.partners[j]
         turned = so3.multiply(self.above[j], values)
         turned = so3.multiply(turned, so3.conjugate(self.world[j]))
-        # A mirror turns axes of rotation the other way round.
+        # A mirror reverses axes of rotation.
         turned = turned * np.append(-self.normal, 1.0)
         turned = so3.multiply(so3.conjugate(self.above[p]), turned)
         turned = so3.multiply(turned, self.world[p])

@@ -1,4 +1,4 @@
-"""Sampling a take at other times than its own."""
+"""Resampling of takes at other times."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ BLOCK_FRAMES = 512
 
 @dataclass(frozen=True, slots=True)
 class SampleTimes:
-    """When to sample a take, exact."""
+    """Sample times of a take, exact."""
 
     first: Fraction  # time code of the first frame
     last: Fraction  # time code of the last frame
     # Time code of every sample ``(N,)``, ascending; sub-frame samples may lie before
-    # the first or behind the last frame.
+    # the first or after the last frame.
     codes: FloatArray
     frames: IntArray  # frame of the source at or before each sample ``(N,)``
     fractions: FloatArray  # how far on to the next, in [0, 1) ``(N,)``
     # Number of samples of the source between whole frames of the result that are not
     # kept.
     between: int = 0
-    # What the source lasts beyond the last whole frame [time codes].
+    # Remainder of the source after the last full frame [time codes].
     dropped: Fraction = Fraction(0)
 
 
@@ -63,7 +63,7 @@ def plan_samples(
     keep_samples: bool = False,
     hold: bool = False,
 ) -> SampleTimes:
-    """Return when to sample a take whose first frame becomes time code ``start``.
+    """Return the sample times of a take that starts at time code ``start``.
 
     Args:
         clock: The source's own.
@@ -122,9 +122,9 @@ def plan_samples(
 def _between(
     frames: range, shift: Fraction, ratio: Fraction, count: int, taken: IntArray
 ) -> int:
-    """Return how many samples lie between whole frames, and are not taken.
+    """Return the number of source samples between result frames that are dropped.
 
-    ``ahead`` [frame].
+    ``shift`` [frame].
     """
     begin = max(frames[0], math.ceil(-shift))
     end = min(frames[-1], math.floor((count - 1) / ratio - shift))
@@ -148,9 +148,9 @@ def _codes(first: Fraction, frames: range) -> FloatArray:
 def _within(
     frame_range: FrameRange, start: Fraction, span: Fraction, *, hold: bool
 ) -> range:
-    """Return a range's frames that the take has, counted from ``floor(start)``.
+    """Return the range's frames that the take covers, from ``floor(start)``.
 
-    With ``hold`` those that it has not are among them.
+    With ``hold``, all frames of the range.
     """
     origin = math.floor(start)
     step = frame_range.step
@@ -194,7 +194,7 @@ def _kept_samples(
 
 
 def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
-    """Return the note that part of a frame > 0 [time codes] is left out at the end."""
+    """Return the note that a fraction of a frame [time codes] is cut at the end."""
     message = (
         f"the take ends {float(dropped):.3g} frames ({float(dropped / fps):.3g} s) "
         f"after its last whole frame, {frame_label(last)}; that part is cut off"
@@ -207,14 +207,14 @@ def sample(
 ) -> Iterator[tuple[FloatArray, Motion]]:
     """Yield time codes and motion at sample times, block by block.
 
-    A sample on a frame of the source is that frame exactly; between frames
-    rotations go along the shortest arc at constant speed (slerp), the rest in a
-    straight line. With ``smooth`` joints go along curves of class C1; weights and
-    controls, which may have bounds, do not. What the take has curves of is evaluated.
+    A sample on a frame of the source is that frame exactly; between frames rotations
+    follow the shortest arc at constant speed (slerp), other values are linear. With
+    ``smooth`` joints follow splines of class C1; weights and controls, which may have
+    bounds, do not. Curves of the take are evaluated.
     """
     between = take if isinstance(take, Between) else Between.of(take)
     last = None
-    # Only of the whole is it known what curves move, as blocks have to share it.
+    # Blocks share their animated rows, which depend on the complete take.
     length = max(1, len(times.codes)) if between.curved else BLOCK_FRAMES
     for begin in range(0, len(times.codes), length):
         part = slice(begin, begin + length)
@@ -230,13 +230,13 @@ def sample(
         yield times.codes[part], motion
 
 
-# A filter before fewer frames a second leaves half at this share of them, a 400th of
-# what would show as slower than a quarter of them, and the rest nearly as it is.
+# Before downsampling, the filter halves amplitudes at this fraction of the new rate and
+# leaves a 400th of what would alias below a quarter of it.
 CUTOFF_FRACTION, FILTER_ORDER = 0.35, 4
 
 
-def slowed(motion: Motion, cutoff: float, rate: float) -> Motion:
-    """Return a motion without what is faster than a cut-off [Hz], times as they are."""
+def lowpassed(motion: Motion, cutoff: float, rate: float) -> Motion:
+    """Return a motion low-pass filtered at a cut-off [Hz], times unchanged."""
 
     def slow(channel: Channel) -> Channel:
         turning = channel is motion.rotations
@@ -252,7 +252,7 @@ def resampled(
 ) -> Take:
     """Return the take with a sample on every time code at another rate.
 
-    What the take lasts after its last whole frame is left out, and noted (TAKE006).
+    The remainder after its last full frame is cut, with a note (TAKE006).
 
     Args:
         take: F frames.
@@ -272,7 +272,7 @@ def resampled(
     source, rate = take, take.clock.rate
     if lowpass and fps < rate:
         cutoff = CUTOFF_FRACTION * float(fps)
-        source = replace(take, motion=slowed(take.motion, cutoff, float(rate)))
+        source = replace(take, motion=lowpassed(take.motion, cutoff, float(rate)))
     between = Between.of(source)
     motion = Motion.concatenate(
         [block for _, block in sample(between, times, smooth=smooth)]
@@ -296,7 +296,7 @@ def resampled(
 
 @dataclass(frozen=True, slots=True)
 class ResampleOptions:
-    """The rate wanted.
+    """The new rate.
 
     Attributes:
         fps: Frames a second, such as ``24``, ``23.976`` or ``24000/1001``; none

@@ -1,4 +1,4 @@
-"""Giving the travel of the hips to a root joint above them, and taking it back."""
+"""Root motion: hip travel moved to a root joint above, and back."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from animtool.motion.take import Take
 
 
 class RootMode(StrEnum):
-    """Which way the travel goes."""
+    """Direction of the transfer."""
 
     EXTRACT = "extract"
     RECOMPOSE = "recompose"
@@ -59,11 +59,11 @@ class RootMotionOptions:
 def extract_root(
     take: Take, root: str = "root", axes: str = "", *, yaw: bool = True, hips: str = ""
 ) -> Take:
-    """Return the take with the travel of the hips given to a root joint above them.
+    """Return the take with hip travel moved to a root joint above.
 
-    A joint of the rig named ``root`` takes it in place of what it did; else one is
-    added right above the hips. What is below keeps its world transforms. The yaw is
-    undefined where the hips are upside down.
+    A joint named ``root`` takes it in place of its own motion; if the rig has none, one
+    is added right above the hips. Joints below keep their world transforms. The yaw is
+    undefined while the hips are upside down.
 
     Args:
         take: F frames.
@@ -94,9 +94,9 @@ def extract_root(
 
 
 def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Take:
-    """Return the take without a root joint, whose motion its children take over.
+    """Return the take without a root joint; its children take over its motion.
 
-    What is below keeps its world transforms.
+    Joints below keep their world transforms.
 
     Args:
         take: F frames.
@@ -154,7 +154,7 @@ def _hips(take: Take, root: str, hips: str) -> int:
 
 
 def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing:
-    """Return the local transform by which the root joint carries the hips' travel."""
+    """Return the local transform of the root joint that carries the hips' travel."""
     rig, motion = take.rig, take.motion
     up = np.array(rig.up.vector)
     chosen = np.array([axis in axes for axis in "xyz"]) if axes else up == 0

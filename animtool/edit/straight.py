@@ -1,4 +1,4 @@
-"""By how much straight lines between the frames of a take may be off."""
+"""Error estimate of linear interpolation between the frames of a take."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.rig.kinematics import rest_size
 
-# What is off by less is not said: a tenth of a degree moves the end of a limb by less
-# than markers tremble, 3 parts in 10,000 of a body are half a millimetre of a person,
-# and a weight is seen from about a hundredth on [rad], [1], [1].
+# Smaller errors are not reported: a tenth of a degree moves the end of a limb by less
+# than marker noise, 3 parts in 10,000 of a body are half a millimetre, and a weight is
+# visible from about a hundredth [rad], [1], [1].
 NEGLIGIBLE_ANGLE = np.radians(0.1)
 NEGLIGIBLE = 3e-4
 NEGLIGIBLE_WEIGHT = 5e-3
-# Of samples, so many are looked at in one go.
+# Samples per block.
 BLOCK_FRAMES = 4096
 
 
@@ -39,12 +39,12 @@ class StraightError:
 
 
 def straight_errors(between: Between, positions: FramePositions) -> list[StraightError]:
-    """Return the largest error of each kind of channel that goes in straight lines.
+    """Return the largest interpolation error of each kind of channel.
 
-    A smooth curve f leaves the straight line between two frames by at most s (1 - s)
-    / 2 · |f''| at the share s of the way; f'' is taken from the differences of the
-    frames around. Rotations likewise, by the change of the turn from frame to frame.
-    A motion that jumps is off by more than a smooth one would be.
+    A smooth curve f deviates from the line between two frames by at most s (1 - s) / 2
+    · |f''| at the fraction s; f'' is taken from differences of neighbouring frames.
+    Rotations likewise, from the change of angular velocity. A motion that jumps
+    deviates more than a smooth one.
     """
     motion = between.take.motion
     errors = []
@@ -64,7 +64,7 @@ def straight_errors(between: Between, positions: FramePositions) -> list[Straigh
 
 
 def straight_notices(between: Between, positions: FramePositions) -> list[Fault]:
-    """Return the note of what straight lines may be off by (TAKE007), if it matters."""
+    """Return the note of the estimated interpolation error (TAKE007), if it matters."""
     take = between.take
     rig = take.rig
     least = {
@@ -112,7 +112,7 @@ def _largest(
     worst: tuple[float, int, float] | None = None
     for at in _blocks(inside):
         frames, fraction = positions.frames[at], positions.fractions[at]
-        # The bends at the frame before and behind each place.
+        # Curvature at the frames before and after each position.
         low = int(np.clip(frames.min(), 1, count - 2))
         high = int(np.clip(frames.max() + 1, 1, count - 2))
         bends = _bends(channel.values[low - 1 : high + 2][:, columns])

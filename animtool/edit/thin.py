@@ -1,4 +1,4 @@
-"""Leaving out the samples that the others give back, for files that stay small."""
+"""Thinning of samples that interpolation restores, for smaller files."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-# A split this share of a stretch from its ends at least, so that stretches halve.
+# Least distance of a split from the ends of an interval, as a fraction of it.
 SPLIT_MARGIN = 0.125
-# Each pass may leave out every second sample that is left; few find any to leave out.
+# Each pass may drop every second remaining sample; few find any.
 JOINING = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Thinned:
-    """Which samples stay, and what leaving out the others does."""
+    """Which samples are kept, and the resulting error."""
 
     samples: int  # number of samples before
     kept: IntArray  # indices of those that stay, ascending ``(N,)``
@@ -39,7 +39,7 @@ class Thinned:
 
     @property
     def count(self) -> int:
-        """Number of samples that stay."""
+        """Number of kept samples."""
         return len(self.kept)
 
 
@@ -51,16 +51,16 @@ def thin_samples(
     *,
     joint_tolerances: Mapping[str, float] | None = None,
 ) -> Thinned:
-    """Return which samples ``(F,)`` play a motion within a tolerance > 0 [m].
+    """Return which samples ``(F,)`` reproduce a motion within a tolerance > 0 [m].
 
-    Between two samples USD moves translations, scales and weights in straight lines and
-    rotations along the shortest arc. A stretch whose samples are beyond the tolerance
-    is split at the worst of them (Douglas and Peucker, 1973); then samples that turn
-    out not to be needed are left out again. The measure is that of
+    Between two samples USD interpolates translations, scales and weights linearly, and
+    rotations along the shortest arc. An interval beyond the tolerance is split at its
+    worst sample (Douglas and Peucker, 1973); then samples that turn out not to be
+    needed are dropped again. The measure is that of
     `animtool.clip.reduction.reduce.reduce_motion`: points that each joint carries, in
-    the world, at every sample. The first and last sample stay. ``joint_tolerances`` are
-    by names of joints or patterns such as ``hand_*`` > 0 [m], that of weights
-    is `WEIGHT_TOLERANCE` [1].
+    the world, at every sample. The first and last sample are kept. ``joint_tolerances``
+    are by names of joints or patterns such as ``hand_*`` > 0 [m], that of weights is
+    `WEIGHT_TOLERANCE` [1].
     """
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
     measure = _Measure(rig, codes, motion, bounds)
@@ -71,7 +71,7 @@ def thin_samples(
 
 
 def _split(measure: _Measure, kept: IntArray) -> IntArray:
-    """Add samples until every stretch between two of them is within the tolerance."""
+    """Add samples until every interval is within the tolerance."""
     frames = np.setdiff1d(np.arange(len(measure.codes)), kept)
     while len(frames):
         ratios = measure.ratios(kept, frames)
@@ -94,14 +94,14 @@ def _split(measure: _Measure, kept: IntArray) -> IntArray:
 
 
 def _joined(measure: _Measure, kept: IntArray, skip: int) -> IntArray:
-    """Return the samples without those of every second that are not needed."""
+    """Return the samples without every second one that is not needed."""
     trial = np.arange(1 + skip, len(kept) - 1, 2)
     if not len(trial):
         return kept
     fewer = np.delete(kept, trial)
     frames = np.setdiff1d(np.arange(kept[trial[0] - 1], kept[trial[-1] + 1]), fewer)
     ratios = measure.ratios(fewer, frames)
-    # Every stretch of the trial has a frame: the sample that it leaves out.
+    # Every interval of the trial has a frame: the sample that it drops.
     interval = np.searchsorted(kept[trial - 1], frames, side="right") - 1
     worst = np.zeros(len(trial))
     np.maximum.at(worst, interval, ratios)
@@ -109,7 +109,7 @@ def _joined(measure: _Measure, kept: IntArray, skip: int) -> IntArray:
 
 
 class _Measure:
-    """How far the samples that stay put everything else from where it was."""
+    """Error of the motion restored from the kept samples."""
 
     def __init__(
         self,
@@ -143,7 +143,7 @@ class _Measure:
         return np.asarray(np.maximum(largest, weights / WEIGHT_TOLERANCE))
 
     def report(self, kept: IntArray) -> Thinned:
-        """Return what came of it."""
+        """Return the result for the kept samples."""
         count = len(self.codes)
         joints, weights = self.errors(kept, np.arange(count))
         if not joints.shape[1]:

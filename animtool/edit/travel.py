@@ -1,4 +1,4 @@
-"""Where joints of a take are, and how far and along what they travel."""
+"""World frames of joints, positions between frames, and travel of cycles."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class JointFrame:
 
 
 def above(rig: Rig, motion: Motion, joint: int) -> JointFrame:
-    """Return the frame that a joint's own transform is in: its parent, or the world."""
+    """Return the world frame of a joint's local transform: its parent, or the world."""
     return _followed(motion, rig.upwards(joint)[:0:-1])
 
 
 def joint_frame(rig: Rig, motion: Motion, joint: int) -> JointFrame:
-    """Return where a joint is in every frame."""
+    """Return a joint's world frame in every frame."""
     return _followed(motion, rig.upwards(joint)[::-1])
 
 
@@ -71,23 +71,23 @@ def twist(rotation: FloatArray, up: FloatArray) -> FloatArray:
     return so3.normalize(np.concatenate([along, rotation[..., 3:]], axis=-1))
 
 
-# A place this near to a frame [frame] is meant to be the frame: what rounding
-# leaves of a time code in the millions is less.
+# A position this near to a frame [frame] is the frame: the rounding
+# error of a time code in the millions is smaller.
 ON_FRAME = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class FramePositions:
-    """Where samples lie: at or between two frames."""
+    """Sample positions: at or between two frames."""
 
     frames: IntArray  # frame at or before each sample ``(N,)``
     fractions: FloatArray  # how far on to the next, in [0, 1) ``(N,)``
 
     def blend(self, channel: Channel) -> Channel:
-        """Return the channel at the places.
+        """Return the channel at these positions.
 
-        On a frame it is that frame exactly; between two, rotations (K = 4) go along
-        the shortest arc, the rest in a straight line.
+        On a frame it is that frame exactly; between two, rotations (K = 4) follow the
+        shortest arc, other values are linear.
         """
         values = channel.values[self.frames]
         between = self.fractions > 0
@@ -101,12 +101,12 @@ class FramePositions:
         return Channel(channel.rest, channel.animated, values)
 
     def curve(self, channel: Channel) -> Channel:
-        """Return the channel at the places, of a curve through its frames.
+        """Return the channel at these positions, on a spline through its frames.
 
         The cubic of four frames (E. Catmull and R. Rom, A class of local interpolating
-        splines, 1974), of class C1; rotations (K = 4) by their components, at unit
-        length. On a frame it is that frame exactly. A take of fewer than three frames
-        is blended.
+        splines, 1974), of class C1; rotations (K = 4) by their components, normalised.
+        On a frame it is that frame exactly. A take of fewer than three frames is
+        blended.
         """
         values, count = channel.values, len(channel.values)
         if count < 3:
@@ -133,11 +133,11 @@ class FramePositions:
 def even_positions(
     index: IntArray, offset: Fraction | int, ratio: Fraction, count: int
 ) -> FramePositions:
-    """Return the places ``(index + offset) · ratio`` of a take of ``count`` frames.
+    """Return positions ``(index + offset) · ratio`` in ``count`` frames.
 
-    They are exact, and held at the ends of the take.
+    They are exact, and clamped at the ends of the take.
 
-    >>> even_places(np.arange(4), 0, Fraction(1, 2), 9).fractions.tolist()
+    >>> even_positions(np.arange(4), 0, Fraction(1, 2), 9).fractions.tolist()
     [0.0, 0.5, 0.0, 0.5]
     """
     shift = Fraction(offset)
@@ -157,11 +157,11 @@ def even_positions(
 
 
 def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
-    """Return the places of positions ``(N,)`` [frame], 0 the first.
+    """Return the frame positions of numbers ``(N,)`` [frame], 0 the first.
 
-    What is within 1e-9 of a frame is on it; the ends of the take are held.
+    A number within 1e-9 of a frame is on it; the ends of the take are clamped.
 
-    >>> nearby_places([-3.0, 1.25, 1 + 1e-12], 4).frames.tolist()
+    >>> nearby_positions([-3.0, 1.25, 1 + 1e-12], 4).frames.tolist()
     [0, 1, 1]
     """
     clamped = np.clip(np.asarray(positions, np.float64), 0, count - 1)
@@ -172,11 +172,11 @@ def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
 
 
 def positions_between(codes: FloatArray, at: ArrayLike) -> FramePositions:
-    """Return the places of times ``(N,)`` among the times of samples ``(F,)``.
+    """Return positions of times ``(N,)`` among the times of samples ``(F,)``.
 
-    The ends are held.
+    Times are clamped at the ends.
 
-    >>> places_between(np.array([1.0, 2.0, 4.0]), [1.0, 3.0, 9.0]).fractions.tolist()
+    >>> positions_between(np.array([1.0, 2.0, 4.0]), [1.0, 3.0, 9.0]).fractions.tolist()
     [0.0, 0.5, 0.0]
     """
     times = np.clip(np.asarray(at, np.float64), codes[0], codes[-1])
@@ -193,17 +193,17 @@ def _clamped(frames: IntArray, fractions: FloatArray, count: int) -> FramePositi
     )
 
 
-# A joint that moves by less than this share of the rig's size, or turns by less
-# than this many radians, stands still: files round, and captures tremble.
+# A joint that moves by less than this fraction of the rig's size, or rotates by less
+# than this [rad], is static: files round, and captures jitter.
 STATIC = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class CycleTravel:
-    """How each joint's local transform goes on from one cycle to the next.
+    """How each joint's local transform continues from one cycle to the next.
 
-    ``translation`` becomes ``linear · translation + shift``, and ``rotation``
-    becomes ``turn · rotation``. Joints that do not travel have identities.
+    ``translation`` becomes ``linear · translation + shift``, and ``rotation`` becomes
+    ``rotations[j] · rotation``. Joints that do not travel have identities.
     """
 
     rotations: FloatArray  # ``(J, 4)``
@@ -214,11 +214,11 @@ class CycleTravel:
 def traveller(
     rig: Rig, motion: Motion, root: int, *, below: bool = False
 ) -> int | None:
-    """Return the joint whose motion is that of the whole character, from a root down.
+    """Return the joint that carries the full character, from a root down.
 
-    It is the root where that moves. Else it is a free joint whose translation moves
-    and which has joints above that stand still only: of several, the one with most
-    joints below it, then the first. None where nothing travels.
+    It is the root if that moves. Else it is a free joint with animated translation
+    below static joints only: of several, the one with most joints below it, then the
+    first. None if nothing travels.
     """
     if not below and (_slides(rig, motion, root) or _rotates(motion, root)):
         return root
@@ -227,11 +227,11 @@ def traveller(
 
 
 def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
-    """Return how a cycle goes on, from its first frame to its last.
+    """Return the travel of a cycle, from its first frame to its last.
 
-    What a character does over the ground and about the up axis goes on; what it
-    does in height, and in leaning, comes back. Each root goes its own way, and what
-    hangs from one that stands still goes with the joint that `traveller` finds.
+    Motion on the ground and about the up axis accumulates; height and lean return. Each
+    root travels independently, and joints below a static root move with the joint that
+    `traveller` returns.
     """
     count = len(rig.joints)
     travel = CycleTravel(
@@ -252,7 +252,7 @@ def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
 
 
 def _ground_step(rig: Rig, ends: Motion, joint: int) -> tuple[FloatArray, FloatArray]:
-    """Return the world's turn ``(4,)`` and slide ``(3,)`` from first frame to last."""
+    """Return world rotation ``(4,)`` and slide ``(3,)`` from first to last frame."""
     up = np.array(rig.up.vector)
     frame = joint_frame(rig, ends, joint)
     change = so3.multiply(frame.rotation[1], so3.conjugate(frame.rotation[0]))
@@ -269,7 +269,7 @@ def _carry(
     world_rotation: FloatArray,
     slide: FloatArray,
 ) -> None:
-    """Write the world's step as one in the frame of a joint's parent."""
+    """Store the world step as one in the frame of a joint's parent."""
     if rig.joints[joint].parent < 0:
         travel.rotations[joint], travel.shifts[joint] = world_rotation, slide
         travel.linear[joint] = so3.to_matrix(world_rotation)
@@ -291,7 +291,7 @@ def _carry(
 
 
 def _travellers(rig: Rig, motion: Motion, root: int) -> list[int]:
-    """Return the free joints below a root that move first on the way down."""
+    """Return the topmost moving free joints below a root."""
     travellers: list[int] = []
     static = {root}
     for j, joint in enumerate(rig.joints):

@@ -1,4 +1,4 @@
-"""Joints put into the tree of a take, taken out, and hung from others."""
+"""Changes to the joint tree of a take: joints inserted, removed and attached."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def joint_index(rig: Rig, name: str, option: str) -> int:
 def joints_matching(
     rig: Rig, patterns: str | Sequence[str], *, children: bool = False
 ) -> list[int]:
-    """Return the joints that names or glob patterns choose, ascending.
+    """Return the joints that match names or glob patterns, ascending.
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0), Joint("c", -1)))
@@ -62,8 +62,8 @@ def _unknown(rig: Rig, name: str, option: str) -> OptionError:
     return OptionError(Fault("SCN012", message, hint=hint))
 
 
-# Scales, and angles [rad], that differ by less are the same: they come from files
-# in float32 at best, half at worst, and what is moved by 1e-9 is seen by none.
+# Scales, and angles [rad], that differ by less are equal: they come from files
+# in float32 at best, half at worst, and 1e-9 is invisible.
 EQUAL = 1e-9
 
 
@@ -76,7 +76,7 @@ class Placing:
 
 
 def set_joint(take: Take, joint: int, placing: Placing) -> Take:
-    """Return the take with a joint moved, its children left where they are."""
+    """Return the take with a joint moved, its children left in place."""
     motion = take.motion
     children = np.flatnonzero(take.rig.parents == joint)
     family = np.concatenate([[joint], children])
@@ -103,7 +103,7 @@ def set_joint(take: Take, joint: int, placing: Placing) -> Take:
 
 
 def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
-    """Return the scale of a joint ``(F, 3)``, one number where it is turned."""
+    """Return the scale of a joint ``(F, 3)``, uniform where the joint rotates."""
     scales = take.motion.scales
     if scales is None:
         return np.ones((1, 3))
@@ -123,9 +123,9 @@ def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
 
 
 def inserted(take: Take, name: str, above: int) -> Take:
-    """Return the take with a new joint that does nothing right above another.
+    """Return the take with a new static joint right above another.
 
-    The new joint takes the other's index, and the other the one behind it.
+    The new joint takes the other's index, and the other the next one.
     """
     joints = [
         replace(j, parent=j.parent + (j.parent >= above)) for j in take.rig.joints
@@ -145,9 +145,9 @@ def inserted(take: Take, name: str, above: int) -> Take:
 
 
 def removed(take: Take, joint: int) -> Take:
-    """Return the take without a joint that is at the origin of its parent, unturned.
+    """Return the take without a joint at its parent's origin and orientation.
 
-    Its children hang from its parent and take over its scale and its rest pose.
+    Its children move to its parent and take over its scale and rest pose.
     """
     take = _unscaled(take, joint)
     rig = take.rig
@@ -184,7 +184,7 @@ def removed(take: Take, joint: int) -> Take:
 
 
 def _unscaled(take: Take, joint: int) -> Take:
-    """Return the take with a joint's scale given to its children."""
+    """Return the take with a joint's scale moved to its children."""
     scales = take.motion.scales
     if scales is None:
         return take
@@ -221,7 +221,7 @@ def _rest(joint: Joint) -> Pose:
 
 
 def _below(above: Pose, pose: Pose) -> Pose:
-    """Return a pose below another as one in the frame of that other's parent."""
+    """Return a pose below another, in the frame of that other's parent."""
     translation = so3.rotate(above.rotation, pose.translation) + above.translation
     x, y, z = translation.tolist()
     a, b, c, w = so3.multiply(above.rotation, pose.rotation).tolist()
@@ -229,7 +229,7 @@ def _below(above: Pose, pose: Pose) -> Pose:
 
 
 def _bind(rig: Rig, joint: int) -> dict[str, Pose]:
-    """Return the bind poses of a rig whose joint is taken out."""
+    """Return the bind poses of a rig without a joint."""
     gone = rig.joints[joint]
     bind = {name: pose for name, pose in rig.bind.items() if name != gone.name}
     for one in rig.joints:
@@ -240,7 +240,7 @@ def _bind(rig: Rig, joint: int) -> dict[str, Pose]:
 
 
 def _referred(rig: Rig) -> set[str]:
-    """Return the names of joints that the rest of a rig speaks of."""
+    """Return the joints that other parts of a rig refer to."""
     skins = [mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None]
     chains = [(chain.root, chain.tip) for chain in rig.chains]
     groups = [*skins, *chains, *(one.joints for one in rig.attach)]
@@ -266,7 +266,7 @@ def _referred(rig: Rig) -> set[str]:
 
 @dataclass(frozen=True, slots=True)
 class HangOptions:
-    """What hangs where.
+    """The joint, and the rope particle that carries it.
 
     Attributes:
         joint: A free joint of the rig; what is below it goes along.
@@ -336,7 +336,7 @@ def hang(
 
 
 def _axis(take: Take, joint: int) -> FloatArray:
-    """Return what points down at rest, in the frame of a joint."""
+    """Return the axis that points down at rest, in a joint's frame."""
     down = -np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[take.rig.up]]
     rest = rest_world(take.rig).rotations[0, joint]
     return np.asarray(so3.rotate(so3.conjugate(rest), down))
@@ -376,7 +376,7 @@ def _local(
 
 
 def _check_scales(take: Take, world: WorldTransforms, joint: int) -> None:
-    """Refuse a joint below one that is scaled to 0: no value brings it anywhere."""
+    """Refuse a joint below a zero scale: no local value can place it."""
     parent = take.rig.joints[joint].parent
     if parent < 0:
         return

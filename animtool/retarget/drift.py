@@ -27,7 +27,7 @@ from animtool.motion.passes import Pass, PassContext, Scope, TakePart
 from animtool.motion.take import Take
 from animtool.retarget.pairing import map_joints
 from animtool.retarget.roled_skeleton import RoledSkeleton
-from animtool.retarget.take_pass import nobody
+from animtool.retarget.take_pass import no_body_warning
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
@@ -85,7 +85,7 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
     try:
         joint_map = map_joints(take.rig, take.rig, map_file=path)
     except OptionError as error:
-        context.notices.append(nobody(error))
+        context.notices.append(no_body_warning(error))
         return take
     skeleton = RoledSkeleton.of(take.rig, joint_map.source.roles)
     stance = _stance(take, skeleton, heading=options.heading)

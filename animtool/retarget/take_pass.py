@@ -69,7 +69,7 @@ MAX_NAMED = 6
 NO_LENGTH = 1e-4
 
 
-def lacking_pairs(
+def insufficient_pairs(
     source: Rig, joint_map: JointMap, follows: IntArray, moving: Collection[int]
 ) -> Fault | None:
     """Return why too little of a take is mapped to its rig (MAP010); None if enough is.
@@ -104,7 +104,9 @@ def lacking_pairs(
     return Fault("MAP010", message, hint=hint)
 
 
-def collapsed(source: Rig, joint_map: JointMap, longest: FloatArray) -> Fault | None:
+def zero_length_limbs(
+    source: Rig, joint_map: JointMap, longest: FloatArray
+) -> Fault | None:
     """Return which limbs of a take have bones without length (MAP011); None for none.
 
     Args:
@@ -242,10 +244,12 @@ def onto_rig(
         hands=hands,
         props=props,
     )
-    lacking = lacking_pairs(source, joint_map, transfer.follows, retargeting.moving)
+    lacking = insufficient_pairs(
+        source, joint_map, transfer.follows, retargeting.moving
+    )
     if options.map is not None:
         lacking = None
-    lacking = collapsed(source, joint_map, retargeting.longest) or lacking
+    lacking = zero_length_limbs(source, joint_map, retargeting.longest) or lacking
     if lacking is not None and not options.force_fit and not same:
         raise FormatError(lacking)
     retargeting.forced = [] if lacking is None else [lacking]
@@ -433,7 +437,7 @@ class FeetOptions:
     map: Path | None = None
 
 
-def nobody(error: OptionError) -> Fault:
+def no_body_warning(error: OptionError) -> Fault:
     """Return a warning that a take has no body, if that is the cause of an error."""
     if error.code != "MAP004":
         raise error
@@ -451,7 +455,7 @@ def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
             TakeStream.of(take), take.rig, settings, same=True
         )
     except OptionError as error:
-        context.notices.append(nobody(error))
+        context.notices.append(no_body_warning(error))
         return take
     context.notices.extend(notices)
     if retargeting.standing.placed is None:

@@ -50,7 +50,7 @@ from animtool.capture.cameras.stale import (
 )
 from animtool.capture.cameras.triangulate import _check_options, _TriangulationRun
 from animtool.capture.face.model import FaceModel, spread
-from animtool.capture.face.poses import camera_pose, head_poses, held_poses
+from animtool.capture.face.poses import camera_pose, head_poses, last_good_poses
 from animtool.capture.markers.fill import _curve, _gaps, _likeliest, _run
 from animtool.capture.markers.geometry import (
     MarkerDistances,
@@ -679,8 +679,13 @@ def test_heads_are_posed_by_weighted_landmarks() -> None:
     assert_array_equal(found[2], found[1])
     assert_array_equal(found[3], found[1])
     rows = np.arange(4.0)[:, None]
-    assert held_poses(rows, np.array([0, 1, 0, 1], bool))[:, 0].tolist() == [1, 1, 1, 3]
-    assert held_poses(rows, np.zeros(4, bool)) is rows
+    assert last_good_poses(rows, np.array([0, 1, 0, 1], bool))[:, 0].tolist() == [
+        1,
+        1,
+        1,
+        3,
+    ]
+    assert last_good_poses(rows, np.zeros(4, bool)) is rows
     placed = so3.rotate(turn, BODY) + np.array([0.1, -0.2, 4.0])
     pixels = placed[:, :2] / placed[:, 2:] * [800, 700] + [320, 240]
     lens = np.array([800.0, 700, 320, 240])

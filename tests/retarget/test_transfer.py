@@ -195,7 +195,9 @@ def test_turns_follow_by_the_change_from_rest() -> None:
     free = replace(less, follows=np.where(np.arange(13) == 4, -1, less.follows))
     assert_allclose(free.rotations(world)[0, 4], turn(X, 40), atol=1e-12)
     halved = replace(
-        less, after=np.where(np.arange(13) == 1, 3, less.after), share=np.full(13, 0.25)
+        less,
+        after=np.where(np.arange(13) == 1, 3, less.after),
+        fraction=np.full(13, 0.25),
     )
     assert_allclose(halved.rotations(world)[0, 1], turn(X, 10), atol=1e-9)
 

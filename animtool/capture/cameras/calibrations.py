@@ -31,7 +31,7 @@ from animtool.documents.fields import MAX_NUMBER
 from animtool.documents.yaml_values import Marks
 from animtool.maths.so3 import exp, to_matrix
 
-# What programs call a value, the first that a camera has.
+# Names of a value in other programs, in order of preference.
 _KEYS = {
     "matrix": ("K", "camera_matrix", "cameraMatrix", "matrix", "intrinsics"),
     "distortion": (
@@ -57,10 +57,10 @@ _TABLE = re.compile(r"^\s*\[\s*\"?([^\"\]]+?)\"?\s*\]")
 
 
 def read_any(path: Path) -> Document:
-    """Return a file of cameras as a document, in YAML, JSON, TOML or of OpenCV.
+    """Return a camera file as a document: YAML, JSON, TOML or OpenCV storage.
 
     Raises:
-        FormatError: It cannot be read, or is neither.
+        FormatError: It cannot be read, or has another format.
     """
     text = read_text(path)
     if path.suffix.lower() == ".toml":
@@ -93,7 +93,7 @@ def _toml(text: str, path: Path) -> Document:
 
 
 def _nodes(value: Any) -> int:
-    """Return how many places a value and what is in it have in a document."""
+    """Return the number of source locations that a value takes in a document."""
     if isinstance(value, dict):
         return 1 + sum(1 + _nodes(inner) for inner in value.values())
     if isinstance(value, list):
@@ -104,12 +104,12 @@ def _nodes(value: Any) -> int:
 def calibration_of(
     document: Document, unit: LengthUnit | None, up: UpAxis | None
 ) -> Cameras:
-    """Return a document of another program as cameras.
+    """Return another program's calibration document as cameras.
 
     Raises:
         FormatError: With every fault: there are no cameras, or a value of one is
-            missing or wrong (CAM003), a rotation is none (CAM001), or a name stands
-            twice (CAM002).
+            missing or wrong (CAM003), a rotation is invalid (CAM001), or a name is
+            used twice (CAM002).
     """
     scale = (unit or _unit(document)).meters
     entries = list(_entries(document.value))
@@ -132,7 +132,7 @@ def calibration_of(
 
 
 def _unit(document: Document) -> LengthUnit:
-    """Return the unit that a document states; one that is none is noted."""
+    """Return the unit that a document states; report an unknown one."""
     location: Location = ("units",)
     stated = document.value.get("units")
     if isinstance(stated, dict) and "length" in stated:
@@ -147,7 +147,7 @@ def _unit(document: Document) -> LengthUnit:
 
 
 def _entries(value: dict[str, Any]) -> Iterator[tuple[Location, str, dict[str, Any]]]:
-    """Yield the cameras of a calibration: their places, names and values."""
+    """Yield the cameras of a calibration: locations, names and values."""
     listed_ = value.get("cameras")
     if isinstance(listed_, list):
         for i, entry in enumerate(listed_):
@@ -169,14 +169,14 @@ def _is_camera(value: Mapping[str, Any]) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _CalibrationEntry:
-    """A camera of a calibration, and where it stands."""
+    """A camera of a calibration, with its location in the document."""
 
     document: Document
     location: Location
     value: dict[str, Any]
 
     def camera(self, name: str, scale: float) -> Camera | None:
-        """Return the camera; None where there are faults, which are noted."""
+        """Return the camera; None if it has faults, which are recorded."""
         if self.value.get("fisheye") is True:
             message = "fisheye lenses are not supported"
             hint = "undistort the pixels first, and write a lens without distortion"
@@ -242,7 +242,7 @@ class _CalibrationEntry:
         return numbers
 
     def _opencv(self, value: dict[str, Any]) -> Any:
-        """Return a matrix of a FileStorage, or its numbers where the shape is off."""
+        """Return a matrix of a FileStorage, or raw numbers if its shape is wrong."""
         rows, columns, data = (value.get(key) for key in ("rows", "cols", "data"))
         if not (
             isinstance(rows, int) and isinstance(columns, int) and rows > 0 < columns

@@ -16,7 +16,7 @@ from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 
-# What a camera is called whose file has it alone and without a name.
+# Name of a single unnamed camera.
 UNNAMED = "cam00"
 # How far a matrix may be from a rotation: files round to three digits and more.
 ROTATION_TOLERANCE = 5e-3
@@ -51,12 +51,12 @@ class Camera:
 
     @property
     def position(self) -> FloatArray:
-        """Where it stands in the world [m] ``(3,)``."""
+        """Its position in the world [m] ``(3,)``."""
         return -self.rotation.T @ self.translation
 
     @property
     def numbers(self) -> FloatArray:
-        """As kernels take it: focal, centre, skew, lens, R, t, size ``(27,)``."""
+        """Parameters for kernels: focal, centre, skew, lens, R, t, size ``(27,)``."""
         lens = (*self.focal, *self.centre, self.skew, *self.distortion)
         size = self.size or (0, 0)
         pose = (self.rotation.ravel(), self.translation)
@@ -70,7 +70,7 @@ class Cameras:
     Attributes:
         cameras: In the order of the file.
         up: The up axis of the world.
-        path: The file they are from; empty where they are from none.
+        path: Their file; empty for none.
         notices: Warnings and notes about the file.
     """
 
@@ -90,7 +90,7 @@ class Cameras:
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray | None:
-    """Return the rotation nearest to a matrix ``(3, 3)``; None where it is none.
+    """Return the rotation nearest to a matrix ``(3, 3)``; None if it is no rotation.
 
     >>> nearest_rotation(np.diag([1.0, 1.0, -1.0])) is None
     True
@@ -105,12 +105,12 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray | None:
 
 
 def camera_numbers(cameras: Sequence[Camera]) -> FloatArray:
-    """Return cameras as kernels take them ``(C, 27)``."""
+    """Return the kernel parameters of cameras ``(C, 27)``."""
     return np.array([camera.numbers for camera in cameras]).reshape(-1, 27)
 
 
 def distorted(camera: Camera, points: FloatArray) -> FloatArray:
-    """Return where a lens shows places of the image plane at depth 1 ``(…, 2)``."""
+    """Return image plane points at depth 1 with lens distortion applied ``(…, 2)``."""
     k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
     x, y = points[..., 0], points[..., 1]
     s = x * x + y * y
@@ -129,7 +129,7 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
     >>> project(camera, np.array([0.1, 0.0, 1.0])).tolist()
     [60.0, 40.0]
     """
-    # What overflows is on no image.
+    # Overflows are outside any image.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         in_camera = points @ camera.rotation.T + camera.translation
         depth = np.where(in_camera[..., 2] > 0, in_camera[..., 2], np.nan)
@@ -144,11 +144,11 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
 
 
 def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
-    """Return directions in the camera's frame, at depth 1, of pixels ``(…, 2)``.
+    """Return ray directions in the camera's frame, at depth 1, of pixels ``(…, 2)``.
 
-    NaN where no direction near a pixel leads to it.
+    NaN where no direction near a pixel projects to it.
     """
-    # What overflows leads nowhere, and is NaN below.
+    # Overflows are invalid, and become NaN below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         undistorted = _undistorted(camera, pixels)
     undistorted[~np.isfinite(undistorted).all(axis=-1)] = np.nan
@@ -156,7 +156,7 @@ def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
 
 
 def _undistorted(camera: Camera, pixels: FloatArray) -> FloatArray:
-    """Return places at depth 1 that a lens shows at pixels, by Newton's steps."""
+    """Return undistorted points at depth 1 of pixels, by Newton's method."""
     y = (pixels[..., 1] - camera.centre[1]) / camera.focal[1]
     x = (pixels[..., 0] - camera.centre[0] - camera.skew * y) / camera.focal[0]
     target = np.stack([x, y], axis=-1)

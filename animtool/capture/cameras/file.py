@@ -32,7 +32,7 @@ from animtool.documents.fields import (
 )
 from animtool.maths.so3 import to_matrix
 
-# What the side of an image may be [px].
+# Largest side of an image [px].
 MAX_SIDE = 100_000
 MAX_CAMERAS = 256
 
@@ -113,8 +113,8 @@ def cameras_of_document(document: Document) -> Cameras:
     """Return a document as cameras.
 
     Raises:
-        FormatError: With every fault, such as a rotation that is none (CAM001) and a
-            name that stands twice (CAM002).
+        FormatError: With every fault, such as an invalid rotation (CAM001) and a
+            name that stands used twice (CAM002).
     """
     check_version(document, "cameras")
     model = validated(document, CamerasModel)
@@ -151,7 +151,7 @@ def cameras_of_document(document: Document) -> Cameras:
 
 
 def _rotation(value: list[list[float]] | list[float]) -> FloatArray | None:
-    """Return the rotation of a matrix or a quaternion w, x, y, z; None of neither."""
+    """Return the rotation of a matrix or quaternion (w, x, y, z); None for neither."""
     numbers = np.array(value, np.float64)
     if numbers.ndim == 2:
         return nearest_rotation(numbers)
@@ -170,9 +170,9 @@ def load_cameras(
         path: A camera file (``cameras: animtool/1``), an OpenCV FileStorage in YAML or
             JSON, a JSON file with a list of cameras with ``K``, ``R``, ``t`` and
             ``dist``, or a TOML file of Pose2Sim or anipose.
-        unit: What translations are in, where the file does not say; metres if not
+        unit: Unit of translations, if the file does not state it; metres if not
             given.
-        up: Which axis of the world points up, where the file does not say.
+        up: The world's up axis, if the file does not state it.
 
     Raises:
         FormatError: It cannot be read or is malformed, with every fault.
@@ -188,13 +188,13 @@ def load_cameras(
 def load_all_cameras(
     paths: Sequence[Path], *, unit: LengthUnit | None = None, up: UpAxis | None = None
 ) -> Cameras:
-    """Return the cameras of several files, such as one of each camera.
+    """Return the cameras of several files, such as one file per camera.
 
-    A camera without a name of its own in its file is called as the file is.
+    A camera without a name in its file is named after the file.
 
     Raises:
-        FormatError: One cannot be read, a name stands in two (CAM002), or their worlds
-            have other axes up (CAM003).
+        FormatError: One cannot be read, a name is in two (CAM002), or their worlds
+            have different up axes (CAM003).
     """
     read = [load_cameras(path, unit=unit, up=up) for path in paths]
     if len(read) == 1:

@@ -1,4 +1,4 @@
-"""How exact observations are, and which cameras are stale, measured on a part of them.
+"""Observation noise and stale cameras, measured on a sample of frames.
 
 References:
     Rousseeuw, Least median of squares regression, 1984; the median of chi-square is
@@ -19,9 +19,9 @@ from animtool.capture.cameras.stale import PoseChange, pose_change
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 
-# Points that noise is measured on: it is known to some percent then.
+# Points for the noise estimate: enough for a few percent.
 SAMPLE = 1500
-# Of them, where all pairs of cameras are compared.
+# Points at which all pairs of cameras are compared.
 FIRST_SAMPLE = 400
 # Median length of a vector of two normal numbers of deviation 1: sqrt(2 ln 2).
 MEDIAN = 1.1774100225154747
@@ -30,24 +30,24 @@ MEDIAN = 1.1774100225154747
 _LEAST = (0.50, 0.20, 0.83, 0.61, 0.91, 0.76, 0.94, 0.83, 0.97)
 # Below, a gate would follow the rounding of pixels [px].
 MIN_NOISE = 0.05
-# A camera has the noise of all unless its own is this many times as large or small.
+# Cameras share one noise unless a camera's differs by this factor.
 SIMILAR_NOISE = 1.5
-# What the noise of a camera may be at most, against that of all.
+# Largest noise of a camera, over that of all.
 _MAX_RATIO = 3.0
-# A camera whose noise is this many times that of all is looked at: it may be stale.
+# A camera whose noise is this many times that of all may be stale.
 _SUSPECT = 1.1
 _SUSPECTS = 4
-# Share of points that must be found, if cameras are to agree [1].
+# Least fraction of triangulated points for cameras to agree [1].
 MIN_TRIANGULATED = 0.5
 _ROUNDS = 2
-_ANY = 1e6  # a gate that everything passes
-# What the kernel says of an observation.
+_ANY = 1e6  # a gate that accepts everything
+# The kernel's state of an observation.
 USED, _REJECTED, _INACTIVE = 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """How exact the observations of each camera are.
+    """Noise of each camera's observations.
 
     Attributes:
         pixels: Standard deviation of an axis [px] ``(C,)``.
@@ -63,7 +63,7 @@ class Noise:
 def measured_noise(
     observations: Observations, cameras: Sequence[Camera], gate: float, condition: float
 ) -> Noise:
-    """Return how exact observations are, as a part of all frames shows."""
+    """Return the noise of observations, measured on a sample of frames."""
     frames, views, markers = observations.stored.shape[:3]
     step = max(1, frames * markers // SAMPLE)
     pixels = observations.pixels(0, frames, step)
@@ -105,7 +105,7 @@ def measured_noise(
     visible = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1) > 1
     triangulated = int(np.isfinite(points[..., 0]).sum())
     if triangulated < MIN_TRIANGULATED * visible.sum():
-        # No two agree, or any two do: all are used, as far as they are apart.
+        # No two agree, or any two do: all are pooled.
         stale, active = {}, np.ones_like(active)
         *_, residuals, states = _kernels.triangulate_points(
             pixels, trust, numbers, active, noise, _ANY, condition, detailed=True
@@ -127,7 +127,7 @@ def _stale_camera(
     ratios: FloatArray,
     settings: tuple[float, float],
 ) -> tuple[int, PoseChange] | None:
-    """Return the camera that a change of pose brings to where the others see points.
+    """Return the camera that a change of pose fits best to the others' points.
 
     One at a time: a stale camera makes others look worse than they are.
     """
@@ -159,7 +159,7 @@ def _stale_camera(
 
 
 def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
-    """Return the noise that least medians of squared residuals show [px]."""
+    """Return the noise estimated from least medians of squared residuals [px]."""
     pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // FIRST_SAMPLE)]
     counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
     least = _kernels.least_median_residuals(np.ascontiguousarray(pixels), numbers)
@@ -171,7 +171,7 @@ def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
 
 
 def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
-    """Return the noise that the sums of squares of points show [px]."""
+    """Return the noise estimated from the points' sums of squares [px]."""
     counts = used.sum(axis=1)
     sums = np.where(used, lengths, 0.0)
     sums = (sums * sums).sum(axis=1)[counts > 1]
@@ -183,11 +183,11 @@ def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
 
 
 def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
-    """Return the noise of each camera by its median residual [px] ``(C,)``."""
+    """Return the noise of each camera, from its median residual [px] ``(C,)``."""
     used = states == USED
     others = used.sum(axis=1)[:, None] - used
     judged = (used | (states == _REJECTED) | (states == _INACTIVE)) & (others > 1)
-    # A point of n cameras takes 3 of 2n residuals of those that it is from.
+    # A point from n cameras takes 3 of their 2n residuals.
     free = np.where(used, 1 - 1.5 / np.maximum(others + used, 2), 1.0)
     scaled = np.where(judged & np.isfinite(lengths), lengths / np.sqrt(free), np.nan)
     medians = np.full(lengths.shape[1], np.nan)

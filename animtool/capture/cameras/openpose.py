@@ -36,17 +36,17 @@ from animtool.core.rates import FractionLike, rate_option
 from animtool.core.record import dataclass
 from animtool.core.similar import similar
 
-# Who is who: people that several cameras see, matched by rays and followed in time.
+# People seen by several cameras are matched by rays and tracked over time.
 
 MAX_PEOPLE = 100
-# How far off keypoints of one person may be, against the diagonal of what is seen [1]:
+# Largest distance of one person's keypoints, over the diagonal of the visible ones [1]:
 # between an image and where the person was before, and between two rays.
 _NEAR, _AGREE = 0.3, 0.06
-# How long a person may be out of sight and be the same [s].
+# Longest absence of a tracked person [s].
 LOST_SECONDS = 0.5
-# People that are seen shorter are taken for mistakes of the detector [s].
+# People visible for less than this are false detections [s].
 MIN_SECONDS = 0.25
-# Keypoints that two images must share, to be compared.
+# Least number of shared keypoints for comparing two images.
 MIN_SHARED = 3
 # The noise of detectors, against the diagonal of a person [1], and the gate.
 _NOISE, _GATE, _CONDITION = 0.015, 5.0, 6600.0
@@ -56,9 +56,9 @@ _NOISE, _GATE, _CONDITION = 0.015, 5.0, 6600.0
 class _PersonTrack:
     """A person over time."""
 
-    points: FloatArray  # where it was last [m] (M, 3)
-    last_frame: int  # the frame of that
-    # By frame and camera, which of the people there it is.
+    points: FloatArray  # last positions [m] (M, 3)
+    last_frame: int  # their frame
+    # Index of the detection by frame and camera.
     detections: dict[tuple[int, int], int] = field(default_factory=dict)
 
 
@@ -77,7 +77,7 @@ def follow_people(
         cameras: Their calibrations.
         rate: Frames a second.
         keypoints: M.
-        most: People to keep, those that are seen most; None keeps all.
+        most: Most people to keep, by visibility; None keeps all.
     """
     tracks: list[_PersonTrack] = []
     lost_after = max(1, round(LOST_SECONDS * rate))
@@ -122,7 +122,7 @@ def _gathered(
 
 
 def _size(keypoints: FloatArray) -> float:
-    """Return the diagonal of what is seen of a person [px]."""
+    """Return the diagonal of a person's visible keypoints [px]."""
     spread = np.nanmax(keypoints[:, :2], axis=0) - np.nanmin(keypoints[:, :2], axis=0)
     return max(float(np.linalg.norm(spread)), 1.0)
 
@@ -133,7 +133,7 @@ def _continued(
     cameras: Sequence[Camera],
     free: set[tuple[int, int]],
 ) -> list[tuple[_PersonTrack | None, dict[int, int]]]:
-    """Give people in images to those found before, and take them from ``free``."""
+    """Assign detections to known people, and remove them from ``free``."""
     from scipy.optimize import linear_sum_assignment
 
     groups: list[dict[int, int]] = [{} for _ in live]
@@ -161,7 +161,7 @@ def _grouped(
     cameras: Sequence[Camera],
     free: Sequence[tuple[int, int]],
 ) -> list[dict[int, int]]:
-    """Return new people: images of one person have rays that meet."""
+    """Return new people: detections whose rays intersect."""
     pairs = []
     lines = {each: _rays(cameras[each[0]], people[each[0]][each[1]]) for each in free}
     for a, one in enumerate(free):
@@ -203,9 +203,10 @@ def _rays(camera: Camera, keypoints: FloatArray) -> FloatArray:
 def _missed(
     one: Camera, a: FloatArray, other: Camera, b: FloatArray, size: float, wide: float
 ) -> float:
-    """Return how far rays of two cameras miss, against the size of a person [1].
+    """Return how far rays of two cameras miss, over the size of a person [1].
 
-    The angle between a ray and the plane of the other ray and both cameras, in pixels.
+    It is the angle between a ray and the plane of the other ray and both cameras, in
+    pixels.
     """
     between = other.position - one.position
     total = 0.0
@@ -228,7 +229,7 @@ def _solved(
     cameras: Sequence[Camera],
     keypoints: int,
 ) -> FloatArray | None:
-    """Return where a person is [m] ``(M, 3)``; None where two cameras do not agree."""
+    """Return a person's points [m] ``(M, 3)``; None if no two cameras agree."""
     if len(group) < 2:
         return None
     chosen = sorted(group)
@@ -268,19 +269,19 @@ def read_keypoints(
     fps: FractionLike | None,
     people: int | None = None,
 ) -> Observations:
-    """Return the keypoints of a folder, with people followed through the cameras.
+    """Return the keypoints of a folder, with people tracked across cameras.
 
     Args:
         folder: Holds a folder for each camera, called as its calibration is, or in the
             order of the cameras. Names of files end with the frame's number, as in
             ``take_000000000012_keypoints.json``.
-        cameras: Calibrations of all cameras: who is who is found by where rays meet.
+        cameras: Calibrations of all cameras: people are matched by intersecting rays.
         fps: The frame rate, which the files do not state.
-        people: Keep the people that are seen most; None keeps all.
+        people: Most people to keep, by visibility; None keeps all.
 
     Raises:
         FormatError: A file cannot be read, or there are none (CAM010).
-        OptionError: fps is not given (CAM010) or no rate (SCN022), or the cameras are
+        OptionError: fps is missing (CAM010) or invalid (SCN022), or the cameras are
             others (CAM011).
     """
     folder = Path(folder)
@@ -331,7 +332,7 @@ def read_keypoints(
 
 
 def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
-    """Return the camera of each folder: by its name, else in order."""
+    """Return the camera of each folder: by name, else in order."""
     known = set(cameras.names)
     suffixes = ("", "_json", "-json")
     names = []
@@ -358,7 +359,7 @@ def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
 
 
 def _frames(folder: Path) -> Iterator[tuple[int, Path]]:
-    """Yield the files of a camera by the number of their frame."""
+    """Yield a camera's files with their frame numbers."""
     taken: dict[int, Path] = {}
     for path in sorted(folder.glob("*.json")):
         number = _NUMBER.search(path.name.removesuffix("_keypoints.json"))

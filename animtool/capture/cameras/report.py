@@ -1,4 +1,4 @@
-"""What triangulation found, how well cameras agree, and what to know about them."""
+"""Report of a triangulation: points, camera agreement and warnings."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from animtool.core.record import dataclass
 from animtool.core.shot import frame_spans
 from animtool.motion.markers import Markers
 
-# Share of a camera's observations that are outliers, above which it is named [1].
+# Fraction of a camera's outliers above which it is reported [1].
 MANY_OUTLIERS = 0.1
-# Share of a frame's points that are gaps, above which it is named [1].
+# Fraction of a frame's gaps above which it is reported [1].
 LOST = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class CameraReport:
-    """How well a camera agrees with the points.
+    """How well a camera agrees with the triangulated points.
 
     Attributes:
         name: Of the camera.
-        observed: Observations that it has.
-        used: Observations that points are from.
-        outliers: Share of the observations of found points that were left out [1].
+        observed: Number of observations.
+        used: Observations used for points.
+        outliers: Fraction of the triangulated points' observations left out [1].
         error_px: Root mean square reprojection error of the used ones [px].
         error_mm: The same at the depth of the points [mm].
         noise_px: Standard deviation of an axis, as measured [px].
         no_ray: Observations that its lens model does not cover.
         outside: Observations outside of its image.
-        moved: Frames through which it does not fit its calibration.
-        disagrees: Single frames in which it does not agree with the others.
+        shifts: Frames through which it does not fit its calibration.
+        disagrees: Single frames in which it disagrees with the others.
     """
 
     name: str
@@ -61,7 +61,7 @@ class CameraReport:
 
 @dataclass(frozen=True, slots=True)
 class Triangulation:
-    """Points from cameras, and how well the cameras agree.
+    """Triangulated points, and how well the cameras agree.
 
     Attributes:
         markers: The points, with camera counts and residuals.
@@ -69,8 +69,8 @@ class Triangulation:
         cameras: One report for each.
         error_px: Root mean square reprojection error of used observations [px].
         error_mm: The same at the depth of the points [mm].
-        seen: Points that two cameras and more see.
-        found: Points that have a position.
+        visible: Points visible to two or more cameras.
+        triangulated: Points that have a position.
         notices: Warnings and notes.
     """
 
@@ -82,34 +82,35 @@ class Triangulation:
     visible: int
     triangulated: int
     notices: tuple[Fault, ...]
-    source: Path | None = None  # what the cameras see, where it is in files
-    output: Path | None = None  # the file of the markers, likewise
+    source: Path | None = None  # the observations, if from files
+    output: Path | None = None  # the marker file, likewise
     json_keys: ClassVar[str] = (
         "'mocap triangulate' observations=source output frames=markers.clock.count "
         "fps=markers.clock.rate markers=markers.names "
-        "points=.{seen=visible found=triangulated} reprojection=.{px=error_px mm=error_mm} cameras notices"
+        "points=.{seen=visible found=triangulated} "
+        "reprojection=.{px=error_px mm=error_mm} cameras notices"
     )
 
     @property
     def fraction(self) -> float:
-        """Share of the points that cameras see which have a position [1]."""
+        """Fraction of the visible points that have a position [1]."""
         return self.triangulated / max(1, self.visible)
 
 
 @dataclass(frozen=True, slots=True)
 class Tallies:
-    """Counts of cameras in frames, as the kernel has them ``(F, C, 8)``."""
+    """Observation counts per frame and camera, from the kernel ``(F, C, 8)``."""
 
     values: FloatArray
 
     @property
     def used(self) -> FloatArray:
-        """Observations that points are from ``(F, C)``."""
+        """Observations used for points ``(F, C)``."""
         return self.values[..., 1]
 
     @property
     def judged(self) -> FloatArray:
-        """Observations of found points ``(F, C)``."""
+        """Observations of triangulated points ``(F, C)``."""
         return self.values[..., 2]
 
     @property
@@ -146,9 +147,9 @@ class Tallies:
 def camera_notices(
     report: CameraReport, camera: Camera, clock: Clock, path: str, *, kept: bool
 ) -> Iterator[Fault]:
-    """Yield what to know about a camera.
+    """Yield warnings about a camera.
 
-    kept: Whether it takes part where it moved.
+    kept: Whether it takes part where its pose shifted.
     """
 
     def warning(code: str, message: str, hint: str | None = None) -> Fault:
@@ -200,11 +201,11 @@ def camera_notices(
 def lost_frames(
     positions: FloatArray, visible: BoolArray, clock: Clock, path: str
 ) -> Iterator[Fault]:
-    """Yield the frames in which no two cameras agree on most of what two see.
+    """Yield frames in which no two cameras agree on most visible points.
 
     Args:
         positions: ``(F, M, 3)``, NaN for a gap.
-        visible: What two cameras and more see ``(F, M)``.
+        visible: Points visible to two or more cameras ``(F, M)``.
         clock: Of the frames.
         path: Of the observations.
     """
@@ -221,7 +222,7 @@ def lost_frames(
 def gap_notices(
     names: Sequence[str], positions: FloatArray, views: int, path: str
 ) -> Iterator[Fault]:
-    """Yield what to know about points that are not found.
+    """Yield warnings about points without a position.
 
     positions: ``(F, M, 3)``, NaN for a gap.
     """

@@ -12,25 +12,25 @@ from animtool.core.record import dataclass
 from animtool.maths.runs import joined, runs
 from animtool.maths.so3 import exp, from_matrix, log, to_matrix
 
-# Share of outliers from which a camera does not fit its calibration [1].
+# Least fraction of outliers of a camera that does not fit its calibration [1].
 MIN_REJECTED = 0.5
-# How long it must last [s], and how many observations say so.
+# Its least duration [s] and number of observations.
 MIN_SECONDS = 0.25
 MIN_OBSERVATIONS = 20
 _STEPS = 8
-# Observations of a frame that say whether a camera agrees there; how many times its
-# noise the rest is then off, and by how many deviations of chance.
+# Least observations to test a camera in a frame; how many times its
+# noise the rest deviates, and by how many standard errors.
 MIN_VIEW, LOUD, SAMPLING_SPREAD = 3, 2.0, 6.0
 
 
 @dataclass(frozen=True, slots=True)
 class PoseChange:
-    """A motion of a camera.
+    """A change of a camera's pose.
 
     Attributes:
-        angle: How far it turned [rad].
-        distance: How far it went [m].
-        error_px: Median reprojection error that is left with it [px].
+        angle: Rotation [rad].
+        distance: Translation [m].
+        error_px: Median reprojection error after the change [px].
     """
 
     angle: float
@@ -38,7 +38,7 @@ class PoseChange:
     error_px: float
 
     def __str__(self) -> str:
-        """Return it in words."""
+        """Return it as text."""
         rotation = f"a rotation of {np.degrees(self.angle):.2f} degrees"
         shift = f"a shift of {1000 * self.distance:.1f} mm"
         return f"{rotation} and {shift} (reprojection then {self.error_px:.2f} px)"
@@ -46,14 +46,14 @@ class PoseChange:
 
 @dataclass(frozen=True, slots=True)
 class PoseShift:
-    """Frames through which a camera does not fit its calibration.
+    """Frames in which a camera does not fit its calibration.
 
     Attributes:
         first: The first one, from 0.
-        end: Behind the last one.
-        outliers: Share of what it sees that are outliers [1].
-        change: What would explain it; None where nothing does.
-        kept: Whether it takes part all the same, as the others fit no better without.
+        end: After the last one.
+        outliers: Fraction of its observations that are outliers [1].
+        change: The pose change that explains it; None if none does.
+        kept: Whether it takes part anyway, as the others fit no better without.
     """
 
     first: int
@@ -68,7 +68,7 @@ class PoseShift:
 
     @property
     def number(self) -> int:
-        """The first one, from 1."""
+        """The first frame, from 1."""
         return self.first + 1
 
 
@@ -78,7 +78,7 @@ class Disagreement:
 
     Attributes:
         frame: From 0.
-        outliers: Share of what it sees that are outliers [1].
+        outliers: Fraction of its observations that are outliers [1].
         error_px: Root mean square reprojection error of the rest [px]; NaN without any.
     """
 
@@ -96,12 +96,12 @@ class Disagreement:
 def shifted_ranges(
     judged: FloatArray, rejected: FloatArray, active: BoolArray, rate: float
 ) -> tuple[int, list[PoseShift]] | None:
-    """Return the camera that fits worst, and where; None where all fit.
+    """Return the worst-fitting camera and its frame ranges; None if all fit.
 
-    A camera that would leave fewer than two is not taken.
+    A camera that would leave fewer than two is skipped.
 
     Args:
-        judged: Observations of found points ``(F, C)``.
+        judged: Observations of triangulated points ``(F, C)``.
         rejected: Outliers among them ``(F, C)``.
         active: Cameras that take part ``(F, C)``.
         rate: Frames a second.
@@ -125,9 +125,9 @@ def shifted_ranges(
 def stale_ranges(
     judged: FloatArray, rejected: FloatArray, camera: int, rate: float
 ) -> list[PoseShift]:
-    """Return where a camera that takes no part does not fit; all where no part says.
+    """Return ranges in which an unused camera does not fit; all if no part differs.
 
-    Arguments are those of `moved_ranges`.
+    Arguments are those of `shifted_ranges`.
     """
     window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
     count = _around(judged[:, camera], window)
@@ -173,17 +173,17 @@ def truncated_error(
     gate: float,
     more: BoolArray | bool = False,
 ) -> float:
-    """Return the mean squared reprojection error of observations, by what is expected.
+    """Return the mean squared reprojection error over its expectation, truncated.
 
-    Residuals beyond the gate, and observations of points that are not found, count as
+    Residuals beyond the gate, and observations of points without a position, count as
     at the gate.
 
     Args:
         residuals: ``(F, C, M, 2)`` [px], NaN where a point is not found.
         visible: The observations that count ``(F, C, M)``.
         noise: Of each camera [px] ``(C,)``.
-        gate: What is an outlier, against the noise.
-        more: Whether a camera more takes part in a point ``(F, M)``.
+        gate: Outlier threshold, over the noise.
+        more: Whether one more camera takes part in a point ``(F, M)``.
     """
     squares = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
     squares = np.where(np.isfinite(squares), np.minimum(squares, gate**2), gate**2)
@@ -196,7 +196,7 @@ def truncated_error(
 def _shifted(
     judged: FloatArray, rejected: FloatArray, camera: int, off: BoolArray, window: int
 ) -> list[PoseShift]:
-    """Return runs of frames in which a camera is off, to the frame."""
+    """Return runs of frames in which a camera does not fit, to the frame."""
     wrong = np.concatenate(
         [rejected[:, camera] > MIN_REJECTED * judged[:, camera], [False]]
     )
@@ -218,7 +218,7 @@ def _rejected_fraction(
 
 
 def _around(values: FloatArray, window: int) -> FloatArray:
-    """Return sums over a window around each frame ``(F,)``, cut at the ends."""
+    """Return sums over a window around each frame ``(F,)``, clipped at the ends."""
     total = np.concatenate([[0], np.cumsum(values)])
     frames = np.arange(len(values))
     first = np.maximum(frames - window // 2, 0)
@@ -228,8 +228,8 @@ def _around(values: FloatArray, window: int) -> FloatArray:
 
 
 def _runs(off: BoolArray, window: int) -> list[tuple[int, int]]:
-    """Return runs of frames of a window and more, gaps shorter than one closed."""
-    # What lasts for a window is off for half of one at least around it.
+    """Return runs of at least a window of frames; shorter gaps are closed."""
+    # A shift that lasts a window shows for at least half of one around it.
     least = max(1, window // 2)
     return [(a, b) for a, b in joined(runs(off), window) if b - a >= least]
 
@@ -237,14 +237,14 @@ def _runs(off: BoolArray, window: int) -> list[tuple[int, int]]:
 def pose_change(
     camera: Camera, points: FloatArray, pixels: FloatArray
 ) -> PoseChange | None:
-    """Return the motion of a camera that fits its pixels best; None where none does.
+    """Return the pose change that fits a camera's pixels best; None if none fits.
 
     Gauss-Newton steps with residuals weighted by 1 / (1 + r / s), s their median.
 
     Args:
         camera: As it was calibrated.
         points: In the world [m] ``(F, M, 3)``, NaN for gaps.
-        pixels: What it sees of them ``(F, M, 2)``, NaN for what it does not.
+        pixels: Its observations of them ``(F, M, 2)``, NaN if not visible.
     """
     known = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
     points, pixels = points[known], pixels[known]
@@ -284,7 +284,7 @@ def pose_change(
 
 
 def _slopes(camera: Camera, points: FloatArray) -> FloatArray:
-    """Return pixels by a turn and a shift in the camera's frame ``(N, 2, 6)``."""
+    """Return pixel derivatives by rotation and shift in the camera ``(N, 2, 6)``."""
     here = project(camera, points)
     size = 1e-6
     columns = []

@@ -1,8 +1,8 @@
-"""Points in the world from what calibrated cameras see of them.
+"""Triangulation of points from calibrated cameras.
 
-Each point is where the sum of squared reprojection errors is least. Where the residual
-says that an observation is wrong, cameras are left out until the others agree, or the
-point is sought that most cameras agree on. What no two cameras agree on is a gap.
+Each point minimises the sum of squared reprojection errors. If the residual shows a
+wrong observation, cameras are left out until the others agree, or the point that most
+cameras agree on is searched for. Points that no two cameras agree on are gaps.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 
-# Observations that are worked on at once: what they take stays below 50 MB.
+# Observations per block: memory stays below 50 MB.
 BLOCK = 500_000
-# Noise above this share of an image's width means that cameras and observations do not
-# belong together [1].
+# Noise above this fraction of an image's width means that cameras and observations do
+# not belong together [1].
 MAX_NOISE = 0.03
-# Noise above this share of the width is more than detectors of keypoints have [1].
+# Noise above this fraction of the width exceeds that of keypoint detectors [1].
 SUSPECT_NOISE = 0.01
-# Frames that the motion of a camera is measured on.
+# Frames for estimating a camera's pose change.
 _CHANGE_FRAMES = 50
-# Errors of the others this near each other are the same [1]: outliers of a camera that
+# Errors this near each other are equal [1]: outliers of a camera that
 # is kept are left out of the points anyway.
 TIE = 1.02
 
@@ -62,13 +62,13 @@ def triangulate(
     *,
     progress: Progress | None = None,
 ) -> Triangulation:
-    """Return the points that calibrated cameras see.
+    """Return the points that calibrated cameras observe.
 
     Args:
         observations: Pixels over frames.
         cameras: Their calibrations, in any order where the observations name theirs.
         options: How; None is the defaults.
-        progress: Told the share done.
+        progress: Called with the fraction done.
 
     Raises:
         OptionError: Cameras and observations do not belong together (CAM011, CAM014),
@@ -98,7 +98,7 @@ def _check_options(options: TriangulateOptions) -> None:
 
 
 class _TriangulationRun:
-    """A triangulation under way."""
+    """State of a triangulation."""
 
     def __init__(
         self,
@@ -129,7 +129,7 @@ class _TriangulationRun:
         return self._triangulation()
 
     def _measure(self) -> dict[int, PoseChange]:
-        """Measure the noise; return cameras that do not fit in any frame."""
+        """Measure the noise; return cameras that fit in no frame."""
         if self.options.noise is not None:
             self.noise = np.full(self.views, float(self.options.noise))
             return {}
@@ -155,14 +155,14 @@ class _TriangulationRun:
 
     @property
     def _condition(self) -> float:
-        """The most that the trace of a normal matrix times its inverse's may be.
+        """Largest allowed trace of a normal matrix times its inverse's.
 
-        Of two rays at an angle a, unit weights: 4 / (2 sin(a / 2)^2).
+        For two rays at an angle a, unit weights: 4 / (2 sin(a / 2)^2).
         """
         return float(2 / max(np.sin(self.options.min_angle / 2) ** 2, 1e-12))
 
     def _solve(self, first: int, end: int) -> None:
-        """Solve frames block by block, and note what is known of them."""
+        """Solve frames block by block, and store the results."""
         for begin, stop in self._blocks(first, end):
             at = slice(begin, stop)
             self.positions[at], self.known[at], self.tallies.values[at], *_ = (
@@ -186,10 +186,10 @@ class _TriangulationRun:
             yield begin, min(begin + size, end)
 
     def _note_stale(self, stale: dict[int, PoseChange]) -> None:
-        """Note where cameras that another pose fits better are off; use them elsewhere.
+        """Record where cameras with a better pose do not fit; use them elsewhere.
 
-        All frames are looked at as one before: a camera that moved on the way is off
-        in a part of them.
+        The test covers all frames at once first: a camera that moved during the take is
+        off in part of them.
         """
         rate = float(self.observations.clock.rate)
         for camera, change in stale.items():
@@ -206,16 +206,16 @@ class _TriangulationRun:
                 self._solve_changed(self.active[:, camera] != was)
 
     def _left_out(self, camera: int, ranges: list[PoseShift]) -> list[PoseShift]:
-        """Return ranges with whether a camera is kept in them: it is no better without.
+        """Return ranges, marking a camera as kept where leaving it out does not help.
 
-        What says so is the reprojection error of the other cameras.
+        The criterion is the reprojection error of the other cameras.
         """
         if self.options.keep_moved:
             return ranges
         return [replace(m, kept=not self._better_excluded(camera, m)) for m in ranges]
 
     def _better_excluded(self, camera: int, shift: PoseShift) -> bool:
-        """Return whether the other cameras agree better where one is left out."""
+        """Return whether the other cameras agree better without one camera."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         at = slice(shift.first, shift.end, step)
         pixels = self.observations.pixels(shift.first, shift.end, step)
@@ -251,12 +251,12 @@ class _TriangulationRun:
         return errors[1] <= TIE * errors[0]
 
     def _solve_changed(self, changed: BoolArray) -> None:
-        """Solve the frames again in which the cameras are others."""
+        """Solve frames again whose set of cameras changed."""
         for first, end in runs(changed):
             self._solve(first, end)
 
     def _exclude_shifted(self) -> None:
-        """Leave out cameras where they do not fit, the worst first."""
+        """Exclude cameras where they do not fit, the worst first."""
         rate = float(self.observations.clock.rate)
         checked = self.active.copy()
         for camera, shifts in enumerate(self.shifts):
@@ -277,7 +277,7 @@ class _TriangulationRun:
                     self._solve(each.first, each.end)
 
     def _disagreements(self, camera: int) -> tuple[Disagreement, ...]:
-        """Return single frames in which a camera does not agree with the others."""
+        """Return single frames in which a camera disagrees with the others."""
         live = self.active[:, camera].copy()
         for each in self.shifts[camera]:
             live[each.first : each.end] = False
@@ -285,7 +285,7 @@ class _TriangulationRun:
         return tuple(disagreements(self.tallies.values, camera, noise, live))
 
     def _explained(self, camera: int, shift: PoseShift) -> PoseShift:
-        """Return a range with the change of pose that would explain it."""
+        """Return a range with the pose change that explains it."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         pixels = self.observations.pixels(shift.first, shift.end, step)[:, camera]
         points = self.positions[shift.first : shift.end : step]
@@ -315,7 +315,7 @@ class _TriangulationRun:
 
     @property
     def _view_count(self) -> int:
-        """How many points two cameras and more see."""
+        """Number of points visible to two or more cameras."""
         return int((self.known[..., 4] > 1).sum())
 
     def _triangulation(self) -> Triangulation:

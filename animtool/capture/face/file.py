@@ -1,4 +1,4 @@
-"""Landmarks files, ``*.landmarks.yaml``: where on the meshes of a rig landmarks are."""
+"""Landmarks files, ``*.landmarks.yaml``: landmark positions on a rig's meshes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceShape, surfaces_of
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 
-# Weights of a landmark's vertices add up to 1 as far as text is exact.
+# Tolerance of the sum of a landmark's weights: text is rounded.
 SUM_TOLERANCE = 1e-3
 
 Vertex = Annotated[int, Ge(0)]
@@ -78,15 +78,15 @@ class LandmarksModel(FileModel):
 
 @dataclass(frozen=True, slots=True)
 class LandmarksFile:
-    """A landmarks file that was read."""
+    """A parsed landmarks file."""
 
     document: Document
     model: LandmarksModel
-    rig: Path | None  # the rig file that it names, resolved
+    rig: Path | None  # the rig file it names, resolved
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the landmarks."""
+        """Names of the landmarks."""
         return tuple(point.name for point in self.model.points)
 
 
@@ -100,7 +100,7 @@ def load_landmarks(path: Path | str) -> LandmarksFile:
 
 
 def landmarks_of_document(document: Document) -> LandmarksFile:
-    """Return a document as a landmarks file (what does not fit together: FAC008)."""
+    """Return a document as a landmarks file; mismatches are FAC008."""
     check_version(document, "landmarks")
     model = validated(document, LandmarksModel)
     taken: dict[str, int] = {}
@@ -132,9 +132,9 @@ def landmarks_of_document(document: Document) -> LandmarksFile:
 
 
 def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
-    """Return the landmarks of a rig and what its shapes do to them.
+    """Return a rig's landmarks and their displacement by each shape.
 
-    Shapes with a weight of their own are solved for; combined ones follow.
+    Shapes with a weight are solved for; combined shapes follow.
 
     Raises:
         FormatError: The rig has no such mesh, or the mesh no such vertex (FAC008).
@@ -222,7 +222,7 @@ _Displacement = tuple[FloatArray, list[tuple[float, FloatArray]]]
 def _displacement(
     shape: Shape, surfaces: dict[str, Surface], rows: list[_Row]
 ) -> _Displacement | None:
-    """Return what a shape adds at landmarks, and in between; None is nothing."""
+    """Return a shape's offsets at landmarks, with in-betweens; None for nothing."""
     match: SurfaceShape | None = None
     surface = surfaces.get(shape.mesh)
     if surface is not None:

@@ -1,4 +1,4 @@
-"""Where a head is, from landmarks of a face at rest: what a fit begins with."""
+"""Initial head poses from a face's landmarks at rest."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ PERSPECTIVE_ROUNDS = 30
 
 
 def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
-    """Return a pose a frame, quaternion x, y, z, w and translation ``(F, 7)``.
+    """Return a head pose per frame, quaternion (x, y, z, w) and translation ``(F, 7)``.
 
-    Landmarks that move most count least. Frames without three landmarks have the pose
-    of the frame before them that has some.
+    Landmarks that move most have the least weight. Frames with fewer than three
+    landmarks repeat the last known pose.
 
     Args:
         neutral: Landmarks at rest ``(N, 3)``.
@@ -35,7 +35,7 @@ def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
         some: BoolArray = np.asarray(visible.any(axis=1))
         limits[some] = np.maximum(np.nanmedian(miss[some], axis=1), 1e-9)
         shares = np.where(visible, 1.0 / (1.0 + (miss / limits[:, None]) ** 2), 0.0)
-    return held_poses(poses, visible.sum(axis=1) >= 3)
+    return last_good_poses(poses, visible.sum(axis=1) >= 3)
 
 
 def _rigid(neutral: FloatArray, points: FloatArray, shares: FloatArray) -> FloatArray:
@@ -52,8 +52,8 @@ def _rigid(neutral: FloatArray, points: FloatArray, shares: FloatArray) -> Float
     return np.concatenate([rotations, target - rotate(rotations, middle)], axis=1)
 
 
-def held_poses(poses: FloatArray, good: BoolArray) -> FloatArray:
-    """Return poses, each that is not good as the good one before, or the first."""
+def last_good_poses(poses: FloatArray, good: BoolArray) -> FloatArray:
+    """Return poses with each bad one replaced by the last good one, or the first."""
     if not good.any():
         return poses
     before = np.maximum.accumulate(np.where(good, np.arange(len(good)), -1))
@@ -63,7 +63,7 @@ def held_poses(poses: FloatArray, good: BoolArray) -> FloatArray:
 def camera_pose(
     neutral: FloatArray, pixels: FloatArray, camera: FloatArray
 ) -> FloatArray | None:
-    """Return the pose of a head in front of a camera ``(7,)``; None if none is found.
+    """Return a head's pose before a camera ``(7,)``; None if not found.
 
     Args:
         neutral: Landmarks at rest ``(N, 3)``.

@@ -1,4 +1,4 @@
-"""Weights of one face as weights of another with other shapes."""
+"""Weights of one face as weights of a face with other shapes."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class TransferredWeights:
 
     Attributes:
         weights: Of the target's shapes ``(F, S)``.
-        links: Which shape follows which, by name.
-        fit: How well its landmarks follow, where they were used; else None.
-        notices: What moves nothing, or is moved by nothing.
+        links: Source shapes of each target shape, by name.
+        fit: Fit of its landmarks, if they were used; else None.
+        notices: Shapes without a counterpart.
     """
 
     weights: FloatArray
@@ -44,11 +44,11 @@ def transfer_weights(
     fps: float = 60.0,
     smooth: float = 0.0,
 ) -> TransferredWeights:
-    """Return weights of one face as weights of another.
+    """Return a face's weights as weights of another face.
 
     By name, in any of ARKit's spellings, and a remap file; or by landmarks that both
-    faces have: those weights of the target whose landmarks move as the source's do,
-    scaled by the sizes of the faces.
+    faces have: the target weights whose landmarks move as the source's do, scaled by
+    the sizes of the faces.
 
     Args:
         weights: Of the source's shapes ``(F, S)``.
@@ -60,7 +60,7 @@ def transfer_weights(
         smooth: As `fit_face` takes it.
 
     Raises:
-        FormatError: The remap file names shapes that there are not (FAC001).
+        FormatError: The remap file names an unknown shape (FAC001).
         OptionError: No shape has a counterpart (FAC009), or the faces have fewer than
             four landmarks in common (FAC004).
 

@@ -1,4 +1,4 @@
-"""Runs that are the same marker before and after it was hidden, without names."""
+"""Runs of the same unlabelled marker before and after it was hidden."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from animtool.capture.markers.geometry import MarkerDistances
 from animtool.core.array_types import FloatArray, IntArray
 
-# What distances between points say of which markers those are.
+# Evidence of distances between points for their markers.
 
 # Of a pair on one segment, distances are as at rest but for noise and skin [m], and
 # more where they vary; and how likely a pair is on one that varies by so much [m].
@@ -22,10 +22,10 @@ FAR, UNSTEADY = 0.25, 0.02
 
 
 def evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArray:
-    """Return how much distances speak for those at rest ``(..., M)`` [nat].
+    """Return the log-likelihood of distances being a rest pair's ``(..., M)`` [nat].
 
-    The logarithm of how much likelier each distance is for the pair at rest than for
-    any two points. 0 where a distance is not known.
+    It compares each distance's likelihood for the pair at rest with that for any two
+    points. 0 where a distance is unknown.
 
     mean, spread: Of observed distances ``(...)`` [m]. rest: ``(M,)`` or ``(..., M)``.
     """
@@ -49,13 +49,14 @@ SURE, CLEAR = 3.0, 1.5
 
 
 def chained(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
-    """Return which chain each run is of ``(R,)``, numbered from 0.
+    """Return the chain of each run ``(R,)``, numbered from 0.
 
-    Two runs are joined where they are as far from all that is seen along with both, and
-    no run seen along with one of them is nearly as much so to the other. Runs that are
-    seen together are never one chain.
+    Two runs are joined if they keep the same distances to everything visible with both,
+    and no concurrent run matches either nearly as well. Runs visible together are never
+    one chain.
 
-    moving: Distances of the runs. overlap: Frames that pairs are seen in ``(R, R)``.
+    moving: Distances of the runs. overlap: Frames in which pairs are visible ``(R,
+    R)``.
     """
     count = len(overlap)
     chain = np.arange(count)
@@ -87,7 +88,7 @@ def chained(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
 
 
 def likelihoods(moving: MarkerDistances, overlap: FloatArray) -> FloatArray:
-    """Return how much all distances say that two runs are one marker [nat]."""
+    """Return the log-likelihood that two runs are one marker, from distances [nat]."""
     count = len(overlap)
     likelihood = np.zeros((count, count))
     for run in range(count):
@@ -101,7 +102,7 @@ def likelihoods(moving: MarkerDistances, overlap: FloatArray) -> FloatArray:
 
 
 def merged(points: FloatArray, chain: IntArray) -> FloatArray:
-    """Return the positions of chains ``(F, C, 3)`` by those of runs ``(F, R, 3)``."""
+    """Return chain positions ``(F, C, 3)`` from run positions ``(F, R, 3)``."""
     merged_points = np.full((len(points), int(chain.max()) + 1, 3), np.nan)
     for run, number in enumerate(chain.tolist()):
         visible = np.isfinite(points[:, run, 0])

@@ -1,4 +1,4 @@
-"""How far markers of one subject are from each other: at rest, and as they move."""
+"""Distances between markers of one subject: at rest, and in motion."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 
-# Frames looked at of a long take: distances do not need all of them.
+# Most frames sampled of a long take.
 MAX_FRAMES = 1500
-# Frames from which a spread is known.
+# Least frames for a spread.
 MIN_FRAMES = 12
 # Middle, and one standard deviation below and above [%].
 QUANTILES = (15.87, 50.0, 84.13)
@@ -20,7 +20,7 @@ class MarkerDistances:
     """Distances between M markers.
 
     Attributes:
-        mean: Of each pair ``(M, M)`` [m]; NaN where it was never seen.
+        mean: Of each pair ``(M, M)`` [m]; NaN if never visible.
         spread: How much each varies ``(M, M)`` [m], standard deviation.
     """
 
@@ -29,9 +29,9 @@ class MarkerDistances:
 
 
 def distances(positions: FloatArray) -> MarkerDistances:
-    """Return the distances of markers over frames, robust against a few outliers.
+    """Return marker distances over frames, robust against a few outliers.
 
-    positions: ``(F, M, 3)`` [m]; NaN where not seen.
+    positions: ``(F, M, 3)`` [m]; NaN where not visible.
     """
     frames, count, _ = positions.shape
     step = max(1, frames // MAX_FRAMES)
@@ -69,7 +69,7 @@ def _quantiles(values: FloatArray) -> FloatArray:
 
 
 def joined(rest: MarkerDistances, moving: MarkerDistances) -> MarkerDistances:
-    """Return distances at rest where a take shows none, else those of the take."""
+    """Return the take's distances, or those at rest where the take has none."""
     known = np.isfinite(moving.mean)
     return MarkerDistances(
         np.where(known, moving.mean, rest.mean),
@@ -80,11 +80,11 @@ def joined(rest: MarkerDistances, moving: MarkerDistances) -> MarkerDistances:
 def fitted(
     points: FloatArray, shape: FloatArray, weights: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rotations and translations that bring a shape onto points, a frame each.
+    """Return rotations and translations from a shape onto points, per frame.
 
-    points: ``(F, K, 3)``. shape: ``(K, 3)``. weights: Of the points ``(F, K)``; None
-    is 1. The result is ``(F, 3, 3)`` and
-    ``(F, 3)``; ``points = rotation · shape + translation``.
+    points: ``(F, K, 3)``. shape: ``(K, 3)``. weights: Of the points ``(F, K)``; None is
+    1. The result is ``(F, 3, 3)`` and ``(F, 3)``; ``points = rotation · shape +
+    translation``.
 
     References:
         Kabsch, W., "A solution for the best rotation to relate two sets of vectors",
@@ -104,14 +104,14 @@ def fitted(
     return rotation, centre - np.einsum("fij,fj->fi", rotation, middle)
 
 
-# Fits of all frames to their median; the shape has settled by then.
+# Iterations of fitting all frames to their median; the shape has converged by then.
 SHAPE_ITERATIONS = 3
 
 
 def mean_shape(points: FloatArray) -> FloatArray:
-    """Return the shape that rigid points have in the median ``(K, 3)``.
+    """Return the median shape of rigid points ``(K, 3)``.
 
-    points: ``(F, K, 3)``, all seen.
+    points: ``(F, K, 3)``, all visible.
     """
     shape = np.median(points - points[:, :1], axis=0)
     for _ in range(SHAPE_ITERATIONS):

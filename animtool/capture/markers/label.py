@@ -1,4 +1,4 @@
-"""Points without names given the names of markers, by a trial at rest and by motion."""
+"""Labelling of unnamed points, from a trial at rest and their motion."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.record import dataclass
 from animtool.motion.markers import Markers
 
-# Which runs of a cloud are which markers, to begin with: groups that stay rigid.
+# Initial labelling of runs: groups that stay rigid.
 
-# A distance that varies less is one within a segment [m].
+# Distances that vary less are within a segment [m].
 RIGID = 0.006
 # How far the shape of a group of four may be off, for it to be named first [m].
 SEED = 0.003
@@ -30,16 +30,16 @@ SEED = 0.003
 # near [m]; and how many runs a run is grouped with.
 NEAREST, FARTHEST, COMPANY = 0.002, 0.006, 7
 MAX_GROUPS = 400
-# Groups that naming is begun with, of which the one that explains most is taken.
+# Number of seed groups, of which the one that explains most is taken.
 STARTS, GROUPS = 3, 12
-# How often runs are joined to chains: longer ones are known better.
+# Iterations of joining runs to chains.
 ROUNDS = 2
 
 
 def identify(
     points: FloatArray, shape: FloatArray, rest: FloatArray
 ) -> IntArray | None:
-    """Return which marker each run of a window is ``(R,)``; None where nothing fits."""
+    """Return the marker of each run of a window ``(R,)``; None if nothing fits."""
     chain = np.arange(points.shape[1])
     for _ in range(ROUNDS):
         moving = distances(points)
@@ -69,7 +69,7 @@ def identify(
 
 
 def _agreeing(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, int]:
-    """Return the markers of groups that do not contradict each other, best first."""
+    """Return the markers of mutually consistent groups, best first."""
     names: dict[int, int] = {}
     for seed in seeds:
         if any(names.get(point, marker) != marker for point, marker in seed.items()):
@@ -91,7 +91,7 @@ def _seeds(
     rest: FloatArray,
     tolerance: float,
 ) -> list[dict[int, int]]:
-    """Return groups of rigid runs with the markers that they may be, best first."""
+    """Return groups of rigid runs with their candidate markers, best first."""
     seeds = []
     for group in groups:
         for markers in _matches(group, moving.mean, rest, tolerance):
@@ -103,7 +103,7 @@ def _seeds(
 
 
 def _fours(moving: MarkerDistances) -> list[tuple[int, ...]]:
-    """Return groups of four runs of which any two are rigid, the most rigid first."""
+    """Return groups of four mutually rigid runs, the most rigid first."""
     spread = np.where(np.isfinite(moving.spread), moving.spread, np.inf)
     np.fill_diagonal(spread, np.inf)
     worst: dict[tuple[int, ...], float] = {}
@@ -122,7 +122,7 @@ def _fours(moving: MarkerDistances) -> list[tuple[int, ...]]:
 def _matches(
     group: tuple[int, ...], lengths: FloatArray, rest: FloatArray, tolerance: float
 ) -> list[tuple[int, ...]]:
-    """Return the markers whose distances at rest are those of a group of runs."""
+    """Return the markers whose rest distances match those of a group of runs."""
     first, second = np.nonzero(np.abs(rest - lengths[group[1], group[0]]) < tolerance)
     partial = np.stack([first, second], axis=1)
     partial = partial[first != second]
@@ -136,7 +136,7 @@ def _matches(
 
 
 def _shape_error(points: FloatArray, shape: FloatArray) -> float:
-    """Return how far a shape is off points, mirrored ones included [m]."""
+    """Return the error of a shape on points, rejecting mirror images [m]."""
     complete = points[np.isfinite(points).all(axis=(1, 2))][::8]
     if not len(complete):
         return np.inf
@@ -152,14 +152,14 @@ BASE = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """Markers whose names could as well be exchanged.
+    """Markers whose names could be exchanged.
 
     Attributes:
         markers: Their names.
-        first: First frame in which all of them are seen, from 0.
+        first: First frame in which all of them are visible, from 0.
         last: Last such frame.
-        score: How much speaks for the exchange [nat]: 0 where as much as for the names
-            that were given, below 0 less.
+        score: Evidence for the exchange [nat]: 0 if as much as for the names
+            assigned, below 0 less.
     """
 
     markers: tuple[str, ...]
@@ -170,18 +170,18 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True)
 class LabelReport:
-    """What labelling did.
+    """Result of labelling.
 
     Attributes:
         frames: Number of frames.
         markers: Number of names.
-        points: Points seen, all frames together.
+        points: Visible points over all frames.
         labelled: Those that got a name.
-        rejected: Those that are none of the markers.
-        runs: Points joined to runs without a gap.
-        missing: Names that no point got in any frame.
-        coverage: Share of frames in which each name has a point.
-        doubts: Markers that neither distances nor shapes tell apart.
+        rejected: Those that are not markers.
+        runs: Number of gapless runs.
+        missing: Names without a point in any frame.
+        coverage: Fraction of frames in which each name has a point.
+        doubts: Markers that neither distances nor shapes distinguish.
         notices: Warnings.
     """
 
@@ -198,18 +198,18 @@ class LabelReport:
 
     @property
     def fraction(self) -> float:
-        """Share of the points that have a name [1]."""
+        """Fraction of the points that have a name [1]."""
         return self.labelled / max(1, self.points)
 
 
 def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
-    """Return a cloud with the names of a trial at rest.
+    """Return a point cloud labelled with the names of a trial at rest.
 
-    Points are joined to runs by how they move. Runs whose distance does not change are
-    on one segment: groups of them are found in the trial by their distances and their
-    handedness, and then, run by run, what is known best is added. Runs after a gap get
-    the name whose place, by the distances to those that have one, they are at. What is
-    at no marker's place gets none.
+    Points are joined to runs by their motion. Runs at constant distance are on one
+    segment: groups of them are matched to the trial by distances and handedness; then
+    the clearest run is added, one after another. Runs after a gap get the name whose
+    position, by distances to named runs, they have. Points at no marker's position stay
+    unnamed.
 
     Args:
         cloud: Points in any order, which may change from frame to frame.
@@ -255,7 +255,7 @@ def _labelled(
     first: IntArray,
     exchanges: list[Exchange],
 ) -> tuple[Markers, LabelReport]:
-    """Return a cloud by name."""
+    """Return the cloud by name."""
     frames = len(cloud)
     slots = np.full((frames, len(names)), -1)
     ids = tracklets.ids
@@ -297,7 +297,7 @@ def _labelled(
 
 
 def _doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
-    """Return exchanges by name, with the frames in which they would be seen."""
+    """Return possible exchanges by name, with the frames in which they would show."""
     doubts = []
     for exchange in exchanges:
         markers = list(exchange.markers)
@@ -310,7 +310,7 @@ def _doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
 
 
 def _doubted(doubts: list[Doubt], cloud: Markers) -> Fault:
-    """Return the warning that some markers are not told apart."""
+    """Return the warning that some markers cannot be distinguished."""
     parts = []
     for doubt in doubts:
         first, last = cloud.clock.times[[doubt.first, doubt.last]]
@@ -327,10 +327,7 @@ def _doubted(doubts: list[Doubt], cloud: Markers) -> Fault:
 def _first_names(
     cloud: Markers, tracklets: Tracklets, rest: FloatArray
 ) -> IntArray | None:
-    """Return the markers of the longer runs of a part of a take; None where none fits.
-
-    -1 for the other runs.
-    """
+    """Return the markers of a part's longer runs, -1 for others; None if none fits."""
     frames, runs = _base(tracklets, len(cloud), float(cloud.clock.rate))
     lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
     points = _window(cloud.positions, tracklets, runs, frames)
@@ -343,7 +340,7 @@ def _first_names(
 
 
 def _base(tracklets: Tracklets, frames: int, rate: float) -> tuple[slice, IntArray]:
-    """Return the frames that are looked at first, and their longer runs."""
+    """Return the frames that are labelled first, and their longer runs."""
     first, last = tracklets.first, tracklets.last
     length = min(frames, max(MIN_RUN, int(BASE * rate)))
     best, count = 0, -1
@@ -372,9 +369,9 @@ def _window(
 
 
 def _exchange_parts(work: RunLabels, rest: FloatArray, pair: tuple[int, int]) -> None:
-    """Exchange two names in the parts of a take in which shapes say so.
+    """Exchange two names in the parts of a take whose shapes require it.
 
-    A part ends where a gap of both markers lets nothing tell whose runs go on.
+    A part ends at a gap of both markers, where continuity is lost.
     """
     runs = np.flatnonzero(np.isin(work.names_of, pair))
     first, last = work.tracklets.first, work.tracklets.last

@@ -1,4 +1,4 @@
-"""Names of points that explain all distances between them best."""
+"""Assignment of names to points that explains all their distances best."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from animtool.capture.markers.chains import evidence, likelihoods
 from animtool.capture.markers.geometry import MarkerDistances
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 
-# What a point is named for at least, in all its distances together [nat].
+# Least total evidence for naming a point [nat].
 WORTH = 1.0
-# Points that stay as near are named in twos [m], with so many others each.
+# Spread of pairs that are named together [m], and partners of each point.
 RIGID, PARTNERS = 0.006, 3
-# Names taken away and assigned again, and what has to be gained by it [nat].
+# Trials of reassigning names, and their least gain [nat].
 TRIALS, GAIN = 40, 0.05
 # Markers named for less than this fraction of the longest visible one, and unnamed
 # points visible for longer than that, have the names around them reassigned: number of
@@ -29,38 +29,38 @@ LACKING, LONG, RESTARTS, RADIUS, BIAS, EMPTY_START = (
     (0.5, 6.0),
     0.4,
 )
-# Markers about one whose name is in doubt [m].
+# Radius around a doubtful marker [m].
 AROUND = 0.3
-# Names of markers so near at rest are exchanged in threes, and two and two [m].
+# Markers this near at rest are exchanged in triples and double pairs [m].
 NEAR = 0.28
-# How far below the best names may be, before exchanges, for those to be tried [nat].
+# Exchanges are tried if names are within this of the best [nat].
 WITHIN = 10.0
 MAX_CHANGES = 40
 
 
 class Naming:
-    """Names of points, and what the distances of all that have one say of each name.
+    """Names of points, and the evidence of named points for each name.
 
     Attributes:
-        given: Which marker each point is ``(R,)``; -1 for none.
+        names_of: Marker of each point ``(R,)``; -1 for none.
     """
 
     def __init__(
         self, moving: MarkerDistances, overlap: FloatArray, rest: FloatArray
     ) -> None:
-        """Take what is known of distances.
+        """Start without names.
 
-        moving: Of the points. overlap: Frames in which pairs are seen ``(R, R)``. rest:
-        Of the markers ``(M, M)`` [m].
+        moving: Distances of the points. overlap: Frames in which pairs are visible
+        ``(R, R)``. rest: Distances of the markers ``(M, M)`` [m].
         """
         count, markers = len(overlap), len(rest)
         self.together: BoolArray = overlap > 0
-        # A pair counts by how long it was seen, of what could be.
+        # A pair's weight is its visible fraction.
         overlap_fraction = overlap / max(1.0, float(overlap.max()))
         self.length = np.diag(overlap_fraction).copy()
         np.fill_diagonal(overlap_fraction, 0.0)
         self.pair_scores = pair_evidence(moving, overlap_fraction, rest)
-        # Points that are not seen together and have one name should be one marker.
+        # Points never visible together that share a name should be one marker.
         part = np.minimum(self.length[:, None], self.length) * ~self.together
         linked = (part * likelihoods(moving, overlap)).astype(np.float32)
         for name in range(markers):
@@ -72,7 +72,7 @@ class Naming:
         self.taken = np.zeros((count, markers), np.int64)
 
     def copy(self) -> Naming:
-        """Return names that can be changed without changing these."""
+        """Return a copy that can be changed independently."""
         other = object.__new__(Naming)
         other.__dict__.update(self.__dict__)
         for name in ("names_of", "scores", "taken"):
@@ -80,12 +80,12 @@ class Naming:
         return other
 
     def total(self) -> float:
-        """Return how well names explain all distances [nat]."""
+        """Return the log-likelihood of all distances given the names [nat]."""
         named = np.flatnonzero(self.names_of >= 0)
         return 0.5 * float(self.scores[named, self.names_of[named]].sum())
 
     def assign(self, point: int, marker: int) -> None:
-        """Give a point a name, or take it with -1."""
+        """Name a point; -1 removes its name."""
         before = int(self.names_of[point])
         for name, sign in ((before, -1), (marker, 1)):
             if name >= 0:
@@ -94,11 +94,11 @@ class Naming:
         self.names_of[point] = marker
 
     def grow(self, bias: FloatArray | float = 0.0) -> None:
-        """Name points one by one, or two rigid ones, those that are clearest first.
+        """Name points one by one, or in rigid pairs, the clearest first.
 
-        Points that are seen together are not the same marker.
+        Points visible together are never the same marker.
 
-        bias: What speaks for names besides ``(R, M)`` [nat].
+        bias: Additional evidence for names ``(R, M)`` [nat].
         """
         rows = np.arange(len(self.names_of))
         while True:
@@ -122,7 +122,7 @@ class Naming:
                 return
 
     def _pair(self, score: FloatArray) -> Any:
-        """Return how clear two rigid points are [nat], and the points with names."""
+        """Return the clearest rigid pair: its evidence [nat], and points with names."""
         first, second = self.pairs
         free = (self.names_of[first] < 0) & (self.names_of[second] < 0)
         first, second = first[free], second[free]
@@ -146,9 +146,9 @@ class Naming:
         return float(clear[row]), (int(first[row]), i), (int(second[row]), j)
 
     def improve(self, most: float = -np.inf) -> None:
-        """Give points, and markers, other names where distances then fit better.
+        """Rename points, and exchange markers, while that fits distances better.
 
-        most: Below this by far, exchanges are not tried.
+        most: Exchanges are not tried far below this total [nat].
         """
         for _ in range(MAX_CHANGES):
             changed = self._move()
@@ -165,7 +165,7 @@ class Naming:
                     self.assign(point, new)
 
     def _move(self) -> bool:
-        """Give points a free name that fits better; return whether there were any."""
+        """Give points a better free name; return whether any changed."""
         changed = False
         for point in range(len(self.names_of)):
             now = int(self.names_of[point])
@@ -186,10 +186,9 @@ class Naming:
         return changed
 
     def _exchanges(self) -> IntArray | None:
-        """Return which name each marker should have ``(M,)``; None where as it is.
+        """Return a better permutation of the names ``(M,)``; None if there is none.
 
-        Exchanges of any two markers are looked at, and of near ones those of three, and
-        of two and two.
+        All pairs of markers are tried, and triples and double pairs of near ones.
         """
         named = np.flatnonzero(self.names_of >= 0)
         have, first = np.unique(self.names_of[named], return_index=True)
@@ -205,7 +204,7 @@ class Naming:
         pair_scores[np.arange(count), np.arange(count)] = 0.0
         names = np.arange(count)
         for _ in range(MAX_CHANGES):
-            # What each marker by each name would say, with the names of all others.
+            # Evidence of each marker for each name, given the names of all others.
             alone = np.zeros((count, count))
             for other in have.tolist():
                 alone += pair_scores[:, other, :, names[other]]
@@ -221,7 +220,7 @@ class Naming:
         return names if (names != np.arange(count)).any() else None
 
     def doubt(self, tried: set[tuple[int, int]]) -> tuple[int, int] | None:
-        """Return the point, and the other marker, that names speak most against."""
+        """Return the point, and another marker, with the most evidence for renaming."""
         rows = np.arange(len(self.names_of))
         named = self.names_of >= 0
         now = np.where(named, self.scores[rows, self.names_of], 0.0)
@@ -233,7 +232,7 @@ class Naming:
         return (point, marker) if regret[point, marker] > 0.0 else None
 
     def eject(self, point: int, marker: int, around: BoolArray) -> None:
-        """Give a point a name, take it from those in the way, and name them anew.
+        """Name a point, remove conflicting names, and assign those again.
 
         around: Markers whose names are assigned again too ``(M,)``.
         """
@@ -245,9 +244,9 @@ class Naming:
         self.grow()
 
     def lacking(self) -> IntArray:
-        """Return the markers of which no point, or little, was found.
+        """Return the markers with no or few points.
 
-        All of them, where it is a point seen for long that lacks a name.
+        All of them, if an unnamed point is visible for long.
         """
         lengths = np.zeros(self.scores.shape[1])
         named = self.names_of >= 0
@@ -260,7 +259,7 @@ class Naming:
     def restart(
         self, around: BoolArray, seed: dict[int, int], bias: FloatArray
     ) -> None:
-        """Take the names of some markers ``(M,)`` away, and name anew from a seed."""
+        """Remove names of some markers ``(M,)``, and assign them again from a seed."""
         for point in np.flatnonzero(
             (self.names_of >= 0) & around[self.names_of]
         ).tolist():
@@ -271,14 +270,14 @@ class Naming:
 
 
 def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) -> Naming:
-    """Return names that explain more, found by taking some away and naming anew.
+    """Return better names, found by removing some and assigning them again.
 
-    What is taken away is the name that distances speak for, of a point that has another
-    one, and where that is not enough those of all markers about the two.
+    A conflicting name is removed first; if that is not enough, all names around the two
+    markers.
     """
     best = _redoubted(best, rest)
     most = best.total()
-    # What lacks a point is where another one is named as it.
+    # A marker without a point is often confused with another one.
     rng = np.random.default_rng(0)
     for _ in range(RESTARTS):
         lacking = best.lacking()
@@ -291,7 +290,7 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
         offsets = rng.uniform(*BIAS) * best.length[:, None]
         bias = rng.normal(0.0, 1.0, best.scores.shape) * offsets
         other = best.copy()
-        # Now and then all begins anew, with another group.
+        # Sometimes restart from scratch with another group.
         seed = (
             seeds[int(rng.integers(len(seeds)))] if rng.random() < EMPTY_START else {}
         )
@@ -305,7 +304,7 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
 
 
 def _redoubted(best: Naming, rest: FloatArray) -> Naming:
-    """Return names in which those that distances speak against most were tried."""
+    """Return names after trying the most doubtful ones again."""
     best.improve()
     most = best.total()
     tried: set[tuple[int, int]] = set()
@@ -332,9 +331,9 @@ def _redoubted(best: Naming, rest: FloatArray) -> Naming:
 def pair_evidence(
     moving: MarkerDistances, overlap: FloatArray, rest: FloatArray
 ) -> FloatArray:
-    """Return what each pair of points says of each two names ``(R, R, M, M)``."""
+    """Return the evidence of point pairs for name pairs ``(R, R, M, M)`` [nat]."""
     count, markers = len(overlap), len(rest)
-    # Single precision: the table is large, and nats need no more.
+    # Single precision: the table is large, and evidence needs no more.
     pair_scores: Any = np.zeros((count, count, markers, markers), np.float32)
     for point in range(count - 1):
         others = slice(point + 1, count)
@@ -352,7 +351,7 @@ def pair_evidence(
 def _rigid_pairs(
     moving: MarkerDistances, overlap: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return the pairs of points that stay rigid, of those nearest to be so."""
+    """Return pairs of points that stay rigid, among the most rigid of each."""
     known = (overlap > 0) & np.isfinite(moving.spread)
     spread = np.where(known, moving.spread, np.inf)
     company = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
@@ -373,7 +372,7 @@ def gain_of(
     old: IntArray,
     new: IntArray,
 ) -> FloatArray:
-    """Return what is gained where markers take the names of others ``(N,)`` [nat]."""
+    """Return the gain of exchanging markers' names ``(N,)`` [nat]."""
     was, will = names[old], names[new]
     value = (alone[old, will] - alone[old, was]).sum(axis=1)
     for a, b in combinations(range(old.shape[1]), 2):
@@ -386,7 +385,7 @@ def gain_of(
 
 
 def exchanges(rest: FloatArray) -> list[tuple[IntArray, IntArray]]:
-    """Return exchanges: the markers ``(N, K)``, and whose name each takes."""
+    """Return exchanges: markers ``(N, K)``, and the marker whose name each takes."""
     near = rest < NEAR
     first, second = np.triu_indices(len(rest), 1)
     two = np.stack([first, second], axis=1)

@@ -1,4 +1,4 @@
-"""Where a marker is that was not seen: by the markers around it, or by a skeleton.
+"""Prediction of hidden markers, from markers around them or a skeleton.
 
 References:
     Rasmussen, C. E. and Williams, C. K. I., "Gaussian Processes for Machine Learning",
@@ -22,38 +22,38 @@ from animtool.core.record import dataclass
 if TYPE_CHECKING:
     from animtool.capture.markers.skeleton import SkeletonMarkers
 
-# Frames on either side of a gap that show how a marker moves with the others [s].
+# Training window on either side of a gap [s].
 WINDOW = 6.0
-# Frames learnt from, next to the gap and farther off.
+# Training frames, next to the gap and in total.
 MAX_TRAINING, DENSE = 180, 16
 MIN_TRAINING = 12
-# Markers that give the frame, and those that give the pose.
+# Numbers of markers that define the frame, and the pose.
 FRAME_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
 # Noise of a position [m].
 NOISE = 0.0005
 # The same squared is not below this share of how alike a frame is to itself [1]: what
 # float64 can factor.
 ROUNDING = 1e-12
-# How a marker strays from where the pose has it [m], and for how long [s].
+# Amplitude [m] and time scale [s] of a marker's deviation from the pose.
 STRAYS = ((0.004, 0.12), (0.03, 0.35))
-# The same where a joint is held by nothing.
+# The same if nothing determines the joint.
 LOOSE = (*STRAYS, (0.05, 1.0))
-# The same of where a skeleton has it: not at all, or as skin moves.
+# The same for a skeleton's prediction: none, or as skin moves.
 SKIN = ((0.0, 1.0), *product((0.001, 0.004), (0.1, 0.3, 1.0)))
 # How much of the pose changes before what was learnt is forgotten, of its spread [1];
 # 0 is never: a marker moves with the pose in straight lines.
 REACHES = (0.0, 1.0, 3.0)
-# Spans that are left out to see how good a model is.
+# Number of cross-validation spans.
 CHECKS = 6
 
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Positions of a marker in a gap.
+    """Predicted positions of a marker in a gap.
 
     Attributes:
         positions: ``(G, 3)`` [m].
-        off: How far it is off spans of the same length that were left out [m].
+        off: Cross-validation error in spans of the same length [m].
     """
 
     positions: FloatArray
@@ -68,13 +68,13 @@ def predict(
     spread: FloatArray,
     rate: float,
 ) -> Prediction | None:
-    """Return where a marker is in a gap; None where too little is seen to say.
+    """Return a marker's predicted positions in a gap; None if too few are visible.
 
-    The marker is looked at in the frame of those around it that are most rigid with it.
-    How it moves there with the pose of the others is learnt from the frames in which it
-    is seen: a Gaussian process over the pose, plus one over time that joins the ends.
+    The marker is expressed in the frame of those around it that are most rigid with it.
+    Its motion there is learnt from the frames in which it is visible: a Gaussian
+    process over the others' pose, plus one over time that joins the ends.
 
-    positions: ``(F, M, 3)`` [m], filled gaps included. seen: ``(F, M)``. spread: How
+    positions: ``(F, M, 3)`` [m], filled gaps included. visible: ``(F, M)``. spread: How
     much the distance to each marker varies ``(M,)``. rate: [frame/s].
     """
     near = _near(visible, marker, gap, spread)
@@ -102,11 +102,11 @@ def _best(
     strays: tuple[tuple[float, float], ...],
     least: int = 1,
 ) -> Prediction:
-    """Return what the kernel has of a marker that is best where it is left out.
+    """Return the prediction of the kernel with the least cross-validation error.
 
-    local: The marker in some frame of reference ``(F, 3)``, seen in all but the frames
-    of the gap, which are last. pose: Others there, the most rigid first ``(F, K, 3)``.
-    least: So many of them are looked at where any are.
+    local: The marker in some frame of reference ``(F, 3)``, visible in all but the
+    frames of the gap, which are last. pose: Others there, the most rigid first ``(F, K,
+    3)``. least: Number of them used whenever any are.
     """
     known = len(frames) - (gap.stop - gap.start)
     best: Prediction | None = None
@@ -134,11 +134,11 @@ def predict_in_parent(
     spread: FloatArray,
     rate: float,
 ) -> Prediction | None:
-    """Return where a marker is whose joint no other marker holds; None if unknown.
+    """Return predictions for a marker without mates on its joint; None if unknown.
 
-    It is looked at in the frame of the joint above, and in one that is turned towards a
-    marker on the same joint if there is any. How it moves there is learnt, as of
-    `predict`. Arguments are those of it.
+    It is expressed in the frame of the parent joint, and in one rotated towards a
+    marker on the same joint if there is any. Its motion there is learnt as in
+    `predict`, with the same arguments.
     """
     near = _near(visible, marker, gap, spread)
     training = _training(visible, marker, gap, near, rate)
@@ -164,7 +164,7 @@ def predict_in_parent(
 
 
 def _towards(above: FloatArray, arms: FloatArray) -> FloatArray:
-    """Return frames ``(F, 3, 3)`` turned the shortest way as a point of them is."""
+    """Return frames ``(F, 3, 3)`` rotated by the shortest arc towards a point."""
     local = np.einsum("fji,fj->fi", above, arms)
     local /= np.linalg.norm(local, axis=1, keepdims=True)
     home = local.mean(axis=0)
@@ -186,13 +186,13 @@ def follow(
     gap: slice,
     rate: float,
 ) -> Prediction:
-    """Return where a marker is in a gap that a skeleton tells.
+    """Return a marker's predicted positions in a gap from a skeleton.
 
-    That is where the skeleton has it, and what the marker is off there: a Gaussian
-    process over time, in the frame of its joint, that joins the ends. How far and how
-    fast skin strays is what predicts spans best that are left out.
+    They are its positions on the skeleton plus its offset there: a Gaussian process
+    over time, in the frame of its joint, that joins the ends. Amplitude and speed of
+    skin motion are those with the least cross-validation error.
 
-    positions: ``(F, M, 3)`` [m]. seen: Measured ones ``(F, M)``. rate: [frame/s].
+    positions: ``(F, M, 3)`` [m]. visible: Measured ones ``(F, M)``. rate: [frame/s].
     """
     training = _training(visible, marker, gap, np.zeros(0, np.int64), rate)
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
@@ -214,7 +214,7 @@ def follow(
 
 
 def _near(visible: BoolArray, marker: int, gap: slice, spread: FloatArray) -> IntArray:
-    """Return the markers that are seen in all of a gap, the most rigid ones first."""
+    """Return the markers visible throughout a gap, the most rigid first."""
     usable = visible[gap].all(axis=0) & np.isfinite(spread)
     usable[marker] = False
     order = np.argsort(np.where(usable, spread, np.inf), kind="stable")
@@ -224,7 +224,7 @@ def _near(visible: BoolArray, marker: int, gap: slice, spread: FloatArray) -> In
 def _training(
     visible: BoolArray, marker: int, gap: slice, near: IntArray, rate: float
 ) -> IntArray:
-    """Return the frames to learn from: all next to the gap, and some farther off."""
+    """Return the training frames: all next to the gap, and some farther off."""
     reach = int(WINDOW * rate)
     begin, end = max(gap.start - reach, 0), min(gap.stop + reach, len(visible))
     usable = visible[begin:end, marker] & visible[begin:end][:, near].all(axis=1)
@@ -242,7 +242,7 @@ def _training(
 def _local(
     positions: FloatArray, frames: IntArray, marker: int, near: IntArray, count: int
 ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]]:
-    """Return the marker and the pose in the frame of the nearest, and the way back."""
+    """Return marker and pose in the frame of the nearest, and the inverse mapping."""
     around = positions[frames][:, near]
     shape = mean_shape(around[:, :count])
     rotation, shift = fitted(around[:, :count], shape)
@@ -260,16 +260,15 @@ def _local(
 def _regressed(
     local: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
 ) -> tuple[float, FloatArray]:
-    """Return positions in the frames behind the known ones, and how good they are.
+    """Return predictions for the unknown frames, and their error.
 
-    The measure is how far known positions are off that are left out, in spans as long
-    as the gap [m].
+    The error is that of known positions left out in spans as long as the gap [m].
     """
     from scipy.linalg import cho_factor, cho_solve
 
     known = len(local)
     mean = local.mean(axis=0)
-    # What is as far off as a wild sample is told to less than the noise of others.
+    # Rounding of outlying samples exceeds the noise.
     noise = max(NOISE**2, ROUNDING * float(np.trace(kernel[:known])) / known)
     factor = cho_factor(kernel[:known] + noise * np.eye(known))
     inverse = cho_solve(factor, np.eye(known))
@@ -288,7 +287,7 @@ def _regressed(
 
 
 def _spans(training: IntArray, gap: slice) -> list[int]:
-    """Return where spans begin that are left out, on both sides of a gap."""
+    """Return the starts of spans to leave out, on both sides of a gap."""
     length = gap.stop - gap.start
     begins = []
     for k in range(CHECKS // 2):
@@ -305,7 +304,7 @@ def _kernel(
     stray_time: float,
     local: FloatArray,
 ) -> FloatArray:
-    """Return how alike all frames are to the known ones ``(F, known)`` [m^2]."""
+    """Return the covariance of all frames with the known ones ``(F, known)`` [m^2]."""
     known = len(local)
     variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), NOISE**2)
     lag = np.sqrt(5.0) * np.abs(times[:, None] - times[None, :known]) / stray_time

@@ -1,4 +1,4 @@
-"""Names of markers that were exchanged for a while: found and put right."""
+"""Repair of temporarily exchanged marker names."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from animtool.core.record import dataclass
 from animtool.maths.runs import joined, runs
 from animtool.motion.markers import Markers
 
-# Frames that name a run; a change of fewer is a spike.
+# Least frames of an exchange; a shorter one is a spike.
 MIN_SWAP = 4
 # What a position may be off the line through those before it: noise [m], and what a
 # marker accelerates at least and at most, as times of what it mostly does [m/s^2]; a
 # marker without a speed yet moves [m/s].
 NOISE, ACCELERATION, SPEED = 0.003, 100.0, 3.0
 CALM, TIMES = 20.0, 6.0
-# A marker on a hand that is thrown: what is as near is looked at [m/s^2].
+# A marker on a throwing hand: candidates within reach are tested [m/s^2].
 MAX_ACCELERATION = 500.0
-# Longer after it was last seen, where a marker is says nothing [s].
+# Longest gap over which a marker's position is predicted [s].
 BRIDGE = 0.1
 # Samples that give the speed.
 PAST = 3
-# A jump of one marker is one to where another was if it is so many times nearer.
+# A jump goes to another marker's position if it is this many times nearer.
 NEARER = 2.5
 # Cost of a position that is anywhere, of a change of names, and of a frame that is
 # exchanged: where nothing else tells, the shorter part is.
@@ -56,12 +56,13 @@ class Swap:
     last: int
 
 
-def unswapped(markers: Markers) -> tuple[Markers, list[Swap]]:
-    """Return markers in which each has its own positions all along, and what was wrong.
+def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
+    """Return markers with exchanged spans repaired, and the swaps.
 
-    Two markers of which one jumps to where the other was expected are looked at over
-    the whole take: of all ways to exchange them in spans of frames, the one is taken in
-    which both move most smoothly and are as far from the others as they mostly are.
+    A pair of markers, one of which jumps to the other's expected position, is tested
+    over the full take: of all ways to exchange them in spans of frames, the one is
+    chosen in which both move most smoothly and keep their typical distances to the
+    others.
     """
     swaps: list[Swap] = []
     count = len(markers.names)
@@ -78,7 +79,7 @@ def unswapped(markers: Markers) -> tuple[Markers, list[Swap]]:
             if (a, b) not in crossings and (a, b) not in done:
                 lengths = lengths or distances(positions)
                 crossings[a, b] = _crossed(positions, a, b, rate, lengths)
-        # What is clearest first: of three, it says which of the others are.
+        # The clearest first: among three markers it decides the others.
         best = max(crossings, key=lambda pair: (crossings[pair][0], pair), default=None)
         if best is None or crossings[best][0] < CLEAR:
             break
@@ -101,9 +102,9 @@ def unswapped(markers: Markers) -> tuple[Markers, list[Swap]]:
 def _expected(
     positions: FloatArray, rate: float, acceleration: float = ACCELERATION
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return where each marker is expected, how far off it may be [m], and if at all.
+    """Return each marker's expected position, its tolerance [m], and validity.
 
-    It goes on in a line through what was seen of it in the last frames before.
+    It is extrapolated linearly from the last visible frames.
     """
     frames, count, _ = positions.shape
     visible = np.isfinite(positions[..., 0])
@@ -118,7 +119,7 @@ def _expected(
     has = np.zeros(visible.shape, bool)
     for back in range(1, PAST):
         earlier = positions[np.maximum(last - back, 0), columns]
-        # The farthest sample of an unbroken run gives the speed.
+        # The farthest sample of a gapless run gives the speed.
         ok = (last >= back) & np.isfinite(earlier[..., 0]) & (has | (back == 1))
         speed[ok] = (at[ok] - earlier[ok]) / back
         has = ok if back == 1 else has
@@ -128,7 +129,7 @@ def _expected(
 
 
 def _pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
-    """Return pairs of which one jumps to where the other was, most often first."""
+    """Return pairs of which one jumps to the other's position, most frequent first."""
     expected, allowed, known = _expected(positions, rate)
     visible = np.isfinite(positions[..., 0])
     off = np.linalg.norm(positions - expected, axis=-1)
@@ -153,10 +154,10 @@ class _Path:
     """One way to exchange two markers, up to a frame.
 
     Attributes:
-        cost: How unlikely it is.
-        state: 1 where it ends exchanged, else 0.
+        cost: Negative log-likelihood.
+        state: 1 if it ends exchanged, else 0.
         changes: Frames in which it changes.
-        past: Of both markers, where they were seen last: frames and positions.
+        past: Last visible frames and positions of both markers.
     """
 
     cost: float
@@ -170,10 +171,10 @@ def _crossed(
 ) -> tuple[float, BoolArray]:
     """Return the frames in which two markers have each other's names ``(F,)``.
 
-    And how much likelier that is than that they never have, as a logarithm.
+    Also returns the log-likelihood gain over no exchange.
 
-    Of the paths that end straight and those that end crossed the best is kept from
-    frame to frame, with where it saw both markers last.
+    Viterbi search: of the paths that end straight and those that end crossed, the best
+    is kept from frame to frame, with the last visible positions of both markers.
     """
     both = positions[:, [a, b]]
     visible = np.isfinite(both[..., 0])
@@ -181,7 +182,7 @@ def _crossed(
     expected, allowed, known = _expected(both, rate, acceleration)
     off = np.linalg.norm(both - expected, axis=-1)
     smooth = ~visible | (known & (off <= allowed))
-    # Frames in which nothing begins, ends or jumps: both go on as they are named.
+    # In frames without events, both keep their names.
     same = np.vstack([np.zeros((1, 2), bool), visible[1:] == visible[:-1]])
     events = np.flatnonzero(~(smooth & same).all(axis=1)).tolist()
     events = sorted({0, *events})
@@ -236,7 +237,7 @@ def _crossed(
 
 
 def _acceleration(both: FloatArray, rate: float) -> float:
-    """Return by how much two markers change their speed at most in most frames."""
+    """Return the typical largest acceleration of two markers [m/s^2]."""
     bent = np.linalg.norm(np.diff(both, 2, axis=0), axis=-1)
     known = bent[np.isfinite(bent)]
     if not len(known):
@@ -247,9 +248,9 @@ def _acceleration(both: FloatArray, rate: float) -> float:
 def _off(
     past: list[Any], frame: int, point: list[float], rate: float, acceleration: float
 ) -> float:
-    """Return the cost of a position after those that were seen before.
+    """Return the cost of a position after those visible before.
 
-    That is how unlikely it is (the negative logarithm), up to anywhere at all.
+    It is a negative log-likelihood, bounded by that of an arbitrary position.
     """
     if not past:
         return ANYWHERE
@@ -276,7 +277,7 @@ def _shape(
     end: int,
     known_lengths: MarkerDistances,
 ) -> float:
-    """Return how much better two markers are as far from the others if exchanged."""
+    """Return how much better an exchange fits distances to the other markers."""
     if end - start < MIN_SWAP:
         return 0.0
     frames = np.unique(np.linspace(start, end - 1, SAMPLES).astype(np.int64))
@@ -305,13 +306,13 @@ def _shape(
 
 
 def _spans(crossed: BoolArray, both: FloatArray) -> list[tuple[int, int]]:
-    """Return first and last frames of spans that are crossed and long enough.
+    """Return first and last frames of crossed spans that are long enough.
 
-    One that begins or ends where neither is seen does so in the middle of that.
+    One that begins or ends while neither is visible does so in the middle of that gap.
     """
     visible = np.asarray(np.isfinite(both[..., 0]).any(axis=1))
     spans = []
-    # What is straight for a few frames between is a spike.
+    # A few straight frames between crossed ones are a spike.
     for first, end in joined(runs(crossed), MIN_SWAP):
         frames = first + np.flatnonzero(visible[first:end])
         if len(frames) < MIN_SWAP:
@@ -330,7 +331,7 @@ def _spans(crossed: BoolArray, both: FloatArray) -> list[tuple[int, int]]:
 
 
 def _taken(markers: Markers, source: IntArray) -> Markers:
-    """Return markers whose values are those of others ``(F, M)``."""
+    """Return markers with values taken from other columns ``(F, M)``."""
 
     def exchanged(values: Any) -> Any:
         return None if values is None else np.take_along_axis(values, source, 1)

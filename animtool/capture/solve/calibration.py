@@ -1,9 +1,9 @@
 """Bone lengths and marker offsets of a subject, from a static and a motion take.
 
-Scales s of the bones and offsets o of the markers are found together with the poses of
-some frames: reweighted Gauss-Newton, the poses' part of each step taken out (the Schur
-complement of bundle adjustment: B. Triggs et al., Bundle adjustment, a modern
-synthesis, 2000, section 6.1), with what is likely of a body as priors.
+Bone scales s and marker offsets o are solved together with the poses of some frames:
+reweighted Gauss-Newton, with the poses eliminated from each step (the Schur complement
+of bundle adjustment: B. Triggs et al., Bundle adjustment, a modern synthesis, 2000,
+section 6.1), and anthropometric priors.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from animtool.rig.kinematics import forward
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import JointType, Pose, Rig
 
-# Frames of the motion and of the static take that are looked at.
+# Frames sampled of the motion and of the static take.
 MOTION_FRAMES, STATIC_FRAMES = 120, 10
 # What is likely: how far bones are from the overall scale, that from 1, left bones from
 # right ones [1], markers from where the template has them, by an axis [m].
@@ -51,13 +51,13 @@ BONES, OVERALL, SIDES, OFFSETS = 0.07, 0.25, 0.004, 0.008
 # How near the rest pose a subject stands in a static take, and joints are elsewhere,
 # where no marker says otherwise [rad].
 STANDING, MOVING = 0.08, 1.5
-# Steps, and the change of the parameters that ends them: bones [1], offsets [m].
+# Most steps, and the converged change of bones [1] and offsets [m].
 ROUNDS, CONVERGED = 25, 2e-4
-# How far markers of a template for everyone may be off at first [m].
+# Initial noise for a generic template [m].
 GENERIC = 0.03
-# A bone whose scale is known no better is named.
+# A bone whose scale is less certain is reported.
 UNSURE = 0.5
-# Fewer frames say too little.
+# Least number of frames.
 MIN_FRAMES = 10
 
 
@@ -68,13 +68,13 @@ class Calibration:
     Attributes:
         rig: The rig with the subject's bones.
         template: The template with the subject's offsets.
-        scales: Of each joint's bone from its parent, against the rig given ``(J,)``.
-        shifts: How far each marker went from its offset ``(M,)`` [m]; NaN where the
+        scales: Of each joint's bone from its parent, over the input rig's ``(J,)``.
+        shifts: Shift of each marker from its offset ``(M,)`` [m]; NaN if the
             capture lacks it.
-        noise: How far markers are off, as a standard deviation of an axis ``(E,)`` [m].
+        noise: Standard deviation of markers per axis ``(E,)`` [m].
         rounds: Steps taken.
-        frames: Frames that were looked at.
-        converged: Whether the steps came to an end.
+        frames: Number of frames used.
+        converged: Whether the steps converged.
         notices: Warnings.
     """
 
@@ -96,7 +96,7 @@ class Calibration:
 
     @property
     def marker_shifts(self) -> dict[str, float]:
-        """How far each marker went from its offset [m]."""
+        """Shift of each marker from its template offset [m]."""
         return dict(zip(self.template.names, self.shifts.tolist(), strict=True))
 
 
@@ -114,8 +114,8 @@ def calibrate(
         markers: A take in which every joint moves.
         rig: A rig of about the subject's build.
         template: Where markers are on it, to a few centimetres.
-        static: A take of the subject standing in about the rest pose; it says what is
-            no turn of a joint but a marker that was put on elsewhere.
+        static: A take of the subject standing in about the rest pose; it tells
+            marker placement from joint rotation.
         options: Noise and subject.
 
     Raises:
@@ -133,7 +133,7 @@ def calibrate(
 
 
 class _Calibrating:
-    """Bones, offsets and poses on their way."""
+    """State of a calibration: bones, offsets and poses."""
 
     def __init__(
         self,
@@ -175,7 +175,7 @@ class _Calibrating:
     def _in_model_order(
         self, positions: FloatArray, names: tuple[str, ...]
     ) -> FloatArray:
-        """Return the markers of another take in the order of the model's."""
+        """Return another take's markers in the order of the model."""
         match = match_markers(self.model.template, names, self.options.subject)
         out = np.full((len(positions), len(match.columns), 3), np.nan)
         has = match.columns >= 0
@@ -183,7 +183,7 @@ class _Calibrating:
         return out
 
     def _overall(self) -> float:
-        """Return how much larger the subject is than the rig."""
+        """Return the ratio of the subject's size to the rig's."""
         frames = self.positions[: max(self.static_frames, 1)]
         rest = self.model.points(self.model.starts(frames))
         visible = visible_markers(frames)[:, :, None]
@@ -197,7 +197,7 @@ class _Calibrating:
         return min(max(spread(frames) / max(spread(rest), 1e-9), 0.2), 5.0)
 
     def run(self) -> tuple[int, bool]:
-        """Take steps until they are small; their number, and whether they ended."""
+        """Iterate to convergence; return the step count and whether it converged."""
         self._rebuild()
         poses = sampled_poses(self.model, self.positions, self.noise)
         for round_ in range(ROUNDS):
@@ -220,18 +220,18 @@ class _Calibrating:
         )
 
     def _fitted_poses(self, poses: FloatArray) -> FloatArray:
-        """Return poses that fit the present bones; what is off says how noisy it is."""
+        """Return poses fitted to the current bones, and update the noise."""
         options = FitOptions(1.0, math.inf, robust=ROBUST, rounds=6)
         targets = self.model.targets(self.positions, self.noise)
         fitted = fit(self.model.problem, targets, poses, options, path=poses)
         misses = misses_of(self.model, fitted.coordinates, self.positions)
         typical = typical_noise(misses, self.options.noise)
-        # Down by steps: markers that are far off at first must not be given up.
+        # Halved at most: markers far off at first must not be rejected.
         self.noise = np.minimum(self.noise, np.maximum(typical, self.noise / 2))
         return fitted.coordinates
 
     def _step(self, poses: FloatArray) -> FloatArray:
-        """Return the change of scales and offsets ``(B + 3 E,)``, poses following."""
+        """Return the step of scales and offsets ``(B + 3 E,)``, poses eliminated."""
         problem, model = self.model.problem, self.model
         targets = chain_targets(problem, model.targets(self.positions, self.noise))
         chain = problem.chain
@@ -253,7 +253,7 @@ class _Calibrating:
         fixed[: self.static_frames] = STANDING**-2.0
         normal += np.eye(degrees) * fixed[:, :, None]
         felt = np.swapaxes(slopes, 1, 2)
-        # What poses take of parameters and residuals alike.
+        # The poses' part of parameters and residuals.
         taken = np.linalg.solve(normal, felt @ columns)
         pull = fixed * self._from_rest(poses)
         pose_step = np.linalg.solve(
@@ -271,17 +271,17 @@ class _Calibrating:
         return np.linalg.solve(matrix + prior, right + drawn)
 
     def _from_rest(self, poses: FloatArray) -> FloatArray:
-        """Return how far poses are from rest ``(F, D)``, but for where the root is."""
+        """Return the deviation of poses from rest ``(F, D)``, root motion excluded."""
         chain = self.model.problem.chain
         start = chain.from_rig(self.model.starts(self.positions))
         coordinates = chain.from_rig(poses)
         away = difference(chain, start, coordinates)
-        # The root goes where it goes.
+        # The root is free.
         away[:, : min(6, away.shape[1])] = 0.0
         return away
 
     def _columns(self, poses: FloatArray) -> FloatArray:
-        """Return how weighted markers follow the parameters ``(F, 3 E, B + 3 E)``."""
+        """Return derivatives of weighted markers ``(F, 3 E, B + 3 E)``."""
         model, rig = self.model, self.model.rig
         local = model.local(poses)
         world = forward(rig, local.translations, local.rotations)
@@ -304,7 +304,7 @@ class _Calibrating:
         return out.reshape(count, 3 * markers, -1)
 
     def _prior(self) -> tuple[FloatArray, FloatArray]:
-        """Return what is likely of scales and offsets: matrix, and what it draws to."""
+        """Return the prior of scales and offsets: normal matrix and right side."""
         bones, size = len(self.bones), len(self.bones) + self.offsets.size
         matrix, drawn = np.zeros((size, size)), np.zeros(size)
         # Bones about an overall scale that is itself about 1, which is summed out.
@@ -327,7 +327,7 @@ class _Calibrating:
         of_bones = self._carriers()[:, None, :] * self.offsets0[:, :, None]
         left_over[:, :bones] = -of_bones.reshape(-1, bones)
         away = self.offsets.ravel() - of_bones.reshape(-1, bones) @ self.scales
-        # Those on landmarks stay, whatever the bones do.
+        # Fixed markers do not scale with bones.
         fixed = np.repeat(self.fixed, 3)
         left_over[fixed, :bones] = 0.0
         away[fixed] = 0.0
@@ -336,9 +336,10 @@ class _Calibrating:
         return matrix, drawn
 
     def _carriers(self) -> FloatArray:
-        """Return the share of each bone in the size of a marker's joint ``(E, B)``.
+        """Return the weight of each bone in the size of a marker's joint ``(E, B)``.
 
-        A joint is as large as the bones that begin there; one at an end as all of them.
+        A joint scales with the bones that begin there; an end joint with the bone to
+        it, else with all bones.
         """
         rig = self.model.rig
         into = np.array([group[0] for group in self.bones])
@@ -350,7 +351,7 @@ class _Calibrating:
         return np.asarray(out / out.sum(axis=1, keepdims=True))
 
     def _pairs(self) -> list[tuple[int, int]]:
-        """Return the numbers of bones that are left and right of each other."""
+        """Return the indices of left and right bones."""
         rig = self.model.rig
         stated = [(j.name, j.mirror) for j in rig.joints if j.mirror]
         partners = pair_sides(rig.names, rig.parents, stated).partners
@@ -365,7 +366,7 @@ class _Calibrating:
         ]
 
     def result(self, rounds: int, converged: bool) -> Calibration:
-        """Return what was found."""
+        """Return the calibration."""
         rig = self.model.rig
         scales = np.ones(len(rig.joints))
         for b, group in enumerate(self.bones):
@@ -411,7 +412,7 @@ class _Calibrating:
 
 
 def _bones(rig: Rig) -> list[tuple[int, ...]]:
-    """Return the joints whose bones scale, each by itself: all but roots."""
+    """Return the joints whose bones scale independently: all but roots."""
     return [
         (j,)
         for j, joint in enumerate(rig.joints)
@@ -420,9 +421,9 @@ def _bones(rig: Rig) -> list[tuple[int, ...]]:
 
 
 def unlimited_rig(model: MarkerProblem) -> Rig:
-    """Return a model's rig; pins that markers tell the angle of have no limits.
+    """Return a model's rig without limits on pins that markers determine.
 
-    One that stands at its limit could not say that it is the marker that is elsewhere.
+    A joint at its limit could not tell a displaced marker from its own angle.
     """
     rig = model.rig
     moves = np.zeros(len(rig.joints), np.int64)
@@ -440,7 +441,7 @@ def unlimited_rig(model: MarkerProblem) -> Rig:
 def scaled_rig(
     rig: Rig, bones: list[tuple[int, ...]], scales: FloatArray, base: FloatArray
 ) -> Rig:
-    """Return a rig whose bones are so many times as long as a base ``(J, 3)``."""
+    """Return a rig with bones scaled from a base ``(J, 3)``."""
     joints = list(rig.joints)
     for group, scale in zip(bones, scales.tolist(), strict=True):
         for j in group:
@@ -450,9 +451,9 @@ def scaled_rig(
 
 
 def with_bones(rig: Rig, scales: FloatArray) -> Rig:
-    """Return a rig with bones ``(J,)`` times as long; surfaces stay bound as they were.
+    """Return a rig with bones scaled ``(J,)``; surfaces stay bound.
 
-    The end of a bone that carries no joint goes with the joint's own bone.
+    The tip of a bone without a child joint scales with the joint's own bone.
     """
     joints, bind = [], dict(rig.bind)
     for joint, scale in zip(rig.joints, scales.tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""The solve of a whole capture, window by window."""
+"""The solve of a capture, window by window."""
 
 from __future__ import annotations
 
@@ -45,15 +45,15 @@ Progress = Callable[[float], None] | None
 # that, what a joint does next says nothing of a frame. Fixed, so that results are the
 # same however a take is read.
 WINDOW, LOOKAHEAD = 600, 120
-# Frames before a window, whose poses stay and whose speed goes on.
+# Frames before a window, whose poses are fixed and whose speed continues.
 BEHIND = 2
-# Frames by themselves that say how far markers are off.
+# Independent frames for the noise estimate.
 SAMPLES = 24
-# Markers that are this many times as far apart as the rig's are in other units.
+# Ratio of marker distances to the rig's that means other units.
 OTHER_UNITS = 30.0
-# Markers that are farther off as a rule are not on this rig [m].
+# Typical deviation above which markers do not belong to this rig [m].
 STRANGE = 0.01
-# Where the noise is looked for from, and when it is found.
+# Initial noise, and its convergence ratio.
 FAR, ROUNDS, SETTLED = 0.02, 4, 0.7
 
 
@@ -63,14 +63,14 @@ class MarkerSolve:
 
     Attributes:
         model: Rig and markers that are solved for.
-        match: Which marker of the capture is which.
+        match: The template's markers in the capture.
         positions: Of the model's markers ``(F, E, 3)`` [m], in the rig's world; NaN
             where one is missing.
         markers: The capture.
-        noise: How far each marker is off, as a standard deviation of an axis ``(E,)``
+        noise: Standard deviation of each marker per axis ``(E,)``
             [m].
         options: How to solve.
-        score: What is found; complete once `blocks` are drawn.
+        score: The fit; complete once `blocks` are consumed.
         notices: Warnings.
     """
 
@@ -84,7 +84,7 @@ class MarkerSolve:
     notices: list[Fault] = field(default_factory=list)
 
     def blocks(self, progress: Progress = None) -> Iterator[Motion]:
-        """Yield the motion of one window of frames after the other."""
+        """Yield the motion of one window of frames after another."""
         last: FloatArray | None = None
         rotations: FloatArray | None = None
         count = len(self.positions)
@@ -101,14 +101,14 @@ class MarkerSolve:
         self._name_frames()
 
     def take(self, progress: Progress = None) -> Take:
-        """Return the whole take."""
+        """Return the full take."""
         motion = Motion.concatenate(list(self.blocks(progress)))
         motion = motion.map(Channel.compact)
         rig, clock = self.model.rig, self.markers.clock
         return driven_take(Take(rig, clock, motion, tuple(self.notices)))
 
     def _window(self, first: int, end: int, last: FloatArray | None) -> FloatArray:
-        """Return the poses of frames, those before them given."""
+        """Return the poses of frames that continue those before them."""
         behind = 0 if last is None else len(last)
         lookahead = min(end + LOOKAHEAD, len(self.positions))
         positions = self.positions[first - behind : lookahead]
@@ -155,7 +155,7 @@ class MarkerSolve:
         )
 
     def _name_frames(self) -> None:
-        """Warn of frames that too few markers, or none that fit, say anything of."""
+        """Warn about frames with too few markers, or none that fit."""
         clock = self.markers.clock
         for code, frames, what in (
             ("SOL101", self.score.sparse, f"fewer than {MIN_MARKERS} markers are seen"),
@@ -180,12 +180,12 @@ def solve_markers(
     template: MarkerTemplate,
     options: SolveOptions | None = None,
 ) -> MarkerSolve:
-    """Return the solve of a capture; drawing its blocks does the work.
+    """Return the solve of a capture; iterating its blocks does the work.
 
     Args:
         markers: F frames of labelled markers.
-        rig: The subject's: see `animtool.capture.solve.calibrate`.
-        template: Where its markers are.
+        rig: The subject's rig: see `animtool.capture.solve.calibrate`.
+        template: Its markers.
         options: How to solve.
 
     Raises:
@@ -223,9 +223,10 @@ def solve_markers(
 
 
 def sampled_noise(model: MarkerProblem, sample: FloatArray, least: float) -> FloatArray:
-    """Return how far markers of ``(F, E, 3)`` are off, by an axis ``(E,)`` [m].
+    """Return the noise of markers ``(F, E, 3)``, per axis ``(E,)`` [m].
 
-    Far off first, such that a rig that is not the subject's is told from wrong labels.
+    It starts from a large value, so that a rig of another subject is told from wrong
+    labels.
     """
     noise = np.full(len(model.joints), FAR)
     for _ in range(ROUNDS):
@@ -247,7 +248,7 @@ def in_world_of(rig: Rig, markers: Markers) -> FloatArray:
 
 
 def check_units(model: MarkerProblem, sample: FloatArray) -> None:
-    """Refuse markers ``(F, E, 3)`` that are in other units than a rig (SOL005)."""
+    """Refuse markers ``(F, E, 3)`` in other units than the rig (SOL005)."""
     rest = model.points(model.starts(sample[:1]))[0]
     ratios = []
     for frame in sample:

@@ -17,7 +17,7 @@ from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Vector, key
 from animtool.documents.references import missing_hint, referred
 
-# Farther from its joint no marker of a body is; a larger number is in another unit [m].
+# Largest distance of a marker from its joint; larger numbers are in another unit [m].
 MAX_OFFSET = 10.0
 
 
