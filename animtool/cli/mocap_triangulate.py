@@ -127,7 +127,8 @@ _TEMPLATE = Template(
     "animtool.capture.cameras.report:Triangulation",
     (
         "{output}: {markers:summary}",
-        "{found} of {seen} points that two cameras see ({share:hundredths2} %), "
+        "{triangulated} of {visible} points that two cameras see "
+        "({fraction:hundredths2} %), "
         "reprojection {error_px:.3f} px ({error_mm:.3f} mm)",
         Table(
             "cameras",
