@@ -93,7 +93,7 @@ class RetargetResult:
             {
                 "source": ours[pair.source],
                 "target": theirs[pair.target],
-                **picked(pair, "role found confidence"),
+                **picked(pair, "role found=evidence confidence"),
             }
             for pair in self.joint_map.pairs
         ]
