@@ -229,9 +229,9 @@ def _say_reports(
     stages = [] if scene is None else scene.meter.stages
     costs = Stats([*stages, *(report.cost for report in reports)])
     if params["report_format"] == "json":
-        whole = {"bake": VERSION, "written": reports} if several else reports[0]
+        payload = {"bake": VERSION, "written": reports} if several else reports[0]
         stats = plain_value(costs) if params["stats"] else {}
-        console.result_json({**plain_value(whole), **stats})
+        console.result_json({**plain_value(payload), **stats})
         raise_stopped(reports)
         return
     for report in reports:

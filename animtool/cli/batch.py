@@ -255,13 +255,13 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     if openjd and params["report_format"] != "text":
         raise click.UsageError("--lines openjd and --format both write to stdout.")
     with openjd_failure(console.calling, asked=openjd):
-        batch_found = find_batch(_spec(inputs, params))
-    console.faults(batch_found.notices)
+        resolved_batch = find_batch(_spec(inputs, params))
+    console.faults(resolved_batch.notices)
     numbers = params["numbers"]
     options = RunOptions(
         params["jobs"],
         params["executor"],
-        None if numbers is None else numbers.among(len(batch_found.items)),
+        None if numbers is None else numbers.among(len(resolved_batch.items)),
         params["dry_run"],
         params["force"],
         params["verify"],
@@ -276,7 +276,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
             shown_progress(console, lines=lines) as listener,
         ):
             listening = openjd_lines(listener, console.calling) if openjd else listener
-            report = run_batch(batch_found, options, listening)
+            report = run_batch(resolved_batch, options, listening)
     except (KeyboardInterrupt, TerminatedError):
         console.say("finished items are recorded; run the same command again to resume")
         raise
@@ -287,8 +287,8 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
         from animtool.core.files.output import check_outputs, write_parts
 
         check_outputs([params["junit"]], [], overwrite=True)
-        told = [entry.worded(console.calling) for entry in report.items]
-        write_parts(params["junit"], [junit_report(told).encode()])
+        reports = [entry.worded(console.calling) for entry in report.items]
+        write_parts(params["junit"], [junit_report(reports).encode()])
     click.get_current_context().exit(int(report.exit_code))
 
 
@@ -347,11 +347,11 @@ class _Repeat:
     """The command that makes one item again."""
 
     def __init__(self, inputs: tuple[str, ...], params: dict[str, Any]) -> None:
-        self._inputs, self._given = inputs, params
+        self._inputs, self._params = inputs, params
 
     def command(self, report: ItemReport) -> str:
-        given, item = self._given, report.item
-        inputs, output = list(self._inputs), given["output"]
+        params, item = self._params, report.item
+        inputs, output = list(self._inputs), params["output"]
         # What came on stdin does not come again.
         listed = "-" in inputs
         if listed:
@@ -359,16 +359,16 @@ class _Repeat:
             output = str(item.output).replace("{", "{{").replace("}", "}}")
         words = ["animtool", "batch", *inputs]
         words += [] if output is None else ["-o", output]
-        words += [] if given["name"] is None else ["--name", given["name"]]
-        words += ["--strict"] if given["strict"] else []
-        words += [] if given["scene"] is None else ["--scene", str(given["scene"])]
-        if given["cuts"] is not None:
-            words += ["--cut", str(given["cuts"])]
-        words += cut_words(given)
-        for name, value in given["variables"]:
+        words += [] if params["name"] is None else ["--name", params["name"]]
+        words += ["--strict"] if params["strict"] else []
+        words += [] if params["scene"] is None else ["--scene", str(params["scene"])]
+        if params["cuts"] is not None:
+            words += ["--cut", str(params["cuts"])]
+        words += cut_words(params)
+        for name, value in params["variables"]:
             words += ["--set", f"{name}={value}"]
-        words += variant_words(given)
-        for text in () if listed else given["exclude"]:
+        words += variant_words(params)
+        for text in () if listed else params["exclude"]:
             words += ["--exclude", text]
         return shlex.join(words + ([] if listed else ["--items", str(item.number)]))
 

@@ -66,8 +66,10 @@ def with_cuts(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
     """Return a batch with the cut list that a command line names, if it names one."""
     if params["cuts"] is not None:
         spec = replace(spec, cuts=params["cuts"])
-    given = {name: params[name] for name in CUT_OPTIONS if params[name] is not None}
-    return replace(spec, **given)
+    cut_options = {
+        name: params[name] for name in CUT_OPTIONS if params[name] is not None
+    }
+    return replace(spec, **cut_options)
 
 
 def cut_words(params: Mapping[str, Any]) -> list[str]:

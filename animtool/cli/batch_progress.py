@@ -68,7 +68,7 @@ def report_json(
 def openjd_lines(other: Listener, calling: Calling) -> Listener:
     """Return a listener that writes such lines to stdout, and tells another."""
 
-    class Lines(Listener):
+    class OpenJdLines(Listener):
         """Writes progress, status and failures."""
 
         def __init__(self) -> None:
@@ -101,7 +101,7 @@ def openjd_lines(other: Listener, calling: Calling) -> Listener:
             """Tell the other."""
             other.warned(notice)
 
-    return Lines()
+    return OpenJdLines()
 
 
 @contextmanager
@@ -141,7 +141,7 @@ def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
 
 
 def _lines(console: Console, *, lines: bool) -> Listener:
-    class Lines(Listener):
+    class TextLines(Listener):
         """Says each item in a line."""
 
         due = ended_items = 0
@@ -158,15 +158,15 @@ def _lines(console: Console, *, lines: bool) -> Listener:
             if lines:
                 _write(report.worded(console.calling))
             else:
-                told = report.worded(console.calling)
-                console.say(ended_text(told, self.ended_items, self.due))
+                worded_report = report.worded(console.calling)
+                console.say(ended_text(worded_report, self.ended_items, self.due))
 
         def warned(self, notice: Fault) -> None:
             """Show a warning when it comes."""
             self.shown = (*self.shown, notice)
             console.faults([notice])
 
-    return Lines()
+    return TextLines()
 
 
 def _table(
@@ -239,19 +239,21 @@ def scores_table(items: Sequence[ItemReport]) -> list[str]:
     Args:
         items: The worst first, as the rows are.
     """
-    places = dict.fromkeys(
+    passes = dict.fromkeys(
         (one.pass_name, one.where) for entry in items for one in entry.scores
     )
-    return [line for place in places for line in _pass_table(items, place)]
+    return [line for pass_key in passes for line in _pass_table(items, pass_key)]
 
 
-def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator[str]:
+def _pass_table(
+    items: Sequence[ItemReport], pass_key: tuple[str, str]
+) -> Iterator[str]:
     """Yield the lines of the pass of a name and place."""
     table_rows = [
         (entry, one)
         for entry in items
         for one in entry.scores
-        if (one.pass_name, one.where) == place
+        if (one.pass_name, one.where) == pass_key
     ]
     names = [score.name for score in table_rows[0][1].scores]
     rows = [("  item", *names, "above usual")]
@@ -261,7 +263,7 @@ def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator
         rows.append(
             (f"  {_item(entry)}", *(texts.get(name, "") for name in names), worse)
         )
-    yield f"{place[0]} ({place[1]}), worst first:"
+    yield f"{pass_key[0]} ({pass_key[1]}), worst first:"
     yield from columns(rows, {0, len(names) + 1})
     if len(table_rows) > MAX_ROWS:
         rest = counted(len(table_rows) - MAX_ROWS, "item")

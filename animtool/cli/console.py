@@ -66,11 +66,13 @@ def calling_of(command: click.Command) -> Calling:
 def _names(argument: Argument) -> tuple[str, ...]:
     """Return what commands call an argument, the usual name first."""
     field = argument.field
-    own = SOURCE_NAMES.get(field) if argument.name.startswith("source.") else None
-    if own is None:
+    source_name = (
+        SOURCE_NAMES.get(field) if argument.name.startswith("source.") else None
+    )
+    if source_name is None:
         return (field,)
     # What is called so without `source.` is of the output; of a path either is meant.
-    return (own,) if field == "fps" else (own, field)
+    return (source_name,) if field == "fps" else (source_name, field)
 
 
 def _option(command: click.Command, names: tuple[str, ...]) -> click.Option | None:
@@ -97,8 +99,8 @@ class Console:
 
     def result(self, *lines: str) -> None:
         """Write lines of a result to stdout; what is in them makes no other line."""
-        told = (escaped(worded(line, self.calling)) for line in lines)
-        sys.stdout.write("".join(f"{line}\n" for line in told))
+        escaped_lines = (escaped(worded(line, self.calling)) for line in lines)
+        sys.stdout.write("".join(f"{line}\n" for line in escaped_lines))
         note_said()
 
     def result_json(self, value: object, *, line: bool = False) -> None:
@@ -169,8 +171,8 @@ class Console:
         label = self._color("error", _COLORS[Severity.ERROR])
         message, *more = (worded(text, self.calling) for text in (message, *others))
         lines = (f"{label}: {escaped(message)}", *map(escaped, more))
-        whole = "\n".join((message, *more))
-        self._write({"level": "error", "message": whole}, "\n".join(lines))
+        full_message = "\n".join((message, *more))
+        self._write({"level": "error", "message": full_message}, "\n".join(lines))
 
     def is_live(self) -> bool:
         """Return whether somebody looks at stderr while things change."""
@@ -197,11 +199,11 @@ class Console:
         )
         task = bar.add_task(escaped(label), total=1.0)
 
-        def show(share: float) -> None:
+        def show(fraction: float) -> None:
             # Started late: what fails at once shows no bar.
             if not bar.live.is_started:
                 bar.start()
-            bar.update(task, completed=share)
+            bar.update(task, completed=fraction)
 
         try:
             yield show
@@ -213,9 +215,9 @@ class Console:
         if isinstance(value, str):
             return worded(value, self.calling)
         if isinstance(value, Mapping):
-            return {key: self._worded(own) for key, own in value.items()}
+            return {key: self._worded(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
-            return [self._worded(own) for own in value]
+            return [self._worded(item) for item in value]
         return value
 
     def _line(self, level: str, text: str) -> None:

@@ -168,13 +168,13 @@ def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
     folder.mkdir(parents=True, exist_ok=True)
     legal = distinct_names(names, names, names).names
     for name, stem in zip(names, legal, strict=True):
-        own = {
+        take_params = {
             **params,
             "named_output": None,
             "source": source,
             "output": folder / f"{stem}.usdc",
         }
-        click.get_current_context().invoke(convert, **{**own, "take": name})
+        click.get_current_context().invoke(convert, **{**take_params, "take": name})
     return True
 
 

@@ -39,7 +39,7 @@ def _largest(kind: str, size: str, where: str) -> str:
 
 
 _JOINT, _POINT = "joint {@.joint:repr}", "{@.prim:repr}, point {@.point}"
-_FOUND = (Each("mismatches", ("  {self}",)), Each("notes", ("  note: {self}",)))
+_DIFFERENCES = (Each("mismatches", ("  {self}",)), Each("notes", ("  note: {self}",)))
 _TAKES = Template(
     "animtool.report.compare:TakeDifference",
     (
@@ -50,7 +50,7 @@ _TAKES = Template(
         _largest("rotation", "plain", _JOINT).replace("plain}", "plain} deg"),
         _largest("scale", "plain", _JOINT),
         f"[{{?shapes}}{_largest('weight', 'plain', 'shape {@.shape:repr}')}]",
-        *_FOUND,
+        *_DIFFERENCES,
     ),
     {"several": lambda n: counted(n, "skeleton") if n > 1 else ""},
 )
@@ -61,7 +61,7 @@ _POINTS = Template(
         _largest("points", "length", _POINT),
         _largest("orientations", "plain", _POINT).replace("plain}", "plain} deg"),
         _largest("scales", "plain", _POINT),
-        *_FOUND,
+        *_DIFFERENCES,
     ),
 )
 
@@ -162,6 +162,8 @@ def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
     options = []
     for path, side in ((first, "a"), (second, "b")):
         names = ("take", "prim_path")
-        own = {n: v for n in names if (v := params[f"{n}_{side}"]) is not None}
-        options.append(replace(fitting_options(shared, path, [first, second]), **own))
+        side_options = {n: v for n in names if (v := params[f"{n}_{side}"]) is not None}
+        options.append(
+            replace(fitting_options(shared, path, [first, second]), **side_options)
+        )
     return options

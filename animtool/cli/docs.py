@@ -69,9 +69,9 @@ def _page_of(topic: str) -> PageEntry:
     from animtool.cli.main import COMMANDS
     from animtool.core.rules import find_rule
 
-    for made in (COMMANDS_PAGE, CODES_PAGE):
-        if topic.lower() in {made.name, made.name.split("/")[-1]}:
-            return made
+    for entry in (COMMANDS_PAGE, CODES_PAGE):
+        if topic.lower() in {entry.name, entry.name.split("/")[-1]}:
+            return entry
     if _CODE.fullmatch(topic):
         rule = find_rule(topic)
         return PageEntry(f"rules/{rule.code}", rule.title)

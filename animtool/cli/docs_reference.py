@@ -43,10 +43,10 @@ def _command(
         "```text\n", f"```text\n{context.command_path} "
     )
     rows = [
-        found
+        record
         for one in command.get_params(context)
         if isinstance(one, click.Option)
-        if (found := one.get_help_record(context))
+        if (record := one.get_help_record(context))
     ]
     if rows:
         yield from _table(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
+class RulePage:
     """A code, and what its page says."""
 
     rule: Rule
@@ -49,7 +49,7 @@ class Page:
 class Pages:
     """The codes that were asked for, or all."""
 
-    rules: list[Page]
+    rules: list[RulePage]
     json_keys: ClassVar[str] = "'explain' rules"
 
 
@@ -95,9 +95,9 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
         rules = [known[code] for code in sorted(known)]
     if not listing and report_format != "json":
         for rule in rules:
-            console.document(Page(rule).page or escaped_lines(_bare_page(rule)))
+            console.document(RulePage(rule).page or escaped_lines(_bare_page(rule)))
         return
-    pages = Pages([Page(rule) for rule in rules])
+    pages = Pages([RulePage(rule) for rule in rules])
     console.report(report_format, pages, PAGES)
 
 

@@ -60,7 +60,7 @@ _ELSEWHERE = {
     "job": {"chunk": "Run"},
 }
 # The options that most calls of a command need.
-_USUAL = {
+_COMMON = {
     "bake": "output rig rig-layer fps range plan",
     "batch": "output scene set jobs dry-run items",
     "convert": "reduce units up take prim-path overwrite",
@@ -115,9 +115,9 @@ class Command(click.Command):
         formatter.write_paragraph()
         with formatter.indentation():
             formatter.write_text(" ".join(about.split()))
-        usual = usual_options(self.name or "")
+        common = common_options(self.name or "")
         records = {_word(option): record for option, record in self._records(ctx)}
-        shown = usual or [word for word in records if _GROUP_OF[word] != "Report"]
+        shown = common or [word for word in records if _GROUP_OF[word] != "Report"]
         firsts = [(records[w][0], _first(records[w][1])) for w in shown if w in records]
         if firsts:
             _section(formatter, "Options", firsts)
@@ -160,9 +160,9 @@ def group_of(command: str, option: click.Option) -> str:
     return _ELSEWHERE.get(command, {}).get(word) or _GROUP_OF[word]
 
 
-def usual_options(command: str) -> list[str]:
+def common_options(command: str) -> list[str]:
     """Return the options in the short help of a command; none: all but reports."""
-    return _USUAL.get(command, "").split()
+    return _COMMON.get(command, "").split()
 
 
 def _word(option: click.Option) -> str:
@@ -187,15 +187,15 @@ def _section(
 def _help_options() -> list[click.Parameter]:
     """Return ``-h`` and ``--help``."""
 
-    def whole(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+    def full_help(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
         if asked and not ctx.resilient_parsing:
             click.echo(ctx.get_help(), color=ctx.color)
             ctx.exit()
 
     def short(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
         if asked and not ctx.resilient_parsing:
-            made = ctx.command
-            text = made.short_help_of(ctx) if isinstance(made, Command) else ""
+            command = ctx.command
+            text = command.short_help_of(ctx) if isinstance(command, Command) else ""
             click.echo(text or ctx.get_help(), color=ctx.color)
             ctx.exit()
 
@@ -208,7 +208,7 @@ def _help_options() -> list[click.Parameter]:
         click.Option(["-h"], callback=short, hidden=True, **flags),
         click.Option(
             ["--help"],
-            callback=whole,
+            callback=full_help,
             help="Show this message; -h shows the usual options.",
             **flags,
         ),

@@ -276,8 +276,8 @@ def _check(params: dict[str, Any]) -> None:
 def _source(params: dict[str, Any]) -> Any:
     """Return what the start is."""
     named = ("prim_path", "take", "positions")
-    own = {"shot": params["shot"], "placement": params["placement"]}
-    return source_options_record(params, *named, **own)
+    extra = {"shot": params["shot"], "placement": params["placement"]}
+    return source_options_record(params, *named, **extra)
 
 
 def _table(console: Console, params: dict[str, Any]) -> None:
@@ -323,13 +323,13 @@ def _bake_options(params: dict[str, Any]) -> Any:
     }
     if params["reduce"] is not None and output is None:
         raise click.UsageError("--reduce needs an output: pass -o.")
-    flags_given = [flag for flag, value in flags.items() if value]
+    set_flags = [flag for flag, value in flags.items() if value]
     from animtool.scene.sources.open import is_usd
 
-    if flags_given and output is None:
-        raise click.UsageError(f"{flags_given[0]} needs an output: pass -o.")
-    if flags_given and str(output) != "-" and not is_usd(output):
-        raise click.UsageError(f"{flags_given[0]} applies to USD, not to {output}.")
+    if set_flags and output is None:
+        raise click.UsageError(f"{set_flags[0]} needs an output: pass -o.")
+    if set_flags and str(output) != "-" and not is_usd(output):
+        raise click.UsageError(f"{set_flags[0]} applies to USD, not to {output}.")
     return written_options_record(
         params,
         start=params["first_code"],

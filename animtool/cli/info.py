@@ -41,7 +41,7 @@ _PRIM = (
     "[, with {self:has}][{?samples}{!fixed}, not the same all along]"
     "[, from {extent:corners}]"
 )
-_ODD = "  warnings  [{notices:n notice}|none]"
+_WARNINGS = "  warnings  [{notices:n notice}|none]"
 _FRAMES = (
     "  frames    {frames} at {fps:rate}, {duration:plain 4} s, time codes "
     "{start:frame} to {end:frame}"
@@ -119,12 +119,12 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
         "or down by {characters.rise:extreme m} in a frame]",
         "[{?joints}  bounds    {bounds:corners} {units}, {up} up"
         "|  space     {units}, {up} up]",
-        _ODD,
+        _WARNINGS,
     ),
     "GltfDescription": (
         "{path}: {format} without nodes",
         *_GLTF,
-        _ODD,
+        _WARNINGS,
     ),
     "PointsDescription": (
         "{path}: {format} without a Skeleton",
@@ -139,7 +139,7 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
                 "{missing:list}]",
             ),
         ),
-        _ODD,
+        _WARNINGS,
     ),
     "SceneDescription": (
         "{path}: scene",
@@ -194,7 +194,7 @@ def _extreme(extreme: Extreme, unit: str) -> str:
     return f"{plain(extreme.value, 3)} {unit} ({name}, frame {extreme.frame:g})"
 
 
-def _made(counts: dict[str, int]) -> str:
+def _system_counts(counts: dict[str, int]) -> str:
     """Return what a system is made of."""
     return ", ".join(
         f"at most {count} at once"
@@ -225,8 +225,8 @@ PRINTERS: dict[str, Callable[..., str]] = {
         for side, foot in feet.items()
     ),
     "extreme": _extreme,
-    "named": lambda named, most: listed([own.name for own in named], int(most)),
-    "made": _made,
+    "named": lambda named, most: listed([entry.name for entry in named], int(most)),
+    "made": _system_counts,
     "met": _met,
 }
 
@@ -286,9 +286,9 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     if params["report_format"] == "json":
         console.result_json({"info": VERSION, "files": described})
     else:
-        for found in described:
-            console.result(*TEMPLATES[type(found).__name__].text(found))
-            console.faults(found.notices)
+        for description in described:
+            console.result(*TEMPLATES[type(description).__name__].text(description))
+            console.faults(description.notices)
     for one in errors:
         console.faults(one.faults)
     code = max((int(one.exit_code) for one in errors), default=0)

@@ -58,9 +58,9 @@ KILLED_HINT = (
 
 def is_out_of_memory(error: BaseException | None) -> bool:
     """Return whether an error, or what it was raised from, is for want of memory."""
-    seen: set[int] = set()
-    while error is not None and id(error) not in seen:
-        seen.add(id(error))
+    visited: set[int] = set()
+    while error is not None and id(error) not in visited:
+        visited.add(id(error))
         if isinstance(error, MemoryError):
             return True
         if isinstance(error, OSError) and error.errno == errno.ENOMEM:
@@ -103,11 +103,11 @@ def limited_bytes() -> int | None:
         import resource
     except ImportError:  # Windows has none
         return None
-    found = [
+    soft_limits = [
         resource.getrlimit(kind)[0]
         for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA)
     ]
-    limits = [limit for limit in found if limit != resource.RLIM_INFINITY]
+    limits = [limit for limit in soft_limits if limit != resource.RLIM_INFINITY]
     return min(limits) if limits else None
 
 
@@ -116,16 +116,16 @@ def crash_reason(name: str, path: str = "") -> Fault | None:
 
     None is a crash of its own. ``path`` is the file that USD read; empty is none.
     """
-    place = path or None
+    location = path or None
     if name == "SIGKILL":
         message = "killed from outside (SIGKILL): out of memory or a time limit"
-        return Fault("IO014", message, place, (), KILLED_HINT)
+        return Fault("IO014", message, location, (), KILLED_HINT)
     limit = limited_bytes()
     if limit is None:
         return None
     message = f"the process ended ({name}) within its memory limit, "
     message += f"{limit / 1000000.0:,.0f} MB: libraries crash when memory runs out"
-    return Fault("IO013", message, place, (), MEMORY_HINT)
+    return Fault("IO013", message, location, (), MEMORY_HINT)
 
 
 COMMANDS = {
@@ -248,10 +248,10 @@ HELP = {"-h", "--help"}
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if SUPERVISED.isdisjoint(given[:1]) or HELP & {*given} or not can_supervise():
+    argv = list(sys.argv[1:] if arguments is None else arguments)
+    if SUPERVISED.isdisjoint(argv[:1]) or HELP & {*argv} or not can_supervise():
         obey_signals()
-        leave(run(given))
+        leave(run(argv))
 
     def refuse(crash: Crash) -> int:
         error: AnimtoolError | _CrashError = _CrashError(crash.name)
@@ -260,9 +260,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             error = OutputError(reason)
         elif crash.path:
             error = FormatError(crash_fault(crash.path, crash.number))
-        return _report(Console(json_log=_logs_json(given)), error)
+        return _report(Console(json_log=_logs_json(argv)), error)
 
-    os._exit(supervise(lambda: run(given), refuse, _remove_leftovers))
+    os._exit(supervise(lambda: run(argv), refuse, _remove_leftovers))
 
 
 class _CrashError(Exception):
@@ -371,8 +371,8 @@ def _logs_json(arguments: Sequence[str]) -> bool:
     Read here and not by the commands, so that misspelt options are said as JSON too.
     """
     asked = " ".join(arguments).replace("=", " ")
-    usual = os.environ.get("ANIMTOOL_LOG_FORMAT") == "json"
-    return "--log-format json" in asked or (usual and "--log-format" not in asked)
+    is_default = os.environ.get("ANIMTOOL_LOG_FORMAT") == "json"
+    return "--log-format json" in asked or (is_default and "--log-format" not in asked)
 
 
 # What users of other commands and tools call an option, and ours.

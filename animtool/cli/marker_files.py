@@ -110,12 +110,12 @@ def run_on_markers(
     check_outputs([output], files, overwrite=params["overwrite"])
     with all_named(), console.progress(f"{command} {sources[0].name}"):
         read = [read_marker_file(path, params) for path in sources]
-        made, report = work(*read)
+        markers, report = work(*read)
         notices = [n for one in (*read, report) for n in one.notices]
         refuse_warnings(notices, strict=params["strict"])
-        notices += write_markers(made, output, overwrite=params["overwrite"])
+        notices += write_markers(markers, output, overwrite=params["overwrite"])
     console.faults(notices)
-    written = WrittenMarkers(command, output, made, report, notices)
+    written = WrittenMarkers(command, output, markers, report, notices)
     console.report(params["report_format"], written, WRITTEN)
     if template is not None and params["report_format"] != "json":
         console.lines(template.text(report))

@@ -125,9 +125,9 @@ def solve(
     console.report(params["report_format"], report, _TEMPLATE)
 
 
-def _bones(found: Calibration) -> str:
+def _bones(calibration: Calibration) -> str:
     """Return how far bones were scaled, least and most."""
-    bones = found.scales[found.scales != 1.0]
+    bones = calibration.scales[calibration.scales != 1.0]
     return f"{bones.min(initial=1.0):.3g} to {bones.max(initial=1.0):.3g}"
 
 

@@ -90,7 +90,7 @@ def names_of(text: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
 
 
-def _whole(text: str) -> int:
+def _integer(text: str) -> int:
     try:
         value = int(text)
     except ValueError:
@@ -236,7 +236,7 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "names": (Parsed("text", names_of), "NAME,..."),
     "angle": (TOLERANCE, "DEGREES"),
     "amount": (TOLERANCE, None),
-    "seed": (Parsed("whole number", _whole), None),
+    "seed": (Parsed("whole number", _integer), None),
     "codes": (Parsed("codes", _codes), "CODE,…"),
     "severities": (Parsed("severity", _severity), "CODE=SEVERITY"),
     "processes": (Parsed("processes", _processes), "N"),
@@ -290,13 +290,13 @@ def declared(
         return click.option(f"{flag}/--no-{word}", param, default=None, help=text)
     if option.choices and option.kind != "name":
         chosen = click.Choice(option.choices)
-        usual = option.choices[0] if option.kind == "switch" else default
+        initial = option.choices[0] if option.kind == "switch" else default
         shows = option.kind != "switch" and default is not None
         return click.option(
             flag,
             param,
             type=chosen,
-            default=usual,
+            default=initial,
             show_default=shows,
             help=text,
         )
@@ -307,8 +307,8 @@ def declared(
     elif option.kind == "name":
         kind = _OneOf(option.choices)
     else:
-        kind, usual = _TYPES[option.kind]
-        shown = shown or usual
+        kind, initial = _TYPES[option.kind]
+        shown = shown or initial
     default = default if option.written is None else option.written
     if option.kind == "processes":
         default = None  # a command takes what fits; a script has to ask for it

@@ -105,11 +105,11 @@ def watch(
         def failed(error: AnimtoolError) -> None:
             console.faults(error.faults)
 
-        def made(page: Page) -> None:
+        def report_built(page: Page) -> None:
             console.faults(page.notices)
             console.say(f"reloaded: page {watched.version}")
 
         try:
-            follow(watched, failed, made, threading.Event().wait)
+            follow(watched, failed, report_built, threading.Event().wait)
         finally:
             server.shutdown()

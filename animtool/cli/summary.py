@@ -159,9 +159,9 @@ def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
     """Return meshes that are deformed, and what is simulated, with what they are."""
     groups = []
     for simulated, print_title in ((False, _deformed), (True, _simulated)):
-        own = [mesh for mesh in meshes if mesh.simulated is simulated]
-        if own:
-            groups.append({"title": print_title(own), "meshes": own})
+        group_meshes = [mesh for mesh in meshes if mesh.simulated is simulated]
+        if group_meshes:
+            groups.append({"title": print_title(group_meshes), "meshes": group_meshes})
     return groups
 
 
@@ -249,7 +249,9 @@ BAKED = Template(
         "posed": lambda take: [take] if take.posed else [],
         "knots": lambda curves: counted(sum(curve.knots for curve in curves), "knot"),
         "difference": _difference,
-        "stated": lambda values: ", ".join(f"{k} {own}" for k, own in values.items()),
+        "stated": lambda values: ", ".join(
+            f"{k} {value}" for k, value in values.items()
+        ),
         "times": lambda values: ", ".join(f"{k} {s:.3f}" for k, s in values.items()),
     },
     (

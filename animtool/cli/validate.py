@@ -166,8 +166,8 @@ def _say(
     from animtool.validation.formats.plain import summary
 
     console.faults(report.broken)
-    whole, calling = console.verbosity > 0, console.calling
-    text = written(report, choices.report_format, whole=whole, calling=calling)
+    verbose, calling = console.verbosity > 0, console.calling
+    text = written(report, choices.report_format, whole=verbose, calling=calling)
     if choices.output_file is None:
         console.document(text)
     else:
@@ -185,5 +185,5 @@ def _exit_code(
     report: Report, choices: ReportOptions, missing: Sequence[Fault]
 ) -> ExitCode:
     """Return the code of the process; missing: warnings about paths."""
-    whole = replace(report, findings=(*report.findings, *missing))
-    return whole.exit_code(strict=choices.strict, exit_zero=choices.exit_zero)
+    complete = replace(report, findings=(*report.findings, *missing))
+    return complete.exit_code(strict=choices.strict, exit_zero=choices.exit_zero)

@@ -98,10 +98,10 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
     if joint not in rig.names:
         hint = nearest(joint, rig.names)
         return Fault("CLIP002", f"unknown joint {joint!r}", hint=hint)
-    own = rig.joints[rig.index(joint)]
-    if own.type not in KEYED_PARTS[part]:
-        fitting = [p for p, types in KEYED_PARTS.items() if own.type in types]
-        message = f"a {own.type} joint has no {part}"
+    rig_joint = rig.joints[rig.index(joint)]
+    if rig_joint.type not in KEYED_PARTS[part]:
+        fitting = [p for p, types in KEYED_PARTS.items() if rig_joint.type in types]
+        message = f"a {rig_joint.type} joint has no {part}"
         return Fault("CLIP003", message, hint=f"it has {', '.join(fitting)}")
     return kind
 
@@ -255,15 +255,15 @@ def evaluate_channels(
 
 def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, FloatArray]:
     """Return the rotations ``(F, 4)`` of every target, those keyed alike at once."""
-    alike: dict[tuple[object, ...], list[ClipChannel]] = {}
+    by_timing: dict[tuple[object, ...], list[ClipChannel]] = {}
     for channel in channels:
         how = channel.interps, channel.pre, channel.post
-        alike.setdefault((channel.times.tobytes(), *how), []).append(channel)
+        by_timing.setdefault((channel.times.tobytes(), *how), []).append(channel)
     size = max(1, ROTATIONS_AT_ONCE // max(len(times), 1))
     values: dict[str, FloatArray] = {}
     groups = (
         same[begin : begin + size]
-        for same in alike.values()
+        for same in by_timing.values()
         for begin in range(0, len(same), size)
     )
     for group in groups:
@@ -277,14 +277,14 @@ def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, Floa
             first.post,
         )
         rows = np.ascontiguousarray(rotations.swapaxes(0, 1))
-        values |= {c.target: own for c, own in zip(group, rows, strict=True)}
+        values |= {c.target: row for c, row in zip(group, rows, strict=True)}
     return values
 
 
 def _is_static(channel: ClipChannel) -> bool:
     """Return whether no key and no handle says another value than the first key."""
-    still = bool((channel.values == channel.values[0]).all())
-    return still and not channel.ins[:, 1:].any() and not channel.outs[:, 1:].any()
+    constant = bool((channel.values == channel.values[0]).all())
+    return constant and not channel.ins[:, 1:].any() and not channel.outs[:, 1:].any()
 
 
 def _turned(channel: ClipChannel, values: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 
 # Of a channel that does not say.
-USUAL_TANGENT = Tangent.AUTO_CLAMPED
+DEFAULT_TANGENT = Tangent.AUTO_CLAMPED
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +139,8 @@ class Clip:
 
         clock = Clock(rate, self.first, each, count)
         notices = tuple(sampled.notices)
-        own = not clamp and rate == self.fps
-        keyed = KeyedCurve(curve, lambda: self if own else None)
+        keeps_curve = not clamp and rate == self.fps
+        keyed = KeyedCurve(curve, lambda: self if keeps_curve else None)
         return Take(rig, clock, sampled.motion, notices, curve=keyed)
 
     def __repr__(self) -> str:
@@ -153,8 +153,8 @@ class Clip:
         )
 
 
-def _rate(fps: FractionLike | None, usual: Fraction) -> Fraction:
-    return usual if fps is None else rate_option(fps)
+def _rate(fps: FractionLike | None, default: Fraction) -> Fraction:
+    return default if fps is None else rate_option(fps)
 
 
 def _step(step: Fraction | float) -> Fraction:
@@ -204,12 +204,12 @@ def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
 
 def _units(clip: Clip, rig: Rig) -> ClipUnits:
     """Return the units that a clip is written in."""
-    usual = ClipUnits.of_rig(rig)
+    rig_units = ClipUnits.of_rig(rig)
     lengths = _numbers_in(clip, ClipUnits(math.nan, 1.0))
     angles = _numbers_in(clip, ClipUnits(1.0, math.nan))
     return ClipUnits(
-        usual.length if _come_back(lengths, usual.length) else 1.0,
-        usual.angle if _come_back(angles, usual.angle) else 1.0,
+        rig_units.length if _come_back(lengths, rig_units.length) else 1.0,
+        rig_units.angle if _come_back(angles, rig_units.angle) else 1.0,
     )
 
 
@@ -235,16 +235,16 @@ def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
     """
     interp = _commonest(channel.interps, Interp.LINEAR)
     ruled = [t for t in chain(*channel.tangents) if t is not Tangent.FREE]
-    tangent = _commonest(ruled, USUAL_TANGENT)
+    tangent = _commonest(ruled, DEFAULT_TANGENT)
     yield f"interp: {interp}"
-    for key, value, usual in (
-        ("tangents", tangent, USUAL_TANGENT),
+    for key, value, default in (
+        ("tangents", tangent, DEFAULT_TANGENT),
         ("parametrization", channel.parametrization, Parametrization.UNIFORM),
         ("euler", channel.euler, ""),
         ("pre", channel.pre, Extrapolation.HOLD),
         ("post", channel.post, Extrapolation.HOLD),
     ):
-        if value != usual:
+        if value != default:
             yield f"{key}: {value}"
     yield "keys:"
     for k in range(len(channel.times)):
@@ -265,13 +265,13 @@ def _key(
     if channel.interps[k] is not interp:
         yield f"interp: {channel.interps[k]}"
     handles = (channel.ins[k].tolist(), channel.outs[k].tolist())
-    for name, own, (dt, *dv) in zip(
+    for name, handle_tangent, (dt, *dv) in zip(
         ("in", "out"), channel.tangents[k], handles, strict=True
     ):
-        if own is Tangent.FREE:
+        if handle_tangent is Tangent.FREE:
             yield f"{name}: {flow([number(dt), _value(dv, unit)])}"
-        elif own is not tangent:
-            yield f"{name}: {own}"
+        elif handle_tangent is not tangent:
+            yield f"{name}: {handle_tangent}"
     if channel.tcb[k].any():
         yield f"tcb: {flow([number(value) for value in channel.tcb[k].tolist()])}"
 
@@ -281,6 +281,6 @@ def _value(row: Sequence[float], unit: float) -> str:
     return shown[0] if len(shown) == 1 else flow(shown)
 
 
-def _commonest(choices: Sequence[Choice], usual: Choice) -> Choice:
+def _commonest(choices: Sequence[Choice], default: Choice) -> Choice:
     """Return what most of them are, the first of several; without any, the usual."""
-    return Counter(choices).most_common(1)[0][0] if choices else usual
+    return Counter(choices).most_common(1)[0][0] if choices else default

@@ -19,11 +19,11 @@ from animtool.motion.take import Take
 from animtool.rig.control_inverse import SolvedControls, keyed_values, solve_controls
 from animtool.rig.controls import Control, evaluate_controls
 from animtool.rig.driver_plan import plan_of
-from animtool.rig.shapes import own_weights
+from animtool.rig.shapes import uncombined_weights
 from animtool.rig.skeleton import Rig
 
 # Of the tolerance of the whole, what the keys of controls may use up [1].
-SHARE = 0.5
+CONTROL_FRACTION = 0.5
 # Frames at which it is tried how far a control moves things.
 TRIED_FRAMES = 8
 # Times that the keys of controls are made finer before every frame gets one.
@@ -32,7 +32,7 @@ FITS = 12
 ROUNDING = 1e-11
 
 
-def own_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
+def uncombined_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
     """Return the weights ``(F or 1,)`` that keys and controls add up to, by shape.
 
     What combined shapes get from those that they combine is taken off.
@@ -40,7 +40,7 @@ def own_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
     names = [shape.name for shape in rig.shapes]
     weights = take.motion.weights
     values = np.zeros((1, len(names))) if weights is None else weights.dense()[..., 0]
-    return own_weights(rig.shapes, dict(zip(names, values.T, strict=True)))
+    return uncombined_weights(rig.shapes, dict(zip(names, values.T, strict=True)))
 
 
 def solved_controls(
@@ -52,18 +52,18 @@ def solved_controls(
     defaults.
     """
     frames, controls = take.motion.frames, keyable_controls(rig)
-    held = take.motion.controls
+    baked = take.motion.controls
     start = {c.name: np.full(frames, c.default) for c in controls}
-    if held is not None:
-        columns = held.dense()[..., 0].T
+    if baked is not None:
+        columns = baked.dense()[..., 0].T
         reached = {c.name: v for c, v in zip(controls, columns, strict=True)}
         start |= keyed_values(controls, reached)
     if rig.is_driven:
-        still = {c.name: np.full(frames, c.default) for c in controls}
-        start |= {name: still[name] for name in plan_of(rig).controls}
+        resting = {c.name: np.full(frames, c.default) for c in controls}
+        start |= {name: resting[name] for name in plan_of(rig).controls}
     near = evaluate_controls(controls, start).targets
     goals, keyed = requested_of_joints(rig, joints, set(near), near, same)
-    shapes = own_weights_of(take, rig)
+    shapes = uncombined_weights_of(take, rig)
     for shape, value in shapes.items():
         if f"shape/{shape}" in near:
             goals[f"shape/{shape}"] = value
@@ -76,7 +76,7 @@ def solved_controls(
             for control in controls
         },
         solved.kept,
-        () if held is not None else solved.released,
+        () if baked is not None else solved.released,
     )
 
 
@@ -107,8 +107,8 @@ def _settled(values: FloatArray, default: float) -> FloatArray:
     """Return values without rounding: those of the default or of a still control."""
     small = ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
     values = np.where(np.abs(values - default) <= small, default, values)
-    still = np.ptp(values) <= small
-    return np.full_like(values, values[0]) if still else values
+    constant = np.ptp(values) <= small
+    return np.full_like(values, values[0]) if constant else values
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ def fit_controls(
     take: Take,
     rig: Rig,
     solved: Mapping[str, FloatArray],
-    own: frozenset[tuple[ChannelKind, int]],
+    keyed_tracks: frozenset[tuple[ChannelKind, int]],
     bounds: FloatArray,
     weight_tolerance: float,
 ) -> FittedControls:
@@ -139,34 +139,34 @@ def fit_controls(
     ``solved`` ``(F,)``, ``bounds`` ``(J,)`` [m], ``weight_tolerance`` [1].
     """
     defaults = {control.name: control.default for control in rig.controls}
-    held = [name for name in defaults if (solved[name] != defaults[name]).any()]
-    moving = [name for name in held if (solved[name] != solved[name][0]).any()]
-    effect = _Effect(take, rig, solved, own, bounds, weight_tolerance)
+    changed = [name for name in defaults if (solved[name] != defaults[name]).any()]
+    moving = [name for name in changed if (solved[name] != solved[name][0]).any()]
+    effect = _Effect(take, rig, solved, keyed_tracks, bounds, weight_tolerance)
     tolerances = {name: effect.tolerance(name) for name in moving}
     keys: dict[str, FittedKeys] = {}
     values: dict[str, FloatArray] = {}
     for fit in range(FITS):
-        for name in held:
+        for name in changed:
             column = solved[name][:, None]
             if name not in tolerances:
                 keys[name] = fit_keys(column[:1], 1.0)
                 continue
             keys[name] = fit_keys(column, tolerances[name])
         values = {
-            f"control/{name}": evaluate_keys(found, np.arange(take.motion.frames))
-            for name, found in keys.items()
+            f"control/{name}": evaluate_keys(fitted, np.arange(take.motion.frames))
+            for name, fitted in keys.items()
         }
         ratio = effect.ratio(values) if moving else 0.0
-        if ratio <= SHARE:
+        if ratio <= CONTROL_FRACTION:
             break
-        factor = 0.8 * SHARE / ratio if fit < FITS - 2 else 1e-9
+        factor = 0.8 * CONTROL_FRACTION / ratio if fit < FITS - 2 else 1e-9
         tolerances = {n: max(t * factor, 1e-13) for n, t in tolerances.items()}
     order = {control.name: i for i, control in enumerate(rig.controls)}
     channels = [
         ReducedChannel(
             f"control/{name}", ChannelKind.CONTROL, order[name], None, None, keys[name]
         )
-        for name in held
+        for name in changed
     ]
     return FittedControls(channels, values, take.motion.frames * len(moving))
 
@@ -179,11 +179,11 @@ class _Effect:
         take: Take,
         rig: Rig,
         solved: Mapping[str, FloatArray],
-        own: frozenset[tuple[ChannelKind, int]],
+        keyed_tracks: frozenset[tuple[ChannelKind, int]],
         bounds: FloatArray,
         weight_tolerance: float,
     ) -> None:
-        self.take, self.rig, self.own = take, rig, own
+        self.take, self.rig, self.keyed_tracks = take, rig, keyed_tracks
         self.exact = {f"control/{n}": v[:, None] for n, v in solved.items()}
         self.bounds, self.weight_tolerance = bounds, weight_tolerance
         self.points = attached_points(rig, SHELL)
@@ -198,12 +198,12 @@ class _Effect:
             name: value[at] if len(value) > 1 else value
             for name, value in self.exact.items()
         }
-        given = {name: v[at] if len(v) > 1 else v for name, v in values.items()}
+        trial = {name: v[at] if len(v) > 1 else v for name, v in values.items()}
         times = take.clock.times[at]
         exact_motion = sample_values(exact, rig, times).motion
-        sampled = sample_values({**exact, **given}, rig, times).motion
+        sampled = sample_values({**exact, **trial}, rig, times).motion
         truth = take.motion.select(at)
-        posed = driven_pose(truth, sampled, exact_motion, self.own)
+        posed = driven_pose(truth, sampled, exact_motion, self.keyed_tracks)
         worlds = [motion.world(take.rig) for motion in (truth, posed)]
         errors = point_errors(self.points, *worlds)
         ratio = float((errors / self.bounds).max(initial=0.0))
@@ -222,14 +222,14 @@ class _Effect:
             np.linspace(0, len(values) - 1, TRIED_FRAMES).astype(np.int64)
         )
         ratio = self.ratio({f"control/{name}": values + step}, frames)
-        return SHARE * step / ratio if ratio > 0 else 1e-3 * step
+        return CONTROL_FRACTION * step / ratio if ratio > 0 else 1e-3 * step
 
 
 def driven_pose(
     motion: Motion,
     controls: Motion,
     exact: Motion,
-    own: frozenset[tuple[ChannelKind, int]],
+    keyed_tracks: frozenset[tuple[ChannelKind, int]],
 ) -> Motion:
     """Return a motion with the joints that controls move as they move them."""
 
@@ -238,7 +238,7 @@ def driven_pose(
         now: Channel = getattr(controls, name)
         before: Channel = getattr(exact, name)
         moved = set(now.animated.tolist()) | set(before.animated.tolist())
-        joints = [j for j in sorted(moved) if (kind, j) not in own]
+        joints = [j for j in sorted(moved) if (kind, j) not in keyed_tracks]
         if not joints:
             return of_take
         at = np.array(joints)

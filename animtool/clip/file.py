@@ -172,11 +172,11 @@ class _ClipReader:
 
     def clip(self) -> Clip:
         fps = self._fps()
-        seen: dict[str, int] = {}
+        claimed: dict[str, int] = {}
         channels = []
         for i, model in enumerate(self.model.channels):
             at = ("channels", i)
-            self._once((*at, "target"), model.target, seen, i)
+            self._once((*at, "target"), model.target, claimed, i)
             channel = self._channel(at, model)
             if channel is not None:
                 channels.append(channel)
@@ -204,13 +204,13 @@ class _ClipReader:
         first, last = self.model.range
         return checked_range(self.document, first, last)
 
-    def _once(self, at: Location, target: str, seen: dict[str, int], i: int) -> None:
+    def _once(self, at: Location, target: str, claimed: dict[str, int], i: int) -> None:
         """Refuse a target twice, or motion and its replacement on one joint."""
         name, part = split_part(target, _REPLACED)
         claim = f"{name}.{_REPLACED[part]}" if part else target
-        if claim in seen:
-            other = self.model.channels[seen[claim]].target
-            line = self.document.place(("channels", seen[claim]))[0]
+        if claim in claimed:
+            other = self.model.channels[claimed[claim]].target
+            line = self.document.position(("channels", claimed[claim]))[0]
             what = (
                 "appears twice"
                 if other == target
@@ -218,7 +218,7 @@ class _ClipReader:
             )
             hint = f"the other is on line {line}"
             self.document.add("CLIP010", at, f"target {target!r} {what}", hint)
-        seen.setdefault(claim, i)
+        claimed.setdefault(claim, i)
 
     def _channel(self, at: Location, model: ChannelModel) -> ClipChannel | None:
         self.curves.check(at, model)
@@ -229,11 +229,11 @@ class _ClipReader:
         return self.curves.channel(at, model, model.target, kind, unit)
 
     def _kind(self, at: Location, target: str) -> str | None:
-        found = target_kind(target, self.rig)
-        if isinstance(found, Fault):
-            self.document.add(found.code, at, found.message, found.hint)
+        kind = target_kind(target, self.rig)
+        if isinstance(kind, Fault):
+            self.document.add(kind.code, at, kind.message, kind.hint)
             return None
-        return found
+        return kind
 
 
 def checked_range(

@@ -57,15 +57,19 @@ def is_of_curve(take: Take) -> bool:
     motion = curve(take.clock.times)
     for name in ("translations", "rotations", "scales", "weights"):
         mine: Channel | None = getattr(take.motion, name)
-        own: Channel | None = getattr(motion, name)
-        if (mine is None) != (own is None):
+        channel: Channel | None = getattr(motion, name)
+        if (mine is None) != (channel is None):
             return False
-        if mine is not None and own is not None and not _alike(mine, own):
+        if (
+            mine is not None
+            and channel is not None
+            and not _equal_channels(mine, channel)
+        ):
             return False
     return True
 
 
-def _alike(one: Channel, other: Channel) -> bool:
+def _equal_channels(one: Channel, other: Channel) -> bool:
     if one.rest.shape != other.rest.shape or len(one.values) != len(other.values):
         return False
     a, b = one.dense(), other.dense()

@@ -37,7 +37,7 @@ class ClipNotice:
 
 
 @dataclass(frozen=True, slots=True)
-class Sampled:
+class SampledMotion:
     """A clip at some times."""
 
     motion: Motion  # joints, shapes and controls; what does not move is stored once
@@ -58,7 +58,7 @@ def sample_channels(
     times: FloatArray,
     *,
     clamp: bool = False,
-) -> Sampled:
+) -> SampledMotion:
     """Return channels of a clip on its rig at times ``(F,)`` [frames of the clip].
 
     Channels whose keys are all alike are not sampled, and joints that neither a
@@ -125,7 +125,7 @@ def sample_values(
     times: FloatArray,
     *,
     clamp: bool = False,
-) -> Sampled:
+) -> SampledMotion:
     """Return the motion that values of targets give a rig, as `sample_channels` does.
 
     ``keyed``: values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
@@ -164,24 +164,24 @@ def sample_values(
         run = DriverRun(rig, replaced=True)
         motion = run.drive(motion, times, coordinates)
         notices += [ClipNotice(*notice) for notice in run.targeted()]
-    return Sampled(motion, notices)
+    return SampledMotion(motion, notices)
 
 
 def _coordinates(
     rig: Rig, parts: Mapping[str, Parts], *, clamp: bool
 ) -> dict[str, FloatArray]:
     """Return the angles and slides that keys and controls give joints, by name."""
-    found = {}
-    for name, own in parts.items():
+    coordinates = {}
+    for name, keyed in parts.items():
         joint = rig.joints[rig.index(name)]
-        part, whole = _FOLLOWING.get(joint.type, ("", ""))
-        value = _sum(own.get(part), own.get(f"+{part}"))
-        if value is None or whole in own:
+        part, full_part = _FOLLOWING.get(joint.type, ("", ""))
+        value = _sum(keyed.get(part), keyed.get(f"+{part}"))
+        if value is None or full_part in keyed:
             continue
         if clamp and isinstance(joint.limits, RangeLimit):
             value = joint.limits.clamped(value)
-        found[f"{name}.{part}"] = value[:, 0]
-    return found
+        coordinates[f"{name}.{part}"] = value[:, 0]
+    return coordinates
 
 
 def _refuse_undefined(driven: DrivenValues, times: FloatArray) -> None:
@@ -277,8 +277,8 @@ def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[ClipNotic
     for joint in rig.joints:
         if joint.mimic is None:
             continue
-        part, whole = _FOLLOWING[joint.type]
-        if parts.get(joint.name, {}).keys() & {part, whole}:
+        part, full_part = _FOLLOWING[joint.type]
+        if parts.get(joint.name, {}).keys() & {part, full_part}:
             message = (
                 f"joint {joint.name!r} has keys, so it does not follow "
                 f"{joint.mimic.joint!r}"
@@ -296,9 +296,9 @@ def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[ClipNotic
         limits = rig.joints[rig.index(joint.mimic.joint)].limits
         if clamp and isinstance(limits, RangeLimit):
             coordinate = limits.clamped(coordinate)
-        own = joint.mimic.gain * coordinate + joint.mimic.offset
-        if own.any():
-            parts.setdefault(joint.name, {})[f"+{part}"] = own
+        value = joint.mimic.gain * coordinate + joint.mimic.offset
+        if value.any():
+            parts.setdefault(joint.name, {})[f"+{part}"] = value
     return notices
 
 
@@ -323,30 +323,30 @@ class _Joints:
         if slide is not None:
             base_t = base_t + so3.rotate(rest_r, slide)
         base_r = parts.get("local_rotation", rest_r[None])
-        turn = self._turn(joint, parts)
-        if turn is not None:
-            base_r = so3.multiply(base_r, turn)
+        rotation = self._rotation(joint, parts)
+        if rotation is not None:
+            base_r = so3.multiply(base_r, rotation)
         if slide is not None or "local_translation" in parts:
             self.values["translations"][j] = base_t
-        if turn is not None or "local_rotation" in parts:
+        if rotation is not None or "local_rotation" in parts:
             self.values["rotations"][j] = base_r
         if "scale" in parts:
             self.values["scales"][j] = parts["scale"]
 
     def channel(self, name: str, rest: FloatArray) -> Channel:
         """Return the channel of a part: what moves, and what stands elsewhere."""
-        still, count = rest.copy(), len(self.times)
+        constant, count = rest.copy(), len(self.times)
         animated: list[int] = []
         columns: list[FloatArray] = []
         for j, values in sorted(self.values[name].items()):
             if len(values) == 1 or (values == values[0]).all():
-                still[j] = values[0]
+                constant[j] = values[0]
                 continue
             animated.append(j)
             columns.append(so3.align_signs(values) if name == "rotations" else values)
         shape = (count, 0, rest.shape[1])
         moving = np.stack(columns, axis=1) if columns else np.zeros(shape)
-        return Channel(still, np.array(animated, np.int64), moving)
+        return Channel(constant, np.array(animated, np.int64), moving)
 
     def _slide(self, joint: Joint, parts: Parts) -> FloatArray | None:
         """Return the motion's translation in the joint's rest frame."""
@@ -361,7 +361,7 @@ class _Joints:
                 total = moved if total is None else total + moved
         return total
 
-    def _turn(self, joint: Joint, parts: Parts) -> FloatArray | None:
+    def _rotation(self, joint: Joint, parts: Parts) -> FloatArray | None:
         """Return the motion's rotation in the joint's rest frame."""
         angle = _sum(parts.get("angle"), parts.get("+angle"))
         if angle is not None:
@@ -417,8 +417,8 @@ def _column_channel(columns: list[FloatArray], count: int) -> Channel:
     rest = np.array([column[0] for column in columns])[:, None]
     animated = [i for i, column in enumerate(columns) if (column != column[0]).any()]
     values = np.zeros((count, len(animated), 1))
-    for place, i in enumerate(animated):
-        values[:, place, 0] = columns[i]
+    for at, i in enumerate(animated):
+        values[:, at, 0] = columns[i]
     return Channel(rest, np.array(animated, np.int64), values)
 
 

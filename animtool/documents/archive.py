@@ -49,7 +49,7 @@ class ArrayError(ValueError):
     """An array or its archive cannot be read; the text says why."""
 
 
-class Source(Protocol):
+class ArrayFile(Protocol):
     """What arrays are read from."""
 
     def read(self, size: int, /) -> bytes:
@@ -76,7 +76,7 @@ class StoredArray:
         return self.count * self.dtype.itemsize
 
 
-def read_head(file: Source, where: str) -> StoredArray:
+def read_head(file: ArrayFile, where: str) -> StoredArray:
     """Return the head of an array; nothing behind it is read."""
     start = file.read(len(MAGIC) + 2)
     version = tuple(start[len(MAGIC) :])
@@ -334,11 +334,11 @@ def _stated_limit(path: Path) -> int | None:
     Raises:
         ArrayError: The variable of the environment is no number.
     """
-    given = os.environ.get(ARRAY_LIMIT)
-    if given:
-        if not (given.isascii() and given.isdecimal() and len(given) < 10):
-            raise ArrayError(f"{ARRAY_LIMIT} is {given[:40]!r}, not a number of MB")
-        return int(given) * 1_000_000
+    text = os.environ.get(ARRAY_LIMIT)
+    if text:
+        if not (text.isascii() and text.isdecimal() and len(text) < 10):
+            raise ArrayError(f"{ARRAY_LIMIT} is {text[:40]!r}, not a number of MB")
+        return int(text) * 1_000_000
     stated = find_config(path).max_array_mb
     return None if stated is None else stated * 1_000_000
 

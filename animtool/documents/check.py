@@ -76,34 +76,36 @@ def validated(document: Document, model: type[Model]) -> Model:
 
 def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
     """Return what is wrong in a value that is of no model, and where."""
-    merged = _by_place(value, error.errors(include_url=False)[:MAX_MENDED])
-    inner = {place[:depth] for place, _ in merged for depth in range(len(place))}
+    merged = _by_location(value, error.errors(include_url=False)[:MAX_MENDED])
+    inner = {
+        location[:depth] for location, _ in merged for depth in range(len(location))
+    }
     return [
-        (place, "; or ".join(dict.fromkeys(map(_words, faults))))
-        for (place, _), faults in merged.items()
-        if place not in inner
+        (location, "; or ".join(dict.fromkeys(map(_words, faults))))
+        for (location, _), faults in merged.items()
+        if location not in inner
     ]
 
 
 def unknown_options(
-    given: Mapping[str, Any], names: Collection[str], owner: str
+    options: Mapping[str, Any], names: Collection[str], owner: str
 ) -> Located:
     """Return a fault of each option that its owner has none of."""
     return [
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
-        for key in given
+        for key in options
         if key not in names
         for hint in [nearest(key, names)]
     ]
 
 
 def record_of_options(
-    kind: type[Record], given: Mapping[str, Any], owner: str
+    kind: type[Record], options: Mapping[str, Any], owner: str
 ) -> tuple[Record | None, Located]:
     """Return a record of the options of what has them; None of wrong values."""
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    faults = unknown_options(given, names, owner)
-    known = {key: value for key, value in given.items() if key in names}
+    faults = unknown_options(options, names, owner)
+    known = {key: value for key, value in options.items() if key in names}
     try:
         return TypeAdapter(kind).validate_python(known), faults
     except ValidationError as error:
@@ -112,7 +114,7 @@ def record_of_options(
 
 
 def renamed_options(
-    document: Document, at: Location, given: Mapping[str, Any], kind: str
+    document: Document, at: Location, options: Mapping[str, Any], kind: str
 ) -> dict[str, Any]:
     """Return options whose old names are noted, and are new ones.
 
@@ -122,15 +124,15 @@ def renamed_options(
         given: By their names.
         kind: Of the document.
     """
-    found: dict[str, Any] = {}
-    for key, value in given.items():
+    renamed: dict[str, Any] = {}
+    for key, value in options.items():
         name = new_key(kind, (*at, key), value)
-        if name is None or name in given:
-            found[key] = value
+        if name is None or name in options:
+            renamed[key] = value
             continue
-        found[name] = value
+        renamed[name] = value
         _note_renamed(document, (*at, key), name)
-    return found
+    return renamed
 
 
 def _note_renamed(document: Document, location: Location, name: str) -> None:
@@ -153,8 +155,8 @@ class _Faults:
     def mend(self, error: ValidationError) -> None:
         """Note what an attempt to read the value found, and mend it."""
         errors = error.errors(include_url=False)
-        merged = _by_place(self.value, errors[:MAX_MENDED])
-        inner = {place[:depth] for place, _ in merged for depth in range(len(place))}
+        merged = _by_location(self.value, errors[:MAX_MENDED])
+        inner = {spot[:depth] for spot, _ in merged for depth in range(len(spot))}
         by_kind: dict[str, list[tuple[Location, str]]] = {}
         for key, faults in merged.items():
             by_kind.setdefault(faults[0]["type"], []).append(key)
@@ -198,12 +200,12 @@ class _Faults:
             self.document.guesses.add((*around, meant))
 
     def _missing_key(self, around: Location, key: str) -> None:
-        place = (*around, key)
-        if place in self.document.spellings:
+        location = (*around, key)
+        if location in self.document.spellings:
             return
-        if not self._of_another_kind(place):
+        if not self._of_another_kind(location):
             self.document.add("DOC021", around, f"key {key!r} is missing")
-        self._stand_in(place)
+        self._stand_in(location)
 
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
         texts = dict.fromkeys(_words(fault) for fault in faults)
@@ -227,13 +229,13 @@ class _Faults:
 
     def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
         """Return the right form of what is no mapping or list where one is wanted."""
-        wanted = {_KINDS.get(fault["type"]) for fault in faults}
-        if not wanted & _STRUCTURES:
+        expected = {_KINDS.get(fault["type"]) for fault in faults}
+        if not expected & _STRUCTURES:
             return None
         axis = AXES.get(str(faults[0]["input"]).upper())
-        if axis is not None and wanted == {_KINDS["list_type"]}:
+        if axis is not None and expected == {_KINDS["list_type"]}:
             return f"write three numbers: {faults[0]['input']} is {axis}"
-        listed = wanted & _STRUCTURES == {_KINDS["list_type"]}
+        listed = expected & _STRUCTURES == {_KINDS["list_type"]}
         return form_hint(self.model, self.value, location, listed=listed)
 
     def _of_another_kind(self, location: Location) -> bool:
@@ -259,7 +261,7 @@ class _Faults:
         replaced(self.value, location, stand_in(annotation))
 
 
-def _by_place(
+def _by_location(
     value: Any, errors: Sequence[Any]
 ) -> dict[tuple[Location, str], list[Any]]:
     """Return faults by where they are, and by the key that is missing there."""
@@ -293,8 +295,12 @@ def _either(texts: Iterable[str]) -> str:
     """Return what is wrong with a value that may be of several types, as one text."""
     first, *others = texts
     start, negation, _ = first.partition(" is not ")
-    if others and negation and all(own.startswith(start + negation) for own in others):
-        kinds = [own.removeprefix(start + negation) for own in (first, *others)]
+    if (
+        others
+        and negation
+        and all(text.startswith(start + negation) for text in others)
+    ):
+        kinds = [text.removeprefix(start + negation) for text in (first, *others)]
         return f"{start} is neither {' nor '.join(kinds)}"
     return "; or ".join((first, *others))
 
@@ -305,14 +311,14 @@ _CHOICES = {"literal_error", "enum", "union_tag_invalid"}
 
 def _words(fault: Any) -> str:
     """Return what is wrong, with the value."""
-    given, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
-    shown = excerpt(given) if isinstance(given, str) else _shown(given)
+    value, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
+    shown = excerpt(value) if isinstance(value, str) else _shown(value)
     if kind in {"too_short", "too_long", "string_too_long"}:
         length = context.get("min_length", context.get("max_length"))
-        noun = "letter" if isinstance(given, str) else "item"
-        return f"{counted(len(given), noun)} where {_are(length)} needed"
+        noun = "letter" if isinstance(value, str) else "item"
+        return f"{counted(len(value), noun)} where {_are(length)} needed"
     if kind == "missing":
-        return _lacking(fault["loc"][-1], given)
+        return _lacking(fault["loc"][-1], value)
     if kind == "union_tag_not_found":
         return f"key {context['discriminator']} is missing"
     if kind in _CHOICES:
@@ -321,10 +327,10 @@ def _words(fault: Any) -> str:
         return f"{tag} is not one of {allowed}"
     if kind in _KINDS:
         return f"{shown} is not {_KINDS[kind]}"
-    return _told(shown, fault)
+    return _value_fault(shown, fault)
 
 
-def _told(shown: str, fault: Any) -> str:
+def _value_fault(shown: str, fault: Any) -> str:
     """Return what is wrong with a value of the right kind."""
     context, kind = fault.get("ctx", {}), fault["type"]
     if kind == "extra_forbidden":
@@ -344,14 +350,14 @@ def _choice_hint(faults: list[Any]) -> str | None:
     """Return the value that one of a few was meant to be, where it is nearly one."""
     for fault in faults:
         context = fault.get("ctx", {})
-        given = context.get("tag", fault["input"])
+        value = context.get("tag", fault["input"])
         allowed = context.get("expected", context.get("expected_tags"))
-        if fault["type"] in _CHOICES and isinstance(given, str):
+        if fault["type"] in _CHOICES and isinstance(value, str):
             names = re.findall(r"'([^']*)'", str(allowed))
-            other = OTHER_VALUES.get(given.lower())
+            other = OTHER_VALUES.get(value.lower())
             if other in names:
-                return f"{given!r} is called {other!r} here"
-            meant = similar(given, names)
+                return f"{value!r} is called {other!r} here"
+            meant = similar(value, names)
             if meant is not None:
                 return f"did you mean {meant!r}?"
     return None
@@ -359,12 +365,12 @@ def _choice_hint(faults: list[Any]) -> str | None:
 
 def _entry_hint(location: Location, fault: Any) -> str | None:
     """Return how a list is written, or an entry that is only a name, such as a pass."""
-    given, expected = fault["input"], _KINDS.get(fault["type"])
+    value, expected = fault["input"], _KINDS.get(fault["type"])
     if expected != _KINDS["dict_type"] or not isinstance(location[-1], int):
         return None
-    if not isinstance(given, str) or not given.isidentifier():
+    if not isinstance(value, str) or not value.isidentifier():
         return None
-    return f"write '{given}: {{}}'"
+    return f"write '{value}: {{}}'"
 
 
 def _are(count: int) -> str:

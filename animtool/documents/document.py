@@ -47,9 +47,9 @@ class Document:
         default_factory=dict, init=False, repr=False
     )
 
-    def place(self, location: Location) -> tuple[int, int]:
+    def position(self, location: Location) -> tuple[int, int]:
         """Return line and column of a value, or of the nearest one around it."""
-        return self._marked().places[self._index(location)]
+        return self._marked().positions[self._index(location)]
 
     def written(self, location: Location) -> str | None:
         """Return a scalar as it is written; None where it is none, or has quotes."""
@@ -166,14 +166,14 @@ class Document:
         hint: str | None,
     ) -> None:
         if not self.doubtful(location):
-            found = self.fault(code, location, message, hint)
-            self.notices.append(replace(found, severity=severity))
+            fault = self.fault(code, location, message, hint)
+            self.notices.append(replace(fault, severity=severity))
 
     def fault(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> Fault:
         """Return a fault at a location, without noting it."""
-        line, column = self.place(location)
+        line, column = self.position(location)
         where = spelled(tuple(self._as_written(location)))
         path = str(self.path)
         return Fault(code, message, path, (line,), hint, column=column, where=where)

@@ -89,8 +89,8 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
     # What is read decides, whatever the layout was.
     if _reads_as(after, path, value):
         return after
-    places = ", ".join(spelled(edit.location) for edit in edits)
-    raise EditError(f"the layout around {places} cannot be preserved")
+    locations = ", ".join(spelled(edit.location) for edit in edits)
+    raise EditError(f"the layout around {locations} cannot be preserved")
 
 
 def _reads_as(text: str, path: Path, value: Any) -> bool:
@@ -132,7 +132,7 @@ class _Page:
 
     @classmethod
     def of(cls, text: str, *, json: bool) -> _Page:
-        safe = _JSON_ONLY.sub(lambda found: "_" * len(found[0]), text) if json else text
+        safe = _JSON_ONLY.sub(lambda match: "_" * len(match[0]), text) if json else text
         root = compose(safe)
         return cls(text, root, json, "\r\n" if "\r\n" in text else "\n")
 
@@ -195,16 +195,16 @@ class _Page:
 
     def _removed(self, node: Any, step: str | int) -> Splice:
         spans = list(_entries(node))
-        place = step
-        if isinstance(place, str):
-            place = [name.value for name, _ in spans].index(place)
-        first, last = spans[place]
+        index = step
+        if isinstance(index, str):
+            index = [name.value for name, _ in spans].index(index)
+        first, last = spans[index]
         start, end = first.start_mark.index, _end(last)
         if node.flow_style:
-            if place + 1 < len(spans):
-                end = self._over(end, spans[place + 1][0].start_mark.index)
-            elif place:
-                start = _end(spans[place - 1][1])
+            if index + 1 < len(spans):
+                end = self._over(end, spans[index + 1][0].start_mark.index)
+            elif index:
+                start = _end(spans[index - 1][1])
                 self._over(start, first.start_mark.index)
             return start, end, ""
         line = self.text.rfind("\n", 0, start) + 1

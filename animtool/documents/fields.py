@@ -34,18 +34,18 @@ MIN_POSITIVE = 1e-36
 # A year at 30 frames a second; time codes there are still apart by 1e-7.
 MAX_FRAME = 1e9
 # Whole numbers up to here are the same as floats.
-MAX_WHOLE = 2**53
+MAX_INTEGER = 2**53
 # Whole numbers among options, where a seed has 64 bits.
 MAX_SEED = 2**64
 
 Real = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
-Whole = Annotated[int, Field(ge=-MAX_WHOLE, le=MAX_WHOLE)]
+Integer = Annotated[int, Field(ge=-MAX_INTEGER, le=MAX_INTEGER)]
 Frame = Annotated[float, Field(ge=-MAX_FRAME, le=MAX_FRAME)]
-WholeFrame = Annotated[int, Field(ge=-int(MAX_FRAME), le=int(MAX_FRAME))]
+IntegerFrame = Annotated[int, Field(ge=-int(MAX_FRAME), le=int(MAX_FRAME))]
 Positive = Annotated[Real, Gt(0), Ge(MIN_POSITIVE)]
 NotNegative = Annotated[Real, Ge(0)]
 # Of bodies of a system.
-Count = Annotated[Whole, Ge(1), Le(2 * 10**6)]
+Count = Annotated[Integer, Ge(1), Le(2 * 10**6)]
 # On one line: control characters are in no text that is read. No path is longer.
 Name = Annotated[str, Field(min_length=1, max_length=4096, pattern=r"^[^\n\t]*$")]
 Pair = Annotated[list[Real], Len(2, 2)]
@@ -126,7 +126,7 @@ Model = TypeVar("Model", bound=FileModel)
 _TYPES: dict[Any, Any] = {
     float: Real,
     float | None: Real | None,
-    int: Whole,
+    int: Integer,
     Sequence[float] | None: Vector | None,
     Sequence[tuple[float, int]]: list[Pair],
 }
@@ -139,12 +139,12 @@ _WRITTEN: dict[Kind, Any] = {
     "unit": Literal["m", "cm", "mm", "in"] | None,
     "axis": Literal["Y", "Z"] | None,
     "rate": Real | str | None,
-    "range": Annotated[list[WholeFrame], Len(2, 2)] | None,
+    "range": Annotated[list[IntegerFrame], Len(2, 2)] | None,
     "frame": Frame | None,
     "offsets": list[Frame],
     "length": str | None,
     "lengths": dict[str, str],
-    "count": Annotated[Whole, Ge(1)] | None,
+    "count": Annotated[Integer, Ge(1)] | None,
 }
 _DEFAULTS: dict[Kind, Any] = {"switch": False, "offsets": [], "lengths": {}}
 Ranges: TypeAlias = Literal["record", "model", "schema"]
@@ -153,7 +153,7 @@ Ranges: TypeAlias = Literal["record", "model", "schema"]
 def with_fields(
     record: Any,
     *names: str,
-    place: Place | None = None,
+    file_kind: Place | None = None,
     order: Sequence[str] = (),
     before: str = "",
     ranges: Ranges = "record",
@@ -175,27 +175,33 @@ def with_fields(
     """
 
     def decorate(model: type[Model]) -> type[Model]:
-        own: dict[str, Any] = {
+        declared: dict[str, Any] = {
             name: (model.model_fields[name].annotation, model.model_fields[name])
             for name in get_annotations(model)
             if name in model.model_fields
         }
-        at = list(own).index(before) if before else len(own)
-        keys = keys_of(record, place)
-        given = {}
+        at = list(declared).index(before) if before else len(declared)
+        keys = keys_of(record, file_kind)
+        added = {}
         for name in names or keys:
             key = keys[name].alias or name
             if names or key not in model.model_fields:
-                given[key] = _definition(record, name, keys[name], ranges)
-        made = [*list(own.items())[:at], *given.items(), *list(own.items())[at:]]
+                added[key] = _definition(record, name, keys[name], ranges)
+        definitions = [
+            *list(declared.items())[:at],
+            *added.items(),
+            *list(declared.items())[at:],
+        ]
         if order:
-            made.sort(key=lambda e: order.index(e[0]) if e[0] in order else len(order))
+            definitions.sort(
+                key=lambda e: order.index(e[0]) if e[0] in order else len(order)
+            )
         model_type: Any = create_model(
             model.__name__,
             __base__=model.__bases__,
             __module__=model.__module__,
             __doc__=model.__doc__,
-            **dict(made),
+            **dict(definitions),
         )
         for name in vars(model).keys() & model.__class_vars__:
             setattr(model_type, name, vars(model)[name])
@@ -204,12 +210,12 @@ def with_fields(
     return decorate
 
 
-Made = TypeVar("Made")
+RecordT = TypeVar("RecordT")
 
 
-def record_of(record: type[Made], model: FileModel, **others: Any) -> Made:
+def record_of(record: type[RecordT], model: FileModel, **others: Any) -> RecordT:
     """Return a record of the fields that a model has too, and of others."""
-    kind, given = cast(Any, record), others
+    kind, arguments = cast(Any, record), others
     keys = keys_of(kind)
     for each in fields(kind):
         if each.name in others or each.name not in type(model).model_fields:
@@ -218,8 +224,8 @@ def record_of(record: type[Made], model: FileModel, **others: Any) -> Made:
         if value is None and _endless(each.default):
             continue
         read = keys[each.name].read if each.name in keys else None
-        given[each.name] = value if read is None else read(value)
-    return record(**given)
+        arguments[each.name] = value if read is None else read(value)
+    return record(**arguments)
 
 
 def _endless(default: Any) -> bool:

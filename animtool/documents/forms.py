@@ -43,61 +43,61 @@ def form_hint(
         location: Of the value.
         listed: Whether a list is wanted.
     """
-    found = field_at(model, value, location)
-    if found is None:
+    match = field_at(model, value, location)
+    if match is None:
         return None
-    depth, info = found
-    given = value
+    depth, info = match
+    entry = value
     for step in location:
-        given = given[step]
+        entry = entry[step]
     examples = info.examples or [None]
     example, rest = examples[0], location[depth:]
-    if listed and isinstance(given, dict) and not rest:
-        example = [given]
+    if listed and isinstance(entry, dict) and not rest:
+        example = [entry]
     forms = _forms(annotation_of(info))
-    name = rest[0] if rest else given
+    name = rest[0] if rest else entry
     if forms is not None and isinstance(name, str) and name in forms.options:
         example = {name: forms.options[name]}
-    elif isinstance(given, str) and _takes_file(annotation_of(info)):
+    elif isinstance(entry, str) and _takes_file(annotation_of(info)):
         # Of a list, the entry.
         several = rest or not models_of(annotation_of(info))
-        example = [{"file": given}] if several else {"file": given}
+        example = [{"file": entry}] if several else {"file": entry}
     if not isinstance(example, list | tuple | dict):
         return None
     key = str(location[depth - 1])
-    meant = None if rest else _meant(given, example)
+    meant = None if rest else _meant(entry, example)
     if meant is not None:
         return f"write {flow_text(key, meant)}"
     text = flow_text(key, example)
-    word = "write" if _holds(example, given) else "for example"
+    word = "write" if _holds(example, entry) else "for example"
     return f"{word} {text}" if len(text) <= MAX_FORM else None
 
 
-def _meant(given: Any, example: Any) -> list[Any] | None:
+def _meant(value: Any, example: Any) -> list[Any] | None:
     """Return a value in the form of an example, where it is clear what was meant."""
     if not isinstance(example, list | tuple):
         return None
-    ends = _PAIR.fullmatch(given.strip()) if isinstance(given, str) else None
+    ends = _PAIR.fullmatch(value.strip()) if isinstance(value, str) else None
     if ends is not None and len(example) == _TWO:
         return [float(one) if "." in one else int(one) for one in ends.groups()]
-    if isinstance(given, int | float) and not isinstance(given, bool):
+    if isinstance(value, int | float) and not isinstance(value, bool):
         # A size along the one axis that the example has: gravity of 9.81 is downwards.
         along = [i for i, one in enumerate(example) if one]
         if len(example) > _TWO and len(along) == 1:
-            side = -1 if example[along[0]] < 0 < given else 1
-            return [side * given if i in along else 0 for i in range(len(example))]
-    if isinstance(given, list) and example and isinstance(example[0], list):
-        return [given] if len(given) == len(example[0]) else None
+            side = -1 if example[along[0]] < 0 < value else 1
+            return [side * value if i in along else 0 for i in range(len(example))]
+    if isinstance(value, list) and example and isinstance(example[0], list):
+        return [value] if len(value) == len(example[0]) else None
     return None
 
 
-def _holds(example: Any, given: Any) -> bool:
+def _holds(example: Any, value: Any) -> bool:
     """Return whether an example is made of what was given."""
     if isinstance(example, dict):
-        return any(_holds(one, given) for one in (*example, *example.values()))
+        return any(_holds(one, value) for one in (*example, *example.values()))
     if isinstance(example, list | tuple):
-        return any(_holds(one, given) for one in example)
-    return bool(example == given)
+        return any(_holds(one, value) for one in example)
+    return bool(example == value)
 
 
 def _forms(annotation: Any) -> Forms | None:

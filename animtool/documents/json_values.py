@@ -35,13 +35,13 @@ def plain_json(text: str, deepest: int, longest_key: int) -> Any:
         return None
 
     def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        made = dict(pairs)
-        if len(made) != len(pairs):
+        values = dict(pairs)
+        if len(values) != len(pairs):
             raise _OtherwiseError
-        for key in made:
+        for key in values:
             if len(key) > longest_key:
                 raise _OtherwiseError
-        return made
+        return values
 
     try:
         value = json.loads(text, object_pairs_hook=mapping, parse_constant=_refuse)

@@ -167,8 +167,8 @@ def migrate(
     plans = _plans(paths, table)
     refuse_warnings([note for p in plans for note in p.notices], strict=strict)
     # A file and a link to it are one.
-    own = {plan.path.resolve(): plan for plan in reversed(plans) if plan.needed}
-    needed = list(reversed(own.values()))
+    by_path = {plan.path.resolve(): plan for plan in reversed(plans) if plan.needed}
+    needed = list(reversed(by_path.values()))
     if check or not needed:
         return plans
     if not overwrite:
@@ -202,7 +202,7 @@ def _plans(paths: Sequence[Path | str], table: Mapping[str, Steps]) -> list[Migr
 
 def _renamed(document: Document, text: str, kind: str, new: str) -> str:
     """Return a text with another version, and nothing else changed."""
-    line, column = document.place((kind,))
+    line, column = document.position((kind,))
     lines = text.splitlines(keepends=True)
     head, tail = lines[line - 1][: column - 1], lines[line - 1][column - 1 :]
     old: Any = document.value[kind]

@@ -37,18 +37,18 @@ def field_at(
 ) -> tuple[int, FieldInfo] | None:
     """Return the innermost field around a location, and the steps that lead to it."""
     annotation: Any = model
-    node, found = value, None
+    node, nearest = value, None
     for depth, step in enumerate(location, 1):
         kinds = models_of(annotation, node)
         named = (fields_of(kind).get(str(step)) for kind in kinds)
         field = next((one for one in named if one is not None), None)
-        found = found if field is None else (depth, field)
+        nearest = nearest if field is None else (depth, field)
         annotation = _inside(annotation, node, step)
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
             node = None
-    return found
+    return nearest
 
 
 def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[str]:

@@ -53,12 +53,12 @@ def referred(
     try:
         return reference(folder, roots, name)
     except ValueError as error:
-        hint = _way_out(document.path, name, written)
+        hint = _outside_hint(document.path, name, written)
         document.add("DOC014", location, str(error), hint)
         return None
 
 
-def _way_out(path: Path, name: str, written: bool) -> str:
+def _outside_hint(path: Path, name: str, written: bool) -> str:
     """Return what to do about a reference that leads out of the project."""
     folder = path.resolve().parent
     try:

@@ -106,11 +106,11 @@ def with_variables(schema: Any) -> Any:
         return [with_variables(entry) for entry in schema]
     if not isinstance(schema, dict):
         return schema
-    whole = {key: _inside(key, value) for key, value in schema.items()}
+    extended = {key: _inside(key, value) for key, value in schema.items()}
     if "anyOf" not in schema and _is_other(schema):
-        facts = {key: whole.pop(key) for key in list(whole) if key in _FACTS}
-        whole["anyOf"] = [facts, _TEXT]
-    return whole
+        facts = {key: extended.pop(key) for key in list(extended) if key in _FACTS}
+        extended["anyOf"] = [facts, _TEXT]
+    return extended
 
 
 def _inside(key: str, value: Any) -> Any:
@@ -231,8 +231,8 @@ class _Resolver:
         """
         if self.document.written(location) is not None:
             return True
-        whole = _USE.fullmatch(text)
-        if whole is None or not whole["name"]:
+        use = _USE.fullmatch(text)
+        if use is None or not use["name"]:
             return False
         kind = annotation_at(self.model, self.document.value, location)
         return kind is not None and takes_no_text(kind)
@@ -240,7 +240,7 @@ class _Resolver:
     def resolved(self, location: Location, text: str) -> str | None:
         """Return a text with values in place; None where that cannot be."""
         parts: list[str] = []
-        whole, end, length = True, 0, 0
+        complete, end, length = True, 0, 0
         for use in _USE.finditer(text):
             part = self._value(location, use)
             length += len(part or "")
@@ -248,10 +248,10 @@ class _Resolver:
                 message = f"variables expand to more than {LONGEST} characters"
                 self.document.add("DOC025", location, message)
                 return None
-            whole &= part is not None
+            complete &= part is not None
             parts += [text[end : use.start()], part or ""]
             end = use.end()
-        return "".join([*parts, text[end:]]) if whole else None
+        return "".join([*parts, text[end:]]) if complete else None
 
     def _value(self, location: Location, match: re.Match[str]) -> str | None:
         """Return what stands for a use of a variable; None, and a fault, for none."""

@@ -60,8 +60,8 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
     here = lines[min(line, len(lines)) - 1]
     # A tab before the place that the scanner names: it often stops a line later.
     for number in (line, line - 1):
-        own = lines[number - 1] if 1 <= number <= len(lines) else ""
-        indent = own[: len(own) - len(own.lstrip())]
+        source_line = lines[number - 1] if 1 <= number <= len(lines) else ""
+        indent = source_line[: len(source_line) - len(source_line.lstrip())]
         if "\t" in indent:
             tab = indent.index("\t") + 1
             return YamlFault("a tab indents this line", "use spaces", number, tab)
@@ -86,9 +86,9 @@ def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
     here = lines[min(line, len(lines)) - 1]
     indent, is_entry = _indent(here), here.lstrip().startswith("-")
     others = [
-        _indent(own)
-        for own in lines[: line - 1]
-        if own.strip() and own.lstrip().startswith("-") == is_entry
+        _indent(text)
+        for text in lines[: line - 1]
+        if text.strip() and text.lstrip().startswith("-") == is_entry
     ]
     near = min(others, key=lambda other: abs(other - indent), default=None)
     if near is None or near == indent:

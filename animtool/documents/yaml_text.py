@@ -66,7 +66,7 @@ def flow_text(key: str, value: Any) -> str:
     'keys: [{t: 1, v: 0.5}]'
     """
     text: str = yaml.dump(
-        {key: _whole(value)},
+        {key: _with_integers(value)},
         Dumper=_Dumper,
         default_flow_style=True,
         allow_unicode=True,
@@ -76,14 +76,14 @@ def flow_text(key: str, value: Any) -> str:
     return text.strip()
 
 
-def _whole(value: Any) -> Any:
+def _with_integers(value: Any) -> Any:
     """Return a value with whole numbers as a person writes them."""
     if isinstance(value, dict):
-        return {key: _whole(one) for key, one in value.items()}
+        return {key: _with_integers(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [_whole(one) for one in value]
-    is_whole = isinstance(value, float) and value.is_integer()
-    return int(value) if is_whole and abs(value) < 1e15 else value
+        return [_with_integers(one) for one in value]
+    is_integer = isinstance(value, float) and value.is_integer()
+    return int(value) if is_integer and abs(value) < 1e15 else value
 
 
 def json_text(value: dict[str, Any]) -> str:

@@ -94,7 +94,7 @@ class _Reader:
             self.last,
             tuple(goals),
             tuple(self.document.notices),
-            self.document.place(("fps",)),
+            self.document.position(("fps",)),
         )
 
     def _units(self) -> ClipUnits:
@@ -163,7 +163,7 @@ class _Reader:
             tuple(spans),
             model.ease,
             frozenset(held),
-            place=self.document.place(at),
+            place=self.document.position(at),
             during=tuple(during),
         )
 

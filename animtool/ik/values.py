@@ -366,7 +366,7 @@ class ValueReader:
             message += "numbers"
             self.document.add("TGT007", at, message)
             return None
-        place = self.document.place(at)
+        place = self.document.position(at)
         if values.shape[1] == 3:
             return Rows(text, values * self.units.length, first, place)
         rotations, wrong = file_quaternions(values)

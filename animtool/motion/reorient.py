@@ -28,7 +28,7 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     if turn is None:
         return stream
     rotation = np.array(turn)
-    turned = _placed_stream(stream, Placement.turn(rotation), up)
+    turned = _placed_stream(stream, Placement.from_rotation(rotation), up)
     turned.tracks = tuple(turned_track(track, rotation) for track in stream.tracks)
     return turned
 
@@ -72,7 +72,7 @@ def _placed_blocks(
 
 def turned_rig(rig: Rig, turn: FloatArray, up: UpAxis) -> Rig:
     """Return a rig with its roots at rest turned by ``turn`` ``(4,)`` to an up axis."""
-    return placed_rig(rig, Placement.turn(turn), up)
+    return placed_rig(rig, Placement.from_rotation(turn), up)
 
 
 def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
@@ -100,7 +100,7 @@ def _placed(
     channel: Channel, roots: IntArray, placement: Placement, *, turns: bool
 ) -> Channel:
     """Return a channel whose roots are placed, and its lengths scaled."""
-    operation = placement.turns if turns else placement.points
+    operation = placement.rotated if turns else placement.points
     rest, values = channel.rest.copy(), channel.values.copy()
     moving = np.isin(channel.animated, roots)
     if placement.size != 1.0 and not turns:

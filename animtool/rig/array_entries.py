@@ -16,7 +16,13 @@ from animtool.core.similar import similar
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.references import referred, split_reference
-from animtool.rig.parts import ArrayRef, ArraySource, AttachKind, Attachment, HeldArray
+from animtool.rig.parts import (
+    ArrayRef,
+    ArraySource,
+    AttachKind,
+    Attachment,
+    LoadedArray,
+)
 from animtool.rig.schema import AttachModel
 
 Shape = tuple[int | None, ...]
@@ -28,7 +34,7 @@ _KEYS = {"strands": "points"}
 # What fills a triangle among quadrangles, and so on.
 NO_CORNER = -1
 # Stands for an array whose file is refused: nothing leads to that.
-NO_ARRAY = HeldArray(np.zeros(0))
+NO_ARRAY = LoadedArray(np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +75,7 @@ class ArrayReader:
 
     def shape(self, ref: ArraySource) -> tuple[int, ...] | None:
         """Return the shape of an array; None where it cannot be read."""
-        if isinstance(ref, HeldArray):
+        if isinstance(ref, LoadedArray):
             return None if ref is NO_ARRAY else ref.values.shape
         try:
             return self.archives.header(ref.path, ref.key).shape
@@ -207,7 +213,7 @@ class AttachmentReader:
             entry.kind, _ATTACH_KEYS[AttachKind.SPRING_CHAIN]
         )
         every = ("joints", "joint", "mesh", "pins", "points")
-        given = [key for key in every if getattr(entry, key) is not None]
+        present = [key for key in every if getattr(entry, key) is not None]
         hint = f"its keys are {', '.join((*wants, *takes))}"
         if entry.kind not in _ATTACH_KEYS:
             kinds = [str(kind) for kind in AttachKind]
@@ -217,10 +223,10 @@ class AttachmentReader:
                 self.document.warn("RIG102", (*at, "kind"), message, hint)
         for key in wants:
             sure = not self.document.doubtful((*at, key))
-            if key not in given and sure and "attach" not in self.document.partial:
+            if key not in present and sure and "attach" not in self.document.partial:
                 message = f"an attachment of kind {entry.kind!r} has no {key}"
                 self.document.add("RIG031", at, message, hint)
-        for key in given:
+        for key in present:
             if key not in (*wants, *takes):
                 message = f"an attachment of kind {entry.kind!r} does not use {key}"
                 self.document.add("RIG031", (*at, key), message, hint)

@@ -91,8 +91,8 @@ def solve_controls(
     for group in _groups(controls):
         part = [control for control in controls if control.name in group]
         problem = _Problem(part, targets, tolerances, keyed)
-        own = {control.name: values[control.name] for control in part}
-        solved, loose = _solved_group(problem, own)
+        start_values = {control.name: values[control.name] for control in part}
+        solved, loose = _solved_group(problem, start_values)
         values |= solved
         released |= loose
         kept |= {control.name for control in part if control.drives} - loose
@@ -112,7 +112,7 @@ def _solved_group(
         return start, set()
     free = [name for name in start if name not in problem.masters]
     values = problem.solve(start, free)
-    for other in (*problem.on_turns(start, free), problem):
+    for other in (*problem.on_revolutions(start, free), problem):
         if not other.unexplained(values):
             break
         names = [*start] if other is problem and problem.masters else free
@@ -166,27 +166,27 @@ def _groups(controls: Sequence[Control]) -> list[set[str]]:
     """Return the names of controls that share targets or read each other."""
     links: dict[str, set[str]] = {}
     for control in controls:
-        own = {control.name}
+        touched = {control.name}
         for drive in control.drives:
-            own.add(drive.target)
-            own.update([] if drive.expression is None else drive.expression.names)
-        for name in own:
+            touched.add(drive.target)
+            touched.update([] if drive.expression is None else drive.expression.names)
+        for name in touched:
             links.setdefault(name.removeprefix("control/"), set()).update(
-                other.removeprefix("control/") for other in own
+                other.removeprefix("control/") for other in touched
             )
     names = [control.name for control in controls]
     groups: list[set[str]] = []
-    seen: set[str] = set()
+    visited: set[str] = set()
     for name in names:
-        if name in seen:
+        if name in visited:
             continue
-        group, ahead = set(), [name]
-        while ahead:
-            one = ahead.pop()
+        group, pending = set(), [name]
+        while pending:
+            one = pending.pop()
             if one not in group:
                 group.add(one)
-                ahead.extend(links.get(one, ()))
-        seen |= group
+                pending.extend(links.get(one, ()))
+        visited |= group
         groups.append(group & set(names))
     return groups
 
@@ -219,7 +219,7 @@ class _Problem:
             if targets and all(target.startswith("control/") for target in targets)
         }
 
-    def on_turns(
+    def on_revolutions(
         self, start: Mapping[str, FloatArray], free: Sequence[str]
     ) -> Iterator[_Problem]:
         """Yield the problem with angles on the turns that one of them leads to."""
@@ -229,8 +229,8 @@ class _Problem:
             driven = evaluate_controls(self.controls, alone.solve(start, free)).targets
             turned = dict(self.goals)
             for target in angles:
-                turns = np.round((driven[target] - turned[target]) / (2 * np.pi))
-                turned[target] = turned[target] + 2 * np.pi * turns
+                revolutions = np.round((driven[target] - turned[target]) / (2 * np.pi))
+                turned[target] = turned[target] + 2 * np.pi * revolutions
             yield self._of(turned)
 
     def _of(self, targets: Mapping[str, FloatArray]) -> _Problem:
@@ -241,7 +241,7 @@ class _Problem:
         values: Mapping[str, FloatArray],
         frames: IntArray | slice = slice(None),
         *,
-        turns: bool = False,
+        modulo: bool = False,
     ) -> FloatArray:
         """Return wanted less driven, in tolerances ``(F, T)``; not finite is huge."""
         driven = evaluate_controls(self.controls, values).targets
@@ -249,7 +249,7 @@ class _Problem:
         with np.errstate(invalid="ignore", over="ignore"):
             for target in self.order:
                 off = self.goals[target][frames] - driven[target]
-                if turns and target.endswith(".angle"):
+                if modulo and target.endswith(".angle"):
                     off = off - 2 * np.pi * np.round(off / (2 * np.pi))
                 rows.append(off / self.tolerances[target])
         stacked = np.stack(np.broadcast_arrays(*rows), axis=-1)
@@ -259,7 +259,7 @@ class _Problem:
         """Return the targets that are off by more than their tolerance."""
         if not self.order:
             return set()
-        residuals = self.residuals(values, turns=True)
+        residuals = self.residuals(values, modulo=True)
         worst = np.abs(residuals).max(axis=0, initial=0.0)
         off = {t for t, most in zip(self.order, worst, strict=True) if most > 1.0}
         return off | (self.keyed & {*self.order})
@@ -291,20 +291,20 @@ class _Problem:
         bounded = self.by_name[name].low is not None
         rows = []
         for point in grid:
-            given = {**rest, name: np.full(len(frames), point)}
-            rows.append(self.residuals(given, frames))
+            trial = {**rest, name: np.full(len(frames), point)}
+            rows.append(self.residuals(trial, frames))
         corners = np.stack(rows)  # (K, F, T)
-        ways = np.diff(corners, axis=0)
-        lengths = np.einsum("kft,kft->kf", ways, ways)
+        segments = np.diff(corners, axis=0)
+        lengths = np.einsum("kft,kft->kf", segments, segments)
         # In units of the segment, from its start.
-        along = -np.einsum("kft,kft->kf", corners[:-1], ways)
+        along = -np.einsum("kft,kft->kf", corners[:-1], segments)
         along = np.divide(along, lengths, out=np.zeros_like(along), where=lengths > 0)
         low, high = np.zeros((2, len(along), 1))
         high += 1.0
         if not bounded:
             low[0], high[-1] = -np.inf, np.inf
         along = np.clip(along, low, high)
-        left = corners[:-1] + along[..., None] * ways
+        left = corners[:-1] + along[..., None] * segments
         costs = np.einsum("kft,kft->kf", left, left)
         now = rest[name]
         # Of equally good segments the one that the control is on already.
@@ -333,8 +333,8 @@ class _Problem:
         for _ in range(NEWTON_STEPS):
             step = self._step(off, now, residual, free, (low, high))
             moved = False
-            for share in (1.0, 0.5, 0.125):
-                trial = np.clip(now + share * step, low, high)
+            for fraction in (1.0, 0.5, 0.125):
+                trial = np.clip(now + fraction * step, low, high)
                 trial = np.where((low <= now) & (now <= high), trial, now)
                 residuals = off(trial)
                 costs = (residuals**2).sum(axis=1)

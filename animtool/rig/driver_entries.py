@@ -111,10 +111,16 @@ class DriverCheck:
         except DriverCycleError as error:
             driven = {target for target, _ in _drivers(self.rig)}
             # A circle of drives alone is named as such (RIG014).
-            places = [name for name in error.cycle if name in driven]
-            own = [name for name in places if self._own(name) is not None]
-            if places:
-                self._note("RIG032", self._at((own or places)[0]), str(error))
+            driven_in_cycle = [name for name in error.cycle if name in driven]
+            local = [
+                name
+                for name in driven_in_cycle
+                if self._local_location(name) is not None
+            ]
+            if driven_in_cycle:
+                self._note(
+                    "RIG032", self._at((local or driven_in_cycle)[0]), str(error)
+                )
             return
         for target, message, hint in _rivals(self.rig, order):
             self._note("RIG034", self._at(target), message, hint)
@@ -137,10 +143,10 @@ class DriverCheck:
         self.document.add("RIG023" if inherited else code, at, message, hint)
 
     def _at(self, target: str) -> Location:
-        own = self._own(target)
-        return ("from",) if own is None else own
+        location = self._local_location(target)
+        return ("from",) if location is None else location
 
-    def _own(self, target: str) -> Location | None:
+    def _local_location(self, target: str) -> Location | None:
         """Return where the file drives a target; None where it inherits that."""
         kind, _, name = target.partition("/")
         key = {"joint": "joints", "shape": "shapes", "control": "controls"}[kind]

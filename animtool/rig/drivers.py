@@ -62,11 +62,13 @@ class Driver:
         >>> Driver(half).evaluate({"wrist.twist": np.array([0.5])}).tolist()
         [0.25]
         """
-        own = {name: values[name] / self.unit_of(name) for name in self.names}
+        in_units = {name: values[name] / self.unit_of(name) for name in self.names}
         if self.expression is not None:
             # One that reads nothing is a number.
-            return np.atleast_1d(self.expression.evaluate(own)) * self.unit
-        return curve_values(self.curve, own[self.by], smooth=self.smooth) * self.unit
+            return np.atleast_1d(self.expression.evaluate(in_units)) * self.unit
+        return (
+            curve_values(self.curve, in_units[self.by], smooth=self.smooth) * self.unit
+        )
 
     def mirrored(self, names: Mapping[str, str]) -> Driver:
         """Return the driver of the other side: of the partners of joints by name.

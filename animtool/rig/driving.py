@@ -71,11 +71,11 @@ def evaluate_drivers(
             continue
         kind, _, name = target.partition("/")
         if kind == "control":
-            own = by_control[name]
-            if own.driven is not None:
-                value = own.driven.evaluate(_Named(plan, read, values, done))
+            spec = by_control[name]
+            if spec.driven is not None:
+                value = spec.driven.evaluate(_Named(plan, read, values, done))
             else:
-                value = np.array([own.default]) + _driven_by(rig, target, values)
+                value = np.array([spec.default]) + _driven_by(rig, target, values)
             values[name] = done.controls[name] = value
             continue
         j = rig.index(name)
@@ -169,10 +169,10 @@ def driven_coordinates(
     def read(name: str) -> FloatArray:
         joint, part = split_coordinate(name)
         j = rig.index(joint)
-        own = coordinates[:, slices[j]]
+        columns = coordinates[:, slices[j]]
         if rig.joints[j].type is JointType.BALL:
-            return ball_part(rig.joints[j], part, own)
-        return own[:, 0]
+            return ball_part(rig.joints[j], part, columns)
+        return columns[:, 0]
 
     values = controls or {c.name: np.array([c.default]) for c in rig.controls}
     for j, value in evaluate_drivers(plan, read, values).joints.items():

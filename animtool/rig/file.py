@@ -86,7 +86,7 @@ def _mirrored(
     if not joints.mirrored - stated or not bind:
         return poses
     world: list[Transform] = []
-    places = {joint.name: i for i, joint in enumerate(joints.joints)}
+    indices = {joint.name: i for i, joint in enumerate(joints.joints)}
     for joint in joints.joints:
         parent = world[joint.parent] if joint.parent >= 0 else ORIGIN
         if (
@@ -96,7 +96,7 @@ def _mirrored(
         ):
             source = bind[joint.mirror]
             poses[joint.name] = mirrored_pose(
-                source, world[places[joint.mirror]], parent
+                source, world[indices[joint.mirror]], parent
             )
         pose = poses.get(joint.name) or bind.get(joint.name) or _rest(joint)
         world.append(placed(parent, pose))
@@ -178,13 +178,13 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
 
 
 def _with_shapes(
-    inherited: tuple[Shape, ...], own: tuple[Shape, ...]
+    inherited: tuple[Shape, ...], added: tuple[Shape, ...]
 ) -> tuple[Shape, ...]:
     """Return all shapes; one that only gives an inherited one a driver is joined."""
     known = {shape.name for shape in inherited}
     drivers = {
         shape.name: shape.driven
-        for shape in own
+        for shape in added
         if shape.name in known and shape == Shape(shape.name, driven=shape.driven)
     }
     return (
@@ -192,7 +192,7 @@ def _with_shapes(
             replace(shape, driven=drivers.get(shape.name) or shape.driven)
             for shape in inherited
         ),
-        *(shape for shape in own if shape.name not in drivers),
+        *(shape for shape in added if shape.name not in drivers),
     )
 
 
@@ -223,8 +223,8 @@ def _base(
 
 def _added(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
     """Return what a sidecar says of joints: as roots, for the tree does not matter."""
-    given = {"mirror": None, "parent": None}
-    alone = [entry.model_copy(update=given) for entry in model.joints]
+    cleared = {"mirror": None, "parent": None}
+    alone = [entry.model_copy(update=cleared) for entry in model.joints]
     return joints_of(document, alone, units)
 
 
@@ -252,8 +252,8 @@ def _overlaid(
             if key in entry.model_fields_set:
                 message = f"{key} is defined by {model.source}"
                 document.add("RIG023", ("joints", i, key), message, "remove it")
-    own = _added(document, model, units)
-    added = {names.get(joint.name, joint.name): joint for joint in own.joints}
+    sidecar = _added(document, model, units)
+    added = {names.get(joint.name, joint.name): joint for joint in sidecar.joints}
     mirrors = {
         names.get(e.name, e.name): names.get(e.mirror or "", "") for e in model.joints
     }
@@ -271,8 +271,8 @@ def _overlaid(
         else joint
         for joint in base.joints
     )
-    untyped = frozenset(names.get(name, name) for name in own.untyped)
-    return FileJoints(joints, untyped=untyped, unnamed=own.unnamed)
+    untyped = frozenset(names.get(name, name) for name in sidecar.untyped)
+    return FileJoints(joints, untyped=untyped, unnamed=sidecar.unnamed)
 
 
 def _renamed_driver(driver: Driver | None, names: dict[str, str]) -> Driver | None:

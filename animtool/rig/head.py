@@ -29,13 +29,13 @@ def head_joints(rig: Rig) -> dict[str, int]:
     >>> head_joints(Rig("r", (Joint("mixamorig:Head", -1), Joint("LeftEye", 0))))
     {'head': 0, 'left eye': 1}
     """
-    found: dict[str, int] = {}
+    matches: dict[str, int] = {}
     for j, joint in enumerate(rig.joints):
         bare = re.sub(r"[\s_-]", "", re.split(r"[:|/]", joint.name)[-1]).lower()
         for part, names in _NAMES.items():
             if bare in names:
-                found.setdefault(part, j)
-    return found
+                matches.setdefault(part, j)
+    return matches
 
 
 def local_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
@@ -52,21 +52,23 @@ def local_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
         rotations = multiply(multiply(_Z_UP, rotations), conjugate(_Z_UP))
     rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
     parent = rig.joints[joint].parent
-    own = rig.rest_rotations[joint]
+    rest_rotation = rig.rest_rotations[joint]
     if parent < 0:
-        return multiply(rotations, own)
+        return multiply(rotations, rest_rotation)
     above = rest.rotations[0, parent]
-    return multiply(multiply(conjugate(above), multiply(rotations, above)), own)
+    return multiply(
+        multiply(conjugate(above), multiply(rotations, above)), rest_rotation
+    )
 
 
 def face_rotations(rig: Rig, joint: int, local: FloatArray) -> FloatArray:
     """Return what `local_rotations` makes these local rotations of ``(F, 4)``."""
     rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
     parent = rig.joints[joint].parent
-    made = multiply(local, conjugate(rig.rest_rotations[joint]))
+    relative = multiply(local, conjugate(rig.rest_rotations[joint]))
     if parent >= 0:
         above = rest.rotations[0, parent]
-        made = multiply(multiply(above, made), conjugate(above))
+        relative = multiply(multiply(above, relative), conjugate(above))
     if rig.up is UpAxis.Z:
-        made = multiply(multiply(conjugate(_Z_UP), made), _Z_UP)
-    return made
+        relative = multiply(multiply(conjugate(_Z_UP), relative), _Z_UP)
+    return relative

@@ -58,7 +58,7 @@ class FileJoints:
 
 
 @dataclass(slots=True)
-class _Entry:
+class _JointEntry:
     """A joint to make: one that stands in the file, or the mirror image of one."""
 
     index: int
@@ -73,7 +73,7 @@ class _Tree:
     """Joints made so far, parents first; where they are once a mirror image asks."""
 
     built: list[Joint] = field(default_factory=list)
-    places: dict[str, int] = field(default_factory=dict)
+    indices: dict[str, int] = field(default_factory=dict)
     world: list[Transform] = field(default_factory=list)
 
     def at(self, joint: int) -> Transform:
@@ -97,9 +97,9 @@ def joints_of(
     tree = _Tree()
     for name in _parents_first(document, entries):
         entry = entries[name]
-        parent = -1 if entry.parent is None else tree.places.get(entry.parent, -1)
+        parent = -1 if entry.parent is None else tree.indices.get(entry.parent, -1)
         if entry.mirrored:
-            source, parent_world = tree.places[entry.source], tree.at(parent)
+            source, parent_world = tree.indices[entry.source], tree.at(parent)
             joint = mirrored_joint(
                 tree.built[source], tree.at(source), parent, parent_world
             )
@@ -107,7 +107,7 @@ def joints_of(
                 _note_off_middle(document, entry, joint, parent_world, tree.built)
         else:
             joint = _joint(document, entry.index, models[entry.index], units, parent)
-        tree.places[name] = len(tree.built)
+        tree.indices[name] = len(tree.built)
         tree.built.append(joint)
     joints = FileJoints(
         tuple(tree.built),
@@ -126,18 +126,18 @@ def joints_of(
 
 def _entries(
     document: Document, models: list[JointModel], *, unnamed: bool
-) -> dict[str, _Entry]:
-    entries: dict[str, _Entry] = {}
+) -> dict[str, _JointEntry]:
+    entries: dict[str, _JointEntry] = {}
     mirrors = {m.name: m.mirror for m in models if m.mirror is not None}
     mirrors |= {mirror: name for name, mirror in mirrors.items()}
     for i, model in enumerate(models):
         if model.name in entries:
             message = f"duplicate joint {model.name!r}"
-            first = document.place(("joints", entries[model.name].index))[0]
+            first = document.position(("joints", entries[model.name].index))[0]
             hint = f"the first is on line {first}"
             document.add("RIG001", ("joints", i, "name"), message, hint)
             continue
-        entries[model.name] = _Entry(i, model.name, model.parent)
+        entries[model.name] = _JointEntry(i, model.name, model.parent)
     for i, model in enumerate(models):
         if model.mirror is None or entries[model.name].index != i:
             continue
@@ -153,7 +153,7 @@ def _entries(
             continue
         parent = model.parent
         parent = mirrors.get(parent, parent) if parent is not None else None
-        entries[model.mirror] = _Entry(i, model.name, parent, mirrored=True)
+        entries[model.mirror] = _JointEntry(i, model.name, parent, mirrored=True)
     for entry in list(entries.values()):
         if entry.parent is not None and entry.parent not in entries:
             message = f"unknown parent {entry.parent!r}"
@@ -165,7 +165,9 @@ def _entries(
     return entries
 
 
-def _parents_first(document: Document, entries: dict[str, _Entry]) -> Iterator[str]:
+def _parents_first(
+    document: Document, entries: dict[str, _JointEntry]
+) -> Iterator[str]:
     """Yield names in the file's order, but each behind its parent and its source."""
     done: set[str] = set()
     for start in entries:
@@ -201,7 +203,7 @@ def _parents_first(document: Document, entries: dict[str, _Entry]) -> Iterator[s
 
 def _note_off_middle(
     document: Document,
-    entry: _Entry,
+    entry: _JointEntry,
     joint: Joint,
     parent_world: Transform,
     joints: list[Joint],
@@ -294,7 +296,7 @@ def _ball_limit(
 def _with_drivers(
     document: Document,
     models: list[JointModel],
-    entries: dict[str, _Entry],
+    entries: dict[str, _JointEntry],
     read: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
@@ -314,15 +316,17 @@ def _with_drivers(
         for name in (model.name, model.mirror):
             if driver is None or name not in joints or entries[name].index != i:
                 continue
-            own = driver.mirrored(partners) if entries[name].mirrored else driver
-            joints[name] = replace(joints[name], driven=own)
+            joint_driver = (
+                driver.mirrored(partners) if entries[name].mirrored else driver
+            )
+            joints[name] = replace(joints[name], driven=joint_driver)
     return replace(read, joints=tuple(joints.values()))
 
 
 def _with_mimics(
     document: Document,
     models: list[JointModel],
-    entries: dict[str, _Entry],
+    entries: dict[str, _JointEntry],
     read: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
@@ -352,15 +356,15 @@ def _with_mimics(
         target = mimic.joint
         if entry.mirrored:
             target = joints[leader].mirror or target
-        own, other = units.of(JointType(model.type)), units.of(joints[leader].type)
-        followed = Mimic(target, mimic.gain * own / other, mimic.offset * own)
+        unit, other = units.of(JointType(model.type)), units.of(joints[leader].type)
+        followed = Mimic(target, mimic.gain * unit / other, mimic.offset * unit)
         joints[by_name[name]] = replace(joints[by_name[name]], mimic=followed)
     _refuse_chains(document, entries, joints)
     return replace(read, joints=tuple(joints))
 
 
 def _refuse_chains(
-    document: Document, entries: dict[str, _Entry], joints: list[Joint]
+    document: Document, entries: dict[str, _JointEntry], joints: list[Joint]
 ) -> None:
     """Refuse a mimic of a mimic, and with it every circle of them."""
     following = {joint.name for joint in joints if joint.mimic}

@@ -78,43 +78,47 @@ def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:
     rotations = as_floats(local.rotations, ("F", joints, 4), "rotations")
     slices = coordinate_slices(rig)
     q = np.zeros((len(translations), slices[-1].stop if slices else 0))
-    for j, (joint, place) in enumerate(zip(rig.joints, slices, strict=True)):
+    for j, (joint, columns) in enumerate(zip(rig.joints, slices, strict=True)):
         undo = so3.conjugate(rig.rest_rotations[j])
-        turn = so3.multiply(undo, rotations[:, j])
+        rotation = so3.multiply(undo, rotations[:, j])
         slide = so3.rotate(undo, translations[:, j] - rig.rest_translations[j])
         match joint.type:
             case JointType.FREE:
-                q[:, place] = np.concatenate([slide, so3.align_signs(turn)], axis=1)
+                q[:, columns] = np.concatenate(
+                    [slide, so3.align_signs(rotation)], axis=1
+                )
             case JointType.BALL:
-                q[:, place] = so3.align_signs(turn)
+                q[:, columns] = so3.align_signs(rotation)
             case JointType.PIN:
-                along = turn[:, :3] @ np.asarray(joint.axis)
-                q[:, place.start] = np.unwrap(2.0 * np.arctan2(along, turn[:, 3]))
+                along = rotation[:, :3] @ np.asarray(joint.axis)
+                q[:, columns.start] = np.unwrap(2.0 * np.arctan2(along, rotation[:, 3]))
                 if len(q):
-                    whole = 2 * np.pi * np.round(q[0, place.start] / (2 * np.pi))
-                    q[:, place.start] -= whole
+                    revolutions = (
+                        2 * np.pi * np.round(q[0, columns.start] / (2 * np.pi))
+                    )
+                    q[:, columns.start] -= revolutions
             case JointType.PRISMATIC:
-                q[:, place.start] = slide @ np.asarray(joint.axis)
+                q[:, columns.start] = slide @ np.asarray(joint.axis)
             case JointType.FIXED:
                 continue
     return q
 
 
-_TURNS = (JointType.FREE, JointType.BALL)
+_ROTATING = (JointType.FREE, JointType.BALL)
 _EVERY = tuple(JointType)
 
 # Parts that a control may add to, and the joints that have them.
 DRIVEN_PARTS: dict[str, tuple[JointType, ...]] = {
     "angle": (JointType.PIN,),
     "slide": (JointType.PRISMATIC,),
-    **{f"rotation.{axis}": _TURNS for axis in "xyz"},
+    **{f"rotation.{axis}": _ROTATING for axis in "xyz"},
     **{f"translation.{axis}": (JointType.FREE,) for axis in "xyz"},
 }
 # Parts that a channel of a clip may hold.
 KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
     "angle": (JointType.PIN,),
     "slide": (JointType.PRISMATIC,),
-    "rotation": _TURNS,
+    "rotation": _ROTATING,
     "translation": (JointType.FREE,),
     "local_translation": _EVERY,
     "local_rotation": _EVERY,

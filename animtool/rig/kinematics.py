@@ -118,8 +118,8 @@ def bind_matrices(rig: Rig) -> FloatArray:
     matrices[:, 3, 3] = 1.0
     for name, pose in rig.bind.items():
         if pose.stretch is not None:
-            own = np.array(pose.stretch).reshape(3, 3)
-            matrices[rig.index(name), :3, :3] @= own
+            stretch = np.array(pose.stretch).reshape(3, 3)
+            matrices[rig.index(name), :3, :3] @= stretch
     return matrices
 
 

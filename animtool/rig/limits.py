@@ -60,8 +60,8 @@ class BallLimit:
         if self.twist is not None:
             # The turn nearest to the middle: a range may reach past half a turn.
             middle = (self.twist[0] + self.twist[1]) / 2
-            whole = 2 * np.pi * np.round((twist - middle) / (2 * np.pi))
-            turned = twist - whole
+            revolutions = 2 * np.pi * np.round((twist - middle) / (2 * np.pi))
+            turned = twist - revolutions
             twist = np.clip(turned, *self.twist)
             outside |= twist != turned
         if self.swing is not None:
@@ -75,8 +75,8 @@ class BallLimit:
         if self.swing is not None:
             shorter = across[outside] / np.maximum(reach[outside], 1.0)[:, None]
             swing[outside] = so3.exp(shorter)
-        held = so3.from_axis_angle(self.twist_axis, twist[outside])
-        inside = so3.multiply(swing[outside], held)
+        clamped_twist = so3.from_axis_angle(self.twist_axis, twist[outside])
+        inside = so3.multiply(swing[outside], clamped_twist)
         before = rotations[outside]
         within = so3.angle_between(inside, before) < LIMIT_TOLERANCE
         clamped = rotations.copy()

@@ -128,9 +128,9 @@ class PartReader:
         try:
             combination_order(shapes)
         except ShapeCycleError as error:
-            place = [shape.name for shape in shapes].index(error.cycle[0])
+            index = [shape.name for shape in shapes].index(error.cycle[0])
             message = f"shapes combine each other in a cycle: {error}"
-            self.document.add("RIG026", ("shapes", place, "combine"), message)
+            self.document.add("RIG026", ("shapes", index, "combine"), message)
         return tuple(shapes)
 
     def controls(
@@ -138,12 +138,12 @@ class PartReader:
     ) -> tuple[Control, ...]:
         """Return the controls, what they drive and read known, without circles."""
         self._distinct("controls", "control")
-        own = {control.name: i for i, control in enumerate(self.model.controls)}
+        listed = {control.name: i for i, control in enumerate(self.model.controls)}
         known = dict.fromkeys(shapes)
-        kept = [control for control in inherited if control.name not in own]
-        self.names = dict.fromkeys([*(control.name for control in kept), *own])
+        kept = [control for control in inherited if control.name not in listed]
+        self.names = dict.fromkeys([*(control.name for control in kept), *listed])
         for control in kept:
-            self._still_drives(control)
+            self._note_lost_drive(control)
         controls = (
             *kept,
             *(
@@ -154,12 +154,12 @@ class PartReader:
         try:
             evaluation_order(controls)
         except ControlCycleError as error:
-            first = next(name for name in error.cycle if name in own)
+            first = next(name for name in error.cycle if name in listed)
             message = f"controls drive each other in a cycle: {error}"
-            self.document.add("RIG014", ("controls", own[first]), message)
+            self.document.add("RIG014", ("controls", listed[first]), message)
         return controls
 
-    def _still_drives(self, control: Control) -> None:
+    def _note_lost_drive(self, control: Control) -> None:
         """Note a control that drives what a joint has no longer."""
         for drive in control.drives:
             name, part = split_part(drive.target.removeprefix("joint/"), DRIVEN_PARTS)
@@ -177,8 +177,8 @@ class PartReader:
     def ik(self, inherited: Sequence[IkChain] = ()) -> tuple[IkChain, ...]:
         """Return the chains, each tip below its root."""
         self._distinct("ik", "chain")
-        own = {chain.name for chain in self.model.ik}
-        chains = [chain for chain in inherited if chain.name not in own]
+        listed = {chain.name for chain in self.model.ik}
+        chains = [chain for chain in inherited if chain.name not in listed]
         for i, chain in enumerate(self.model.ik):
             at = ("ik", i)
             known = [
@@ -211,12 +211,12 @@ class PartReader:
             lambda at, name: self._known(at, name, self.joints, "joint"),
             lambda at, name: self._known(at, name, counts, "mesh"),
         )
-        own = {entry.name for entry in self.model.attach}
+        listed = {entry.name for entry in self.model.attach}
         return (
             *(
                 entry
                 for entry in inherited
-                if entry.name not in own and not (entry.mesh and self.model.meshes)
+                if entry.name not in listed and not (entry.mesh and self.model.meshes)
             ),
             *(
                 reader.attachment(("attach", i), entry)
@@ -232,8 +232,8 @@ class PartReader:
 
     def colliders(self, inherited: Sequence[Collider] = ()) -> tuple[Collider, ...]:
         """Return the colliders."""
-        own = {entry.joint for entry in self.model.colliders}
-        colliders = [collider for collider in inherited if collider.joint not in own]
+        listed = {entry.joint for entry in self.model.colliders}
+        colliders = [collider for collider in inherited if collider.joint not in listed]
         for i, entry in enumerate(self.model.colliders):
             at = ("colliders", i)
             self._known((*at, "joint"), entry.joint, self.joints, "joint")
@@ -323,9 +323,9 @@ class PartReader:
             self._drive((*at, "drives", k), drive, shapes)
             for k, drive in enumerate(model.drives)
         )
-        own = tuple(filter(None, drives))
+        valid_drives = tuple(filter(None, drives))
         driver = self._driver((*at, "driven"), model.driven)
-        return Control(name, low, high, model.default, own, driver)
+        return Control(name, low, high, model.default, valid_drives, driver)
 
     def _driver(self, at: Location, model: DrivenModel | None) -> Driver | None:
         """Return the driver of a shape or a control."""
@@ -337,11 +337,11 @@ class PartReader:
     def _drive(
         self, at: Location, model: DriveModel, shapes: Collection[str]
     ) -> Drive | None:
-        given = [
+        present = [
             k for k in ("shape", "joint", "control") if getattr(model, k) is not None
         ]
-        if len(given) != 1:
-            message = f"drives {' and '.join(given) or 'nothing'}"
+        if len(present) != 1:
+            message = f"drives {' and '.join(present) or 'nothing'}"
             self.document.add(
                 "RIG015", at, message, "write one of shape, joint, control"
             )
@@ -352,7 +352,7 @@ class PartReader:
             )
             self.document.add("RIG015", at, message, "write one of them for the amount")
             return None
-        target, unit = self._target((*at, given[0]), given[0], model, shapes)
+        target, unit = self._target((*at, present[0]), present[0], model, shapes)
         if model.expr is not None:
             refuse_smooth(self.document, at, model.interp)
             expression = self._expression((*at, "expr"), model.expr)
@@ -413,14 +413,14 @@ class PartReader:
         return f"joint/{name}", unit
 
     def _distinct(self, key: str, kind: str) -> None:
-        seen: dict[str, int] = {}
+        first: dict[str, int] = {}
         for i, entry in enumerate(getattr(self.model, key)):
-            if entry.name in seen:
-                line = self.document.place((key, seen[entry.name]))[0]
+            if entry.name in first:
+                line = self.document.position((key, first[entry.name]))[0]
                 message = f"duplicate {kind} {entry.name!r}"
                 hint = f"the first is on line {line}"
                 self.document.add("RIG011", (key, i, "name"), message, hint)
-            seen.setdefault(entry.name, i)
+            first.setdefault(entry.name, i)
 
     def _known(
         self, at: Location, name: str, names: Collection[str], kind: str
@@ -436,12 +436,12 @@ class PartReader:
     def _below(self, root: str, tip: str) -> bool:
         """Return whether a joint is below another, or is it, or may be."""
         joints = self.file_joints.joints
-        place = next(i for i, joint in enumerate(joints) if joint.name == tip)
-        while place >= 0 and joints[place].name != root:
-            if joints[place].name in self.file_joints.adrift:
+        index = next(i for i, joint in enumerate(joints) if joint.name == tip)
+        while index >= 0 and joints[index].name != root:
+            if joints[index].name in self.file_joints.adrift:
                 return True
-            place = joints[place].parent
-        return place >= 0
+            index = joints[index].parent
+        return index >= 0
 
 
 def _name_problem(name: str) -> str:

@@ -41,7 +41,7 @@ class ArrayRef:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeldArray:
+class LoadedArray:
     """An array in memory, of a file that holds the whole rig."""
 
     values: FloatArray  # finite
@@ -52,7 +52,7 @@ class HeldArray:
 
     def __eq__(self, other: object) -> bool:
         """Return whether the other holds the same numbers."""
-        if not isinstance(other, HeldArray):
+        if not isinstance(other, LoadedArray):
             return NotImplemented
         return bool(np.array_equal(self.values, other.values))
 
@@ -61,7 +61,7 @@ class HeldArray:
         return hash(self.values.shape)
 
 
-ArraySource: TypeAlias = ArrayRef | HeldArray
+ArraySource: TypeAlias = ArrayRef | LoadedArray
 
 
 class Subdivision(StrEnum):

@@ -17,8 +17,8 @@ from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import (
     Attachment,
     Collider,
-    HeldArray,
     IkChain,
+    LoadedArray,
     Mass,
     Mesh,
 )
@@ -75,7 +75,7 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
 def _joint(joint: Joint, placement: Placement) -> Joint:
     if joint.parent < 0:
         x, y, z = placement.points(np.array(joint.translation)).tolist()
-        a, b, c, w = placement.turns(np.array(joint.rotation)).tolist()
+        a, b, c, w = placement.rotated(np.array(joint.rotation)).tolist()
         joint = replace(joint, translation=(x, y, z), rotation=(a, b, c, w))
     size = placement.size
     if size == 1.0:
@@ -99,10 +99,10 @@ def _scaled(joint: Joint, rig: Rig, size: float) -> Joint:
     if driven is not None and slides:
         driven = replace(driven, unit=driven.unit * size)
     if mimic is not None:
-        own = size if slides else 1.0
+        unit_scale = size if slides else 1.0
         leader = rig.joints[rig.index(mimic.joint)]
         theirs = size if leader.type is JointType.PRISMATIC else 1.0
-        gain, offset = mimic.gain * own / theirs, mimic.offset * own
+        gain, offset = mimic.gain * unit_scale / theirs, mimic.offset * unit_scale
         mimic = replace(mimic, gain=gain, offset=offset)
     return replace(joint, driven=driven, mimic=mimic)
 
@@ -128,7 +128,7 @@ def _control(control: Control, size: float) -> Control:
 def _pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
     if root:
         x, y, z = placement.points(np.array(pose.translation)).tolist()
-        a, b, c, w = placement.turns(np.array(pose.rotation)).tolist()
+        a, b, c, w = placement.rotated(np.array(pose.rotation)).tolist()
         return replace(pose, translation=(x, y, z), rotation=(a, b, c, w))
     if placement.size == 1.0:
         return pose
@@ -148,8 +148,8 @@ def _chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkChain:
 def _mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
     """Return a mesh whose points are moved where they are bound."""
     bind = np.eye(4) if mesh.geom_bind is None else np.reshape(mesh.geom_bind, (4, 4))
-    whole = placement_matrix(placement, unit)
-    return replace(mesh, geom_bind=tuple((whole @ bind).ravel().tolist()))
+    matrix = placement_matrix(placement, unit)
+    return replace(mesh, geom_bind=tuple((matrix @ bind).ravel().tolist()))
 
 
 def _strands(entry: Attachment, placement: Placement, unit: float) -> Attachment:
@@ -161,7 +161,7 @@ def _strands(entry: Attachment, placement: Placement, unit: float) -> Attachment
         points = in_unit.points(entry.points.load())
     except ValueError as error:
         raise FormatError(Fault("RIG018", f"{entry.name!r}: {error}")) from error
-    return replace(entry, points=HeldArray(points))
+    return replace(entry, points=LoadedArray(points))
 
 
 def _mass(mass: Mass, size: float) -> Mass:

@@ -34,7 +34,7 @@ class Placement:
     sizes: FloatArray
 
     @staticmethod
-    def turn(rotation: FloatArray) -> Placement:
+    def from_rotation(rotation: FloatArray) -> Placement:
         """Return one that only turns, by a quaternion ``(4,)``."""
         return Placement(np.zeros((1, 3)), np.asarray(rotation)[None], np.ones(1))
 
@@ -70,7 +70,7 @@ class Placement:
             return turned
         return np.asarray(turned + translations)
 
-    def turns(self, rotations: FloatArray) -> FloatArray:
+    def rotated(self, rotations: FloatArray) -> FloatArray:
         """Return rotations, turned; those of moving ones ``(F, N, 4)``."""
         return so3.multiply(self._parts()[1], rotations)
 
@@ -106,13 +106,13 @@ class Placement:
         """Return it as one frame where all frames are the same."""
         if not self.moves:
             return self
-        apart = [
+        spans = [
             np.abs(self.translations - self.translations[:1]).max(),
             np.abs(self.sizes / self.sizes[0] - 1.0).max(),
             1.0 - np.abs((self.rotations * self.rotations[:1]).sum(axis=-1)).min(),
         ]
         limits = [SAME, SAME, SAME**2]
-        same = all(a <= limit for a, limit in zip(apart, limits, strict=True))
+        same = all(a <= limit for a, limit in zip(spans, limits, strict=True))
         return self.first() if same else self
 
     def described(self) -> str:
@@ -130,10 +130,10 @@ class Placement:
         all else: the way and the heading, and a slope.
         """
         axis = np.array(up.vector)
-        own = so3.rotate(so3.conjugate(self.rotations[0]), axis)
-        k = int(np.abs(own).argmax())
+        local_up = so3.rotate(so3.conjugate(self.rotations[0]), axis)
+        k = int(np.abs(local_up).argmax())
         nearest = np.zeros(3)
-        nearest[k] = np.copysign(1.0, own[k])
+        nearest[k] = np.copysign(1.0, local_up[k])
         righting = _shortest(nearest, axis)
         frames = np.repeat(righting[None], len(self.sizes), axis=0)
         sized = Placement(np.zeros((len(frames), 3)), frames, self.sizes)
@@ -154,9 +154,9 @@ def placement_matrix(placement: Placement, unit: float = 1.0) -> FloatArray:
 
     unit: of the lengths of those vectors [m].
     """
-    whole = np.eye(4)
-    whole[:3, :3] = so3.to_matrix(placement.rotations[0])
+    matrix = np.eye(4)
+    matrix[:3, :3] = so3.to_matrix(placement.rotations[0])
     if placement.size != 1.0:
-        whole[:3, :3] *= placement.size
-    whole[:3, 3] = placement.translations[0] / unit
-    return whole
+        matrix[:3, :3] *= placement.size
+    matrix[:3, 3] = placement.translations[0] / unit
+    return matrix

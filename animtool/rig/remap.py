@@ -84,11 +84,11 @@ class ShapeLinks:
 
     def apply(self, weights: FloatArray, count: int) -> FloatArray:
         """Return weights of the target ``(F, count)`` of those of the source."""
-        made = np.zeros((len(weights), count))
+        linked = np.zeros((len(weights), count))
         for link in self.links:
             moved = link.gain * weights[:, link.source] + link.offset
-            made[:, link.target] += np.clip(moved, link.low, link.high)
-        return made
+            linked[:, link.target] += np.clip(moved, link.low, link.high)
+        return linked
 
 
 def load_remap(path: Path | str) -> RemapFile:
@@ -135,7 +135,7 @@ def link_shapes(
     if remap is not None and model is not None:
         document = remap.document
         for i, entry in enumerate(model.shapes):
-            found = {}
+            indices = {}
             for side, index in (("source", ours), ("target", theirs)):
                 name = getattr(entry, side)
                 at = index.get(name, index.get(arkit_name(name) or name))
@@ -146,12 +146,17 @@ def link_shapes(
                         "FAC001", ("shapes", i, side), message, nearest(name, names)
                     )
                 else:
-                    found[side] = at
-            if len(found) == 2:
+                    indices[side] = at
+            if len(indices) == 2:
                 low, high = entry.clamp or (-np.inf, np.inf)
                 links.append(
                     ShapeLink(
-                        *(found["source"], found["target"], entry.gain, entry.offset),
+                        *(
+                            indices["source"],
+                            indices["target"],
+                            entry.gain,
+                            entry.offset,
+                        ),
                         low=low,
                         high=high,
                     )

@@ -19,14 +19,14 @@ browDown browOuterUp cheekSquint eyeBlink eyeLookDown eyeLookIn eyeLookOut eyeLo
 eyeSquint eyeWide jaw mouth mouthDimple mouthFrown mouthLowerDown mouthPress mouthSmile
 mouthStretch mouthUpperUp noseSneer
 """
-_WHOLE = """
+_UNSIDED = """
 browInnerUp cheekPuff jawForward jawOpen mouthClose mouthFunnel mouthPucker
 mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper tongueOut
 """
 
 ARKIT_SHAPES: tuple[str, ...] = tuple(
     sorted(
-        [*_WHOLE.split(), *(n + s for n in _SIDED.split() for s in ("Left", "Right"))]
+        [*_UNSIDED.split(), *(n + s for n in _SIDED.split() for s in ("Left", "Right"))]
     )
 )
 
@@ -85,7 +85,7 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
 
 
 def combined_weights(
-    shapes: Sequence[Shape], own: Mapping[str, FloatArray]
+    shapes: Sequence[Shape], uncombined: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """Return weights of shapes [1], ``(F,)`` or ``(1,)``, combined ones added.
 
@@ -95,14 +95,14 @@ def combined_weights(
     >>> combined_weights(shapes, own)["both"].tolist()
     [0.25, 0.5]
     """
-    weights = {shape.name: own[shape.name] for shape in shapes}
+    weights = {shape.name: uncombined[shape.name] for shape in shapes}
     for shape in combination_order(shapes):
         if shape.combine:
             weights[shape.name] = weights[shape.name] + _product(shape, weights)
     return weights
 
 
-def own_weights(
+def uncombined_weights(
     shapes: Sequence[Shape], total: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """Return of which weights `combined_weights` makes these [1], ``(F,)`` or ``(1,)``.

@@ -38,7 +38,7 @@ _LOOKS_LEFT = re.compile(f"{_LEFT}|左|" + _LETTER.format("l", "L"))
 _LOOKS_RIGHT = re.compile(f"{_RIGHT}|右|" + _LETTER.format("r", "R"))
 # How a name says that it is left, the surest way first. The last ones are letters of
 # other words in most names: a partner of the other name must exist anyway.
-_WAYS = tuple(
+_SIDE_PATTERNS = tuple(
     re.compile(pattern)
     for pattern in (
         f"{_LEFT}|左",
@@ -141,21 +141,21 @@ def _candidates(
     for i, name in enumerate(names):
         folded.setdefault(name.casefold(), []).append(i)
     for left, name in enumerate(names):
-        for way, other in _others(name):
+        for rank, other in _others(name):
             if other in index:
-                yield depths[left], way, left, index[other]
-            elif len(same := folded.get(other.casefold(), [])) == 1 and way < 3:
-                yield depths[left], way + len(_WAYS), left, same[0]
+                yield depths[left], rank, left, index[other]
+            elif len(same := folded.get(other.casefold(), [])) == 1 and rank < 3:
+                yield depths[left], rank + len(_SIDE_PATTERNS), left, same[0]
 
 
 def _others(name: str) -> Iterator[tuple[int, str]]:
     """Yield what the right partner of a left one may be called, and how sure it is."""
-    for way, pattern in enumerate(_WAYS):
+    for rank, pattern in enumerate(_SIDE_PATTERNS):
         marks = list(pattern.finditer(name))
         if len(marks) > 1:
-            yield way, pattern.sub(_right, name)
+            yield rank, pattern.sub(_right, name)
         for mark in marks:
-            yield way, name[: mark.start()] + _right(mark) + name[mark.end() :]
+            yield rank, name[: mark.start()] + _right(mark) + name[mark.end() :]
 
 
 def _right(mark: re.Match[str]) -> str:
@@ -174,7 +174,7 @@ ORIGIN: Transform = (np.zeros(3), so3.IDENTITY)
 _ACROSS = np.array([-1.0, 1.0, 1.0])
 
 # Differences below are rounding [m], [rad]: the file's own numbers are kept.
-SAME_PLACE = 1e-12
+SAME_POSITION = 1e-12
 
 
 def reflect_vector(vector: FloatArray) -> FloatArray:
@@ -203,17 +203,17 @@ def placed(parent_world: Transform, pose: Pose) -> Transform:
 def mirrored_pose(pose: Pose, world: Transform, parent_world: Transform) -> Pose:
     """Return the local pose of the other side's joint, a reflection in the world."""
     local = reflect_vector(np.array(pose.translation)) + 0.0
-    turn = reflect_rotation(np.array(pose.rotation)) + 0.0
+    facing_local = reflect_rotation(np.array(pose.rotation)) + 0.0
     position, rotation = reflect_vector(world[0]), reflect_rotation(world[1])
     back = so3.conjugate(parent_world[1])
-    place, facing = position - parent_world[0], so3.multiply(back, rotation)
+    offset, facing = position - parent_world[0], so3.multiply(back, rotation)
     if (
-        np.abs(so3.rotate(back, place) - local).max() > SAME_PLACE
-        or so3.angle_between(facing, turn) > SAME_PLACE
+        np.abs(so3.rotate(back, offset) - local).max() > SAME_POSITION
+        or so3.angle_between(facing, facing_local) > SAME_POSITION
     ):
         # Parents that are no mirror images of each other themselves.
-        local, turn = so3.rotate(back, place) + 0.0, facing + 0.0
-    a, b, c, d = turn.tolist()
+        local, facing_local = so3.rotate(back, offset) + 0.0, facing + 0.0
+    a, b, c, d = facing_local.tolist()
     return Pose(_vector(local), (a, b, c, d))
 
 

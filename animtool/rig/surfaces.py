@@ -132,8 +132,8 @@ def _deforms(shape: Shape) -> bool:
 def _shape(shape: Shape, points: int, unit: float, archives: Archives) -> SurfaceShape:
     """Return a shape of a mesh; one that turns normals alone moves points by 0."""
     vertices = None if shape.vertices is None else shape.vertices.load(archives)
-    still = np.zeros((points if vertices is None else len(vertices), 3))
-    deltas = still if shape.deltas is None else shape.deltas.load(archives)
+    zeros = np.zeros((points if vertices is None else len(vertices), 3))
+    deltas = zeros if shape.deltas is None else shape.deltas.load(archives)
     return SurfaceShape(
         shape.name,
         deltas * unit,
@@ -197,14 +197,14 @@ class _Store:
 
     @overload
     def ref(
-        self, source: ArraySource, name: str, *, whole: bool = False
+        self, source: ArraySource, name: str, *, integers: bool = False
     ) -> ArraySource: ...
     @overload
     def ref(
-        self, source: ArraySource | None, name: str, *, whole: bool = False
+        self, source: ArraySource | None, name: str, *, integers: bool = False
     ) -> ArraySource | None: ...
     def ref(
-        self, source: ArraySource | None, name: str, *, whole: bool = False
+        self, source: ArraySource | None, name: str, *, integers: bool = False
     ) -> ArraySource | None:
         """Return a reference to an array, which is stored if no file has it."""
         if source is None or (isinstance(source, ArrayRef) and not self.moved):
@@ -217,7 +217,7 @@ class _Store:
         number = 2
         while key in self.arrays:
             key, number = f"{plain}_{number}", number + 1
-        self.arrays[key] = _smallest(values, whole=whole)
+        self.arrays[key] = _smallest(values, integers=integers)
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
 
     def mesh(self, mesh: Mesh) -> Mesh:
@@ -226,7 +226,7 @@ class _Store:
         return replace(
             mesh,
             points=self.ref(mesh.points, f"{mesh.name}_points"),
-            faces=self.ref(mesh.faces, f"{mesh.name}_faces", whole=True),
+            faces=self.ref(mesh.faces, f"{mesh.name}_faces", integers=True),
             normals=self.ref(mesh.normals, f"{mesh.name}_normals"),
             skin=None if skin is None else self.skin(skin, mesh.name),
         )
@@ -235,7 +235,7 @@ class _Store:
         """Return a skin with references."""
         return replace(
             skin,
-            indices=self.ref(skin.indices, f"{mesh}_joints", whole=True),
+            indices=self.ref(skin.indices, f"{mesh}_joints", integers=True),
             weights=self.ref(skin.weights, f"{mesh}_weights"),
         )
 
@@ -246,7 +246,7 @@ class _Store:
             shape,
             deltas=self.ref(shape.deltas, name),
             normals=self.ref(shape.normals, f"{name}_normals"),
-            vertices=self.ref(shape.vertices, f"{name}_vertices", whole=True),
+            vertices=self.ref(shape.vertices, f"{name}_vertices", integers=True),
             inbetweens=tuple(self.step(step, name) for step in shape.inbetweens),
         )
 
@@ -263,14 +263,14 @@ class _Store:
         """Return an attachment with references."""
         return replace(
             entry,
-            pins=self.ref(entry.pins, f"{entry.name}_pins", whole=True),
+            pins=self.ref(entry.pins, f"{entry.name}_pins", integers=True),
             points=self.ref(entry.points, f"{entry.name}_points"),
         )
 
 
-def _smallest(values: FloatArray, *, whole: bool) -> npt.NDArray[np.generic]:
+def _smallest(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
     """Return the numbers in 32 bits where these hold them exactly."""
-    kind = np.int32 if whole else np.float32
+    kind = np.int32 if integers else np.float32
     with np.errstate(over="ignore", invalid="ignore"):
         small = values.astype(kind)
     return small if (small == values).all() else values

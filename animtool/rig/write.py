@@ -16,8 +16,8 @@ from animtool.rig.parts import (
     AttachKind,
     Attachment,
     Collider,
-    HeldArray,
     IkChain,
+    LoadedArray,
     Mass,
     Mesh,
     Shape,
@@ -40,7 +40,7 @@ def rig_text(rig: Rig) -> str:
     >>> rig_text(Rig("post", (Joint("top", -1, translation=(0, 2, 0)),))).split()[-1]
     '0]}'
     """
-    units = _Units(rig)
+    units = _WrittenUnits(rig)
     lines = [
         "rig: animtool/1",
         f"name: {text(rig.name)}",
@@ -55,7 +55,7 @@ def rig_text(rig: Rig) -> str:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
             lines.append(f"- {units.joint(joint, parent, rig)}")
             written.add(joint.name)
-    bind = {**_unbound(rig), **_told_bind(rig)}
+    bind = {**_unbound(rig), **_explicit_bind(rig)}
     if bind:
         lines.append("bind:")
         for name, pose in bind.items():
@@ -82,7 +82,7 @@ def rig_text(rig: Rig) -> str:
     return "\n".join(lines) + "\n"
 
 
-class _Units:
+class _WrittenUnits:
     """Numbers in the unit of the rig."""
 
     def __init__(self, rig: Rig) -> None:
@@ -228,11 +228,11 @@ class _Units:
     def drive(self, drive: Drive) -> str:
         """Return a drive, its numbers in the units of the text."""
         kind, _, name = drive.target.partition("/")
-        own = (
+        unit = (
             self.meters if drive.of_length else self.radians if drive.of_angle else 1.0
         )
         # But for rounding of units that are the same.
-        by = drive.unit / own
+        by = drive.unit / unit
         by = 1.0 if math.isclose(by, 1.0, rel_tol=1e-12) else by
         curve = flow([str(_numbers((x, y * by))) for x, y in drive.curve])
         expression, shown = drive.expression, None
@@ -255,13 +255,15 @@ class _Units:
             return None
         units = {None: 1.0, JointType.PRISMATIC: self.meters}
         by = driver.unit / units.get(joint_type, self.radians)
-        own = {name: self.unit_of(name) / driver.unit_of(name) for name in driver.names}
+        ratios = {
+            name: self.unit_of(name) / driver.unit_of(name) for name in driver.names
+        }
         if driver.expression is not None:
-            same = by == 1.0 and all(ratio == 1.0 for ratio in own.values())
+            same = by == 1.0 and all(ratio == 1.0 for ratio in ratios.values())
             expr = driver.expression
-            shown = expr.text if same else expr.scaled(own, by)
+            shown = expr.text if same else expr.scaled(ratios, by)
             return _mapping([("expr", _quoted(shown))])
-        ratio = own[driver.by]
+        ratio = ratios[driver.by]
         points = [(x / ratio, y * by) for x, y in driver.curve]
         return _mapping(
             [
@@ -301,7 +303,7 @@ def _without_mirrors(joints: Sequence[Joint]) -> list[Joint]:
     return [replace(joint, mirror="") for joint in joints]
 
 
-def _told_bind(rig: Rig) -> dict[str, Pose]:
+def _explicit_bind(rig: Rig) -> dict[str, Pose]:
     """Return the bind poses that are not those of rest but for rounding."""
     kept = {}
     for name, pose in rig.bind.items():
@@ -385,7 +387,7 @@ def _mesh(mesh: Mesh) -> str:
 
 def _file(source: ArraySource | None) -> str | None:
     """Return where an array is, as the rig's file spells it."""
-    if isinstance(source, HeldArray):
+    if isinstance(source, LoadedArray):
         message = "the array is in no file; animtool.rig.surfaces writes it to one"
         raise TypeError(message)
     return None if source is None else text(source.text)

@@ -141,7 +141,7 @@ def test_a_misspelt_key_is_not_missing_too(tmp_path: Path) -> None:
     assert isinstance(item, Round)
     assert item.radius == 2
     assert [fault.code for fault in read.faults] == ["DOC020"]
-    assert read.place(("items", 0, "radius")) == (3, 37)
+    assert read.position(("items", 0, "radius")) == (3, 37)
     read.add("X", ("items", 0, "radius"), "is odd")
     assert read.faults[-1].where == "items[0].radus"
 

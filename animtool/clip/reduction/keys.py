@@ -82,15 +82,15 @@ def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) ->
         np.arange(reduction.clock.count) if frames is None else frames, np.float64
     )
 
-    def held(kind: ChannelKind, rest: Channel | None) -> Channel | None:
+    def optional_channel(kind: ChannelKind, rest: Channel | None) -> Channel | None:
         return None if rest is None else _channel(reduction, kind, rest, at)
 
     rest = reduction.rest
     return Motion(
         _channel(reduction, ChannelKind.TRANSLATION, rest.translations, at),
         _channel(reduction, ChannelKind.ROTATION, rest.rotations, at),
-        held(ChannelKind.SCALE, rest.scales),
-        held(ChannelKind.WEIGHT, rest.weights),
+        optional_channel(ChannelKind.SCALE, rest.scales),
+        optional_channel(ChannelKind.WEIGHT, rest.weights),
     )
 
 
@@ -105,17 +105,17 @@ def channel_values(channel: ReducedChannel, frames: FloatArray) -> FloatArray:
 def _channel(
     reduction: Reduction, kind: ChannelKind, rest: Channel, at: FloatArray
 ) -> Channel:
-    own = [channel for channel in reduction.channels if channel.kind is kind]
-    still, moves = rest.rest.copy(), []
-    for channel in own:
+    channels = [channel for channel in reduction.channels if channel.kind is kind]
+    constant, moves = rest.rest.copy(), []
+    for channel in channels:
         if len(channel.keys.frames) > 1:
             moves.append(channel)
         else:
-            still[channel.index] = channel_values(channel, at[:1])[0]
+            constant[channel.index] = channel_values(channel, at[:1])[0]
     values = np.zeros((len(at), len(moves), rest.rest.shape[1]))
     for i, channel in enumerate(moves):
         values[:, i] = channel_values(channel, at)
-    return Channel(still, np.array([c.index for c in moves], np.int64), values)
+    return Channel(constant, np.array([c.index for c in moves], np.int64), values)
 
 
 # Significant digits: beside the tolerance of any reduction, rounding is nothing.
@@ -158,22 +158,22 @@ def fitted_channel(
         euler: Order of the angles; empty for other values.
     """
     # What the keys count, in the unit that they are written in.
-    turns = bool(euler) or target.endswith(".angle")
-    given = (math.radians(1.0) if turns else 1.0) / unit
+    rotates = bool(euler) or target.endswith(".angle")
+    factor = (math.radians(1.0) if rotates else 1.0) / unit
     times = float(clock.start) + keys.frames.astype(np.float64) * float(clock.step)
     spans = np.diff(times)[:, None]
     count, width = keys.values.shape
     ins, outs = np.zeros((2, count, 1 + width))
     ins[1:, 0], outs[:-1, 0] = -1.0, 1.0
-    ins[1:, 1:] = _rounded(3 * keys.ins[1:] / spans * given, unit)
-    outs[:-1, 1:] = _rounded(3 * keys.outs[:-1] / spans * given, unit)
+    ins[1:, 1:] = _rounded(3 * keys.ins[1:] / spans * factor, unit)
+    outs[:-1, 1:] = _rounded(3 * keys.outs[:-1] / spans * factor, unit)
     ends = (Tangent.AUTO_CLAMPED, Tangent.FREE)
     befores = (ends[0], *(Tangent.FREE,) * (count - 1))
     behinds = (*(Tangent.FREE,) * (count - 1), ends[0])
     return ClipChannel(
         target,
         times,
-        _rounded(keys.values * given, unit),
+        _rounded(keys.values * factor, unit),
         (Interp.HERMITE,) * count,
         tuple(zip(befores, behinds, strict=True)),
         ins,

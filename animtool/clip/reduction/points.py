@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.clip.reduction.keys import ChannelKind
-from animtool.clip.reduction.tracks import Track
+from animtool.clip.reduction.tracks import KeyTrack
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.record import dataclass
@@ -107,9 +107,9 @@ def point_errors(
 class Budget:
     """A track, the tolerance that it has for now, and the keys that this gives."""
 
-    track: Track  # samples of one channel
+    track: KeyTrack  # samples of one channel
     tolerance: float  # for the Euclidean error, in the unit of the samples
-    share: FloatArray  # of the tolerance that each frame has ``(F,)`` [1]
+    fraction: FloatArray  # of the tolerance that each frame has ``(F,)`` [1]
     keys: FittedKeys  # fitted to the samples
     # Of these keys at every frame ``(F,)``, in the unit of the samples.
     errors: FloatArray
@@ -118,7 +118,7 @@ class Budget:
     straight: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @staticmethod
-    def of(track: Track, tolerance: float) -> Budget:
+    def of(track: KeyTrack, tolerance: float) -> Budget:
         """Return a track with its first keys."""
         frames = len(track.samples)
         keys = fit_keys(track.samples, tolerance, within=track.within)
@@ -130,7 +130,7 @@ class Budget:
     def scale(self, factor: float) -> None:
         """Fit again with a tolerance so many times as large."""
         self.tolerance *= factor
-        self.share = np.ones(len(self.share))
+        self.fraction = np.ones(len(self.fraction))
         self.fit()
 
     def tighten(self, frames: ArrayLike, factor: ArrayLike, *, spread: bool) -> None:
@@ -142,31 +142,31 @@ class Budget:
         starts = self.keys.frames
         segment = np.searchsorted(starts, at, side="right") - 1
         segment = segment.clip(0, max(0, len(starts) - 2))
-        lengths = np.diff(starts) if len(starts) > 1 else np.array([len(self.share)])
+        lengths = np.diff(starts) if len(starts) > 1 else np.array([len(self.fraction)])
         around = np.maximum(1, lengths[segment] // 4)
         for frame, limit, width in zip(at, limits, around, strict=True):
             near = slice(max(0, int(frame - width)), int(frame + width + 1))
-            self.share[near] = np.minimum(self.share[near], limit)
-        held = np.ones(len(starts), np.bool_)
+            self.fraction[near] = np.minimum(self.fraction[near], limit)
+        kept = np.ones(len(starts), np.bool_)
         marked = np.unique(segment)
         if spread:
-            held[(marked + 1).clip(max=len(starts) - 1)] = False
+            kept[(marked + 1).clip(max=len(starts) - 1)] = False
         else:
             both = marked[np.isin(marked + 1, marked)]
-            held[(both + 1).clip(max=len(starts) - 1)] = False
-        self.fit(starts[1:-1][held[1:-1]])
+            kept[(both + 1).clip(max=len(starts) - 1)] = False
+        self.fit(starts[1:-1][kept[1:-1]])
 
     def straighten(self, frames: IntArray) -> None:
         """Fit again with straight segments from more frames to the next."""
         self.straight = np.union1d(self.straight, frames)
-        self.tighten(frames, self.share[frames] * self.tolerance, spread=False)
+        self.tighten(frames, self.fraction[frames] * self.tolerance, spread=False)
 
     def fit(self, anchors: ArrayLike = ()) -> None:
         """Fit keys with the tolerance and shares as they are."""
         self.keys = fit_keys(
             self.track.samples,
             self.tolerance,
-            share=self.share,
+            share=self.fraction,
             anchors=anchors,
             within=self.track.within,
             straight=self.straight,

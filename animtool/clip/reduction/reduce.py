@@ -17,7 +17,7 @@ from animtool.clip.reduction.points import (
     subtree_largest,
 )
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
-from animtool.clip.reduction.tracks import Pose, Track, pose_of, tracks_of
+from animtool.clip.reduction.tracks import KeyTrack, ReducedPose, pose_of, tracks_of
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
@@ -49,7 +49,7 @@ def reduce_motion(
     joint_tolerances: Mapping[str, float] | None = None,
     weight_tolerance: float = WEIGHT_TOLERANCE,
     base: Take | None = None,
-    tracks: Sequence[Track] | None = None,
+    tracks: Sequence[KeyTrack] | None = None,
     start: Motion | None = None,
 ) -> Reduction:
     """Return sparse keys of a take whose world error is within a tolerance.
@@ -154,7 +154,7 @@ class _World:
         bounds: FloatArray,
     ) -> None:
         self.rig, self.bounds = rig, bounds
-        self.pose: Pose = pose_of(rig, motion, base)
+        self.pose: ReducedPose = pose_of(rig, motion, base)
         self.truth = self.pose.world()
         self.reduced_world: WorldTransforms | None = None
         self.points = attached_points(rig, shell)
@@ -162,18 +162,18 @@ class _World:
         self.below = _descendants(rig)
         self.pose = self.pose.copy()
 
-    def first_tolerance(self, track: Track) -> float:
+    def first_tolerance(self, track: KeyTrack) -> float:
         """Return a channel's tolerance by the levers of what hangs below it."""
-        own = np.flatnonzero(self.below[track.index])
+        below = np.flatnonzero(self.below[track.index])
         frames = np.linspace(0, len(self.truth.positions) - 1, 8).astype(np.int64)
         positions = self.truth.positions[frames]
         arms = np.linalg.norm(
-            positions[:, own] - positions[:, track.index, None], axis=-1
+            positions[:, below] - positions[:, track.index, None], axis=-1
         )
-        lever = arms.max(axis=0) + self.reach[own]
+        lever = arms.max(axis=0) + self.reach[below]
         if track.kind is ChannelKind.TRANSLATION:
-            return float(self.bounds[own].min() / 2)
-        tolerance = float((self.bounds[own] / (2 * lever.clip(min=1e-9))).min())
+            return float(self.bounds[below].min() / 2)
+        tolerance = float((self.bounds[below] / (2 * lever.clip(min=1e-9))).min())
         rotates = track.kind is ChannelKind.ROTATION
         return float(np.degrees(tolerance)) if rotates else tolerance
 
@@ -187,8 +187,8 @@ class _World:
     def arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
         """Return how far the points of joints ``ends`` are off a joint [m]."""
         positions = self.truth.positions
-        apart = positions[frames, ends] - positions[frames, joint]
-        return np.asarray(np.linalg.norm(apart, axis=-1) + self.reach[ends])
+        offsets = positions[frames, ends] - positions[frames, joint]
+        return np.asarray(np.linalg.norm(offsets, axis=-1) + self.reach[ends])
 
 
 def _search(world: _World, budgets: list[Budget]) -> _Reached:
@@ -228,9 +228,12 @@ def _beyond_limits(budget: Budget) -> IntArray:
     track = budget.track
     if not isinstance(track.limits, BallLimit) or len(track.samples) < 2:
         return np.zeros(0, np.int64)
-    own = track.excess(track.samples)
-    most = np.repeat(np.maximum(own[:-1], own[1:]), BETWEEN - 1) + LIMIT_SLACK
-    at = np.arange(1, BETWEEN * (len(own) - 1))
+    at_samples = track.excess(track.samples)
+    most = (
+        np.repeat(np.maximum(at_samples[:-1], at_samples[1:]), BETWEEN - 1)
+        + LIMIT_SLACK
+    )
+    at = np.arange(1, BETWEEN * (len(at_samples) - 1))
     between = at[at % BETWEEN != 0] / BETWEEN
     beyond = track.excess(evaluate_keys(budget.keys, between)) > most
     first = np.unique(np.floor(between[beyond]).astype(np.int64))
@@ -254,16 +257,16 @@ def _tighten(
     for i, budget in enumerate(budgets):
         hit = np.flatnonzero(located[i])
         if len(hit):
-            at, place = np.unique(frames[hit], return_inverse=True)
+            at, inverse = np.unique(frames[hit], return_inverse=True)
             worst = np.zeros(len(at))
-            np.maximum.at(worst, place, excess[hit])
+            np.maximum.at(worst, inverse, excess[hit])
             budget.tighten(at, budget.errors[at] * 0.9 / worst, spread=spread)
             changed.append(budget)
     return changed
 
 
 def _channels(
-    rig: Rig, tracks: list[Track], budgets: list[Budget]
+    rig: Rig, tracks: list[KeyTrack], budgets: list[Budget]
 ) -> tuple[ReducedChannel, ...]:
     """Return a channel a track: one key where it does not move."""
     keys = {(b.track.kind, b.track.index): b.keys for b in budgets}
@@ -279,7 +282,7 @@ def _channels(
     )
 
 
-def _channel(rig: Rig, track: Track, keys: FittedKeys) -> ReducedChannel:
+def _channel(rig: Rig, track: KeyTrack, keys: FittedKeys) -> ReducedChannel:
     if track.kind is ChannelKind.WEIGHT:
         target, joint = f"weight[{track.index}]", None
     else:
@@ -302,12 +305,14 @@ def _descendants(rig: Rig) -> BoolArray:
 def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
     """Return one frame of what needs no key."""
     joints = len(rig.joints)
-    still = Channel.still
+    constant = Channel.still
     return Motion(
-        still(np.zeros((joints, 3)) if additive else rig.rest_translations),
-        still(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),
-        None if motion.scales is None else still(np.ones((joints, 3))),
-        None if motion.weights is None else still(np.zeros_like(motion.weights.rest)),
+        constant(np.zeros((joints, 3)) if additive else rig.rest_translations),
+        constant(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),
+        None if motion.scales is None else constant(np.ones((joints, 3))),
+        None
+        if motion.weights is None
+        else constant(np.zeros_like(motion.weights.rest)),
     )
 
 

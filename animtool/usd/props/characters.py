@@ -46,7 +46,7 @@ from animtool.usd.rigs.skeleton import author_rig
 _TYPES = Sdf.ValueTypeNames
 PROTOTYPES, STANDING = "Prototypes", "Standing"
 # A place that neighbours have too is left out [m], and so is a heading [rad].
-SAME_PLACE, SAME_HEADING = 1e-6, 1e-6
+SAME_POSITION, SAME_HEADING = 1e-6, 1e-6
 # Skin goes beyond joints by a part of how far these reach.
 BEYOND = 1.2
 
@@ -259,7 +259,7 @@ class _Group:
         """Return who does but stand all the time, as others do ``(n,)``."""
         track = self.track
         still = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
-        still &= np.ptp(track.points, axis=0).max(axis=-1) <= SAME_PLACE
+        still &= np.ptp(track.points, axis=0).max(axis=-1) <= SAME_POSITION
         still &= np.ptp(track.headings, axis=0) <= SAME_HEADING
         # On uneven ground legs differ.
         cast = track.cast
@@ -288,7 +288,7 @@ class _Group:
         places = ((track.points[:, i] + off) / unit).astype(np.float32)
         order = ["xformOp:translate"]
         translate = attribute(spec, "xformOp:translate", _TYPES.Float3)
-        rows = _changing(places, SAME_PLACE / unit)
+        rows = _changing(places, SAME_POSITION / unit)
         put_samples(
             self.layer,
             translate,

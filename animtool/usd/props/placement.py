@@ -61,7 +61,7 @@ class PropPlacements:
                 known = self._with_rig(known, codes)
             turn = up_from_up(self.target.up, self.up)
             if turn is not None:
-                known = placed(known, Placement.turn(np.array(turn)))
+                known = placed(known, Placement.from_rotation(np.array(turn)))
             above = space_above(self.target, path, codes, inside=False)
         if above is not None:
             above[:, :3, 3] *= self.unit(path)

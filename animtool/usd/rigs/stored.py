@@ -17,7 +17,7 @@ from animtool.maths import so3
 from animtool.rig.controls import Control
 from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.file import rig_of_document
-from animtool.rig.parts import AttachKind, Attachment, HeldArray, Mesh, Shape
+from animtool.rig.parts import AttachKind, Attachment, LoadedArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.usd.layers.faults import Spot, own_matrices
 from animtool.usd.layers.sdf import usd_errors
@@ -60,7 +60,7 @@ def joined_attachments(
         elif entry.kind == AttachKind.CLOTH and _fits(entry, counts, pins):
             held = np.array(pins[entry.name], float) if entry.name in pins else None
             attachments.append(
-                replace(entry, pins=None if held is None else HeldArray(held))
+                replace(entry, pins=None if held is None else LoadedArray(held))
             )
         elif entry.kind in {AttachKind.STRANDS, AttachKind.CLOTH}:
             lost.append(entry.name)

@@ -199,7 +199,7 @@ def implausible_size(rig: RigSubject) -> Iterator[Fault]:
 
 
 # Bones that differ by less of the rig's size are alike [1].
-SAME_PLACE = 1e-4
+SAME_POSITION = 1e-4
 # Limits that differ by less are alike [rad], [m].
 SAME_LIMIT = 1e-6
 
@@ -267,7 +267,7 @@ def _alike(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
         across = np.ones(3)
         across[axis] = -1.0
         off = np.linalg.norm(left * across - right, axis=1)
-        alike = off <= SAME_PLACE * max(rig.size, SAME_PLACE)
+        alike = off <= SAME_POSITION * max(rig.size, SAME_POSITION)
         # Bones in the plane itself are alike in any.
         if np.count_nonzero(alike) > np.count_nonzero(best):
             best = alike
