@@ -1,4 +1,4 @@
-"""Archives of arrays, npz files, read without trust in what they claim.
+"""npz archives, read without trusting the sizes that they declare.
 
 References:
     numpy, ``numpy.lib.format``, NEP 1: "A Simple File Format for NumPy Arrays".
@@ -50,7 +50,7 @@ class ArrayError(ValueError):
 
 
 class ArrayFile(Protocol):
-    """What arrays are read from."""
+    """A seekable binary file that arrays are read from."""
 
     def read(self, size: int, /) -> bytes:
         """Return the next bytes."""
@@ -58,7 +58,7 @@ class ArrayFile(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StoredArray:
-    """How an array stands in a file."""
+    """Location, type and shape of an array in a file."""
 
     shape: tuple[int, ...]  # of it
     dtype: np.dtype[Any]  # of its values
@@ -77,7 +77,7 @@ class StoredArray:
 
 
 def read_head(file: ArrayFile, where: str) -> StoredArray:
-    """Return the head of an array; nothing behind it is read."""
+    """Return the header of an array without reading its values."""
     start = file.read(len(MAGIC) + 2)
     version = tuple(start[len(MAGIC) :])
     width = _WIDTHS.get(version)  # type: ignore[arg-type]
@@ -162,7 +162,7 @@ _DAMAGE = (
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Make an `ArrayError` of what an archive and reading it raise.
+    """Turn exceptions of reading an archive into `ArrayError`.
 
     Raises:
         FormatError: The file changed while it was read (IO004).
@@ -185,10 +185,10 @@ def reading(path: Path) -> Iterator[None]:
 
 
 class Archive:
-    """An open archive, and what is known of its arrays."""
+    """An open archive and the headers of its arrays."""
 
     def __init__(self, path: Path) -> None:
-        """Open a file and read what it holds; to be called within `reading`."""
+        """Open a file and read its directory; call it within `reading`."""
         self._path = path
         self._file = open_input(path, None)
         try:
@@ -215,11 +215,11 @@ class Archive:
         self._file.close()
 
     def has(self, key: str) -> bool:
-        """Return whether there is an array of a name."""
+        """Return whether an array exists."""
         return key in self._members
 
     def head(self, key: str, kinds: str = "fiub") -> StoredArray:
-        """Return how an array stands in the archive, its length checked."""
+        """Return an array's header, its length checked."""
         if key not in self._heads:
             info = self._member(key)
             where = f"{self._path.name}#{key}"
@@ -237,7 +237,7 @@ class Archive:
         return self._heads[key]
 
     def values(self, key: str) -> npt.NDArray[Any]:
-        """Return an array of numbers, not to be written to."""
+        """Return a read-only array of numbers."""
         return self._values(key, self.head(key))
 
     @property
@@ -246,14 +246,14 @@ class Archive:
         return list(self._members)
 
     def texts(self, key: str) -> list[str]:
-        """Return texts that are stored as an array of one dimension."""
+        """Return the texts of a one-dimensional array."""
         head = self.head(key, "fiubU")
         if head.dtype.kind != "U" or len(head.shape) != 1:
             raise ArrayError(f"{self._path.name}#{key} is not a list of texts")
         return [str(text) for text in self._values(key, head)]
 
     def text(self, key: str) -> str:
-        """Return a text that is stored as an array without dimensions."""
+        """Return the text of a zero-dimensional array."""
         head = self.head(key, "fiubU")
         if head.dtype.kind != "U" or head.shape:
             raise ArrayError(f"{self._path.name}#{key} is not text")
@@ -275,7 +275,7 @@ class Archive:
         return np.require(flat.reshape(head.shape, order=head.order), requirements="A")
 
     def _listed(self) -> tuple[dict[str, ZipInfo], set[str]]:
-        """Return the arrays by name, and names that stand twice."""
+        """Return the arrays by name, and duplicate names."""
         members: dict[str, ZipInfo] = {}
         twice = set()
         for info in self._zip.infolist():
@@ -302,7 +302,7 @@ class Archive:
         return info
 
     def _check_size(self, key: str, info: ZipInfo, size: int) -> None:
-        """Refuse an array that would take more memory than is allowed."""
+        """Refuse an array larger than the memory limit."""
         others = self._total - self._read.get(key, 0)
         dense = size <= max(SMALL_BYTES, MAX_RATIO * info.compress_size)
         if others + size > MAX_BYTES or not dense:
@@ -329,10 +329,10 @@ class Archive:
 
 
 def _stated_limit(path: Path) -> int | None:
-    """Return the most bytes that may be read of an archive; None where none is stated.
+    """Return the configured size limit of archives [byte]; None for no limit.
 
     Raises:
-        ArrayError: The variable of the environment is no number.
+        ArrayError: The environment variable is not a number.
     """
     text = os.environ.get(ARRAY_LIMIT)
     if text:
@@ -344,7 +344,7 @@ def _stated_limit(path: Path) -> int | None:
 
 
 class _Bounded:
-    """A file of which the list of an archive is read, no longer than is allowed."""
+    """A file whose reads of the archive's directory are limited in size."""
 
     def __init__(self, file: InputFile) -> None:
         self.file = file

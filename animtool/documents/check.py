@@ -1,4 +1,4 @@
-"""A document against a model: every fault at once, in words, with its place."""
+"""Validation of a document against a model: all faults at once, with locations."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Located = list[tuple[Location, Fault]]  # faults, each with its place in a value
 
 
 class FileModel(BaseModel):
-    """A mapping in a file: no unknown keys, no text for numbers, all finite."""
+    """Base model of a mapping: strict types, no unknown keys, finite numbers."""
 
     # Models within others are built with them, not once more by themselves.
     model_config = ConfigDict(
@@ -46,7 +46,7 @@ class FileModel(BaseModel):
 
 
 def check_version(document: Document, kind: str) -> None:
-    """Raise `FormatError` where a document is not of a kind, in its newest version."""
+    """Raise `FormatError` unless a document has the kind and its newest version."""
     _, version = version_of(document, STEPS, kind)
     if version < newest(STEPS[kind]):
         message = f"animtool/{version} is an older version"
@@ -55,14 +55,14 @@ def check_version(document: Document, kind: str) -> None:
 
 
 def validated(document: Document, model: type[Model]) -> Model:
-    """Return a document as a model; faults of its keys, types and values are noted.
+    """Return a document as a model; record faults of keys, types and values.
 
-    Something stands in for each faulty value, and `Document.add` notes no fault of it,
+    Each faulty value is replaced by a placeholder that `Document.add` ignores,
     so that the rest can be checked before `Document.check` raises all at once. A key
     that is nearly right counts as given, and its value is not checked.
 
     Raises:
-        FormatError: Nothing can stand in.
+        FormatError: No placeholder fits.
     """
     value: Any = document.value
     while True:
@@ -75,7 +75,7 @@ def validated(document: Document, model: type[Model]) -> Model:
 
 
 def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
-    """Return what is wrong in a value that is of no model, and where."""
+    """Return location and message of each fault in a value outside of a model."""
     merged = _by_location(value, error.errors(include_url=False)[:MAX_MENDED])
     inner = {
         location[:depth] for location, _ in merged for depth in range(len(location))
@@ -90,7 +90,7 @@ def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str
 def unknown_options(
     options: Mapping[str, Any], names: Collection[str], owner: str
 ) -> Located:
-    """Return a fault of each option that its owner has none of."""
+    """Return a fault for each option that its owner does not have."""
     return [
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
         for key in options
@@ -102,7 +102,7 @@ def unknown_options(
 def record_of_options(
     kind: type[Record], options: Mapping[str, Any], owner: str
 ) -> tuple[Record | None, Located]:
-    """Return a record of the options of what has them; None of wrong values."""
+    """Return options as a record, with their faults; None where a value is wrong."""
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     faults = unknown_options(options, names, owner)
     known = {key: value for key, value in options.items() if key in names}
@@ -116,13 +116,13 @@ def record_of_options(
 def renamed_options(
     document: Document, at: Location, options: Mapping[str, Any], kind: str
 ) -> dict[str, Any]:
-    """Return options whose old names are noted, and are new ones.
+    """Return options with old names replaced by new ones; warn of each.
 
     Args:
-        document: That has them.
-        at: Where.
-        given: By their names.
-        kind: Of the document.
+        document: The file that has them.
+        at: Their location.
+        options: By name.
+        kind: Kind of the document.
     """
     renamed: dict[str, Any] = {}
     for key, value in options.items():
@@ -136,7 +136,7 @@ def renamed_options(
 
 
 def _note_renamed(document: Document, location: Location, name: str) -> None:
-    """Note a key that has a new name (DOC102)."""
+    """Warn of a renamed key (DOC102)."""
     *around, key = location
     document.spellings[*around, name] = str(key)
     message = f"the key {key!r} is now called {name!r}"
@@ -146,14 +146,14 @@ def _note_renamed(document: Document, location: Location, name: str) -> None:
 
 @dataclass(slots=True)
 class _Faults:
-    """The faults of a value: they are noted, and mended in the value."""
+    """Faults of a value, recorded and replaced by placeholders in the value."""
 
     document: Document  # where they are noted
     model: type[BaseModel]  # what the value should be
     value: Any  # the document's value with what was mended before
 
     def mend(self, error: ValidationError) -> None:
-        """Note what an attempt to read the value found, and mend it."""
+        """Record the faults of a validation attempt and replace the faulty values."""
         errors = error.errors(include_url=False)
         merged = _by_location(self.value, errors[:MAX_MENDED])
         inner = {spot[:depth] for spot, _ in merged for depth in range(len(spot))}
@@ -228,7 +228,7 @@ class _Faults:
         self._stand_in(location)
 
     def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
-        """Return the right form of what is no mapping or list where one is wanted."""
+        """Return a hint with the right form where a mapping or list is expected."""
         expected = {_KINDS.get(fault["type"]) for fault in faults}
         if not expected & _STRUCTURES:
             return None
@@ -239,7 +239,7 @@ class _Faults:
         return form_hint(self.model, self.value, location, listed=listed)
 
     def _of_another_kind(self, location: Location) -> bool:
-        """Return whether a key is one of some kinds only, and the kind is not known."""
+        """Return whether only some kinds have a key while the kind is unknown."""
         for depth, key in enumerate(location):
             around = location[:depth]
             unknown = self.document.doubts | self.document.guesses
@@ -251,7 +251,7 @@ class _Faults:
         return False
 
     def _stand_in(self, location: Location) -> None:
-        """Mend a value, or where that was done in vain, the one around it."""
+        """Replace a value by a placeholder; if that failed before, its parent."""
         while location in self.document.doubts:
             location = location[:-1]
         if not location:
@@ -264,7 +264,7 @@ class _Faults:
 def _by_location(
     value: Any, errors: Sequence[Any]
 ) -> dict[tuple[Location, str], list[Any]]:
-    """Return faults by where they are, and by the key that is missing there."""
+    """Group faults by location and missing key."""
     merged: dict[tuple[Location, str], list[Any]] = {}
     for fault in errors:
         missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
@@ -273,7 +273,7 @@ def _by_location(
 
 
 def _within(value: Any, fault: Any) -> Location:
-    """Return where a fault is, without the names of variants that were tried."""
+    """Return the location of a fault, without names of union members."""
     node, steps = value, []
     for step in fault["loc"]:
         try:
@@ -285,14 +285,14 @@ def _within(value: Any, fault: Any) -> Location:
 
 
 def _lacking(last: int | str, value: Any) -> str:
-    """Return what is missing: a key, or an item behind those that are there."""
+    """Return a message for a missing key or list item."""
     if isinstance(last, str):
         return f"key {last!r} is missing"
     return f"{counted(len(value), 'item')} where {_are(last + 1)} needed"
 
 
 def _either(texts: Iterable[str]) -> str:
-    """Return what is wrong with a value that may be of several types, as one text."""
+    """Join the messages of a union's members into one."""
     first, *others = texts
     start, negation, _ = first.partition(" is not ")
     if (
@@ -310,7 +310,7 @@ _CHOICES = {"literal_error", "enum", "union_tag_invalid"}
 
 
 def _words(fault: Any) -> str:
-    """Return what is wrong, with the value."""
+    """Return the message of a fault, with the value."""
     value, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
     shown = excerpt(value) if isinstance(value, str) else _shown(value)
     if kind in {"too_short", "too_long", "string_too_long"}:
@@ -331,7 +331,7 @@ def _words(fault: Any) -> str:
 
 
 def _value_fault(shown: str, fault: Any) -> str:
-    """Return what is wrong with a value of the right kind."""
+    """Return the message for a value of the right type but out of range."""
     context, kind = fault.get("ctx", {}), fault["type"]
     if kind == "extra_forbidden":
         return f"unknown key {excerpt(str(fault['loc'][-1]))}"
@@ -347,7 +347,7 @@ def _value_fault(shown: str, fault: Any) -> str:
 
 
 def _choice_hint(faults: list[Any]) -> str | None:
-    """Return the value that one of a few was meant to be, where it is nearly one."""
+    """Return a hint with the nearest allowed value."""
     for fault in faults:
         context = fault.get("ctx", {})
         value = context.get("tag", fault["input"])
@@ -364,7 +364,7 @@ def _choice_hint(faults: list[Any]) -> str | None:
 
 
 def _entry_hint(location: Location, fault: Any) -> str | None:
-    """Return how a list is written, or an entry that is only a name, such as a pass."""
+    """Return a hint on how to write an entry that is only a name, such as a pass."""
     value, expected = fault["input"], _KINDS.get(fault["type"])
     if expected != _KINDS["dict_type"] or not isinstance(location[-1], int):
         return None

@@ -1,4 +1,4 @@
-"""A file that a person wrote, with the line and column of each value."""
+"""A hand-written file with the line and column of each value."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_FAULTS = 100
 
 @dataclass(slots=True)
 class Document:
-    """A file that a person wrote."""
+    """A parsed hand-written file."""
 
     path: Path  # as the user named it
     value: dict[str, Any]  # its content: mappings, lists, text, numbers, booleans, None
@@ -48,11 +48,11 @@ class Document:
     )
 
     def position(self, location: Location) -> tuple[int, int]:
-        """Return line and column of a value, or of the nearest one around it."""
+        """Return line and column of a value, or of its nearest ancestor."""
         return self._marked().positions[self._index(location)]
 
     def written(self, location: Location) -> str | None:
-        """Return a scalar as it is written; None where it is none, or has quotes."""
+        """Return the source text of an unquoted scalar; None for anything else."""
         return self._marked().plain.get(self._index(location))
 
     def _marked(self) -> Marks:
@@ -61,7 +61,7 @@ class Document:
         return self._marks
 
     def _index(self, location: Location) -> int:
-        """Return the number in `places` of a value, or of the nearest around it."""
+        """Return the index in `Marks.positions` of a value or its nearest ancestor."""
         if not self._starts:
             self._number(self.value, 0)
         node: Any = self.value
@@ -73,7 +73,7 @@ class Document:
         return index
 
     def _number(self, node: Any, index: int) -> int:
-        """Note where the values in a node stand in `places`; return what follows."""
+        """Index the values in a node by position; return the next index."""
         index += 1
         if isinstance(node, dict):
             for key, value in node.items():
@@ -90,9 +90,9 @@ class Document:
             yield self.spellings.get(location[:depth], step)
 
     def doubtful(self, location: Location) -> bool:
-        """Return whether a value, or one around it, is not known.
+        """Return whether a value or an ancestor is a placeholder.
 
-        Something stands in for it, or its key is guessed.
+        It replaced a faulty value, or its key was guessed.
         """
         unknown = self.doubts | self.guesses
         return bool(unknown) and any(
@@ -100,9 +100,9 @@ class Document:
         )
 
     def unnamed(self, key: str, *parts: str) -> bool:
-        """Return whether a list holds an entry whose name is not known.
+        """Return whether a list has an entry whose name is unknown.
 
-        What refers to it by name cannot be told from what refers to nothing.
+        References to that entry cannot be told from broken ones.
 
         Args:
             key: Of the list.
@@ -117,7 +117,7 @@ class Document:
     def descents(
         self, location: Location, values: Sequence[float], key: str | int
     ) -> Iterator[tuple[int, int]]:
-        """Yield the entries of a list that do not ascend, each with the one before.
+        """Yield the entries of a list that are not in ascending order.
 
         Args:
             location: Of the list.
@@ -135,10 +135,10 @@ class Document:
     def add(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
-        """Note a fault at a location, unless something stands in for what is there.
+        """Record a fault at a location, unless the value is a placeholder.
 
         Raises:
-            FormatError: There are so many that the rest is not looked at.
+            FormatError: Too many faults; checking stops.
         """
         if not self.doubtful(location):
             self.faults.append(self.fault(code, location, message, hint))
@@ -148,13 +148,13 @@ class Document:
     def warn(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
-        """Note a warning at a location, as `add` notes a fault."""
+        """Record a warning at a location; see `add`."""
         self._notice(Severity.WARNING, code, location, message, hint)
 
     def note(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
-        """Note what is odd but no fault, at a location."""
+        """Record a note at a location; see `add`."""
         self._notice(Severity.NOTE, code, location, message, hint)
 
     def _notice(
@@ -172,21 +172,21 @@ class Document:
     def fault(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> Fault:
-        """Return a fault at a location, without noting it."""
+        """Return a fault at a location without recording it."""
         line, column = self.position(location)
         where = spelled(tuple(self._as_written(location)))
         path = str(self.path)
         return Fault(code, message, path, (line,), hint, column=column, where=where)
 
     def check(self) -> None:
-        """Raise `FormatError` with every fault noted so far, in the file's order."""
+        """Raise `FormatError` with every recorded fault, in file order."""
         if self.faults:
             ordered = sorted(self.faults, key=lambda f: (f.lines, f.column or 0))
             raise FormatError(_cut(ordered))
 
 
 def spelled(location: Location) -> str:
-    """Return a location as a person reads it.
+    """Return a location as text, such as `keys[2].t`.
 
     >>> spelled(("joints", 3, "axis"))
     'joints[3].axis'
@@ -198,7 +198,7 @@ def spelled(location: Location) -> str:
 
 
 def location_of(where: str) -> Location:
-    """Return the location that a person reads as a text.
+    """Parse the text of a location.
 
     >>> location_of("joints[3].axis")
     ('joints', 3, 'axis')
@@ -208,25 +208,25 @@ def location_of(where: str) -> Location:
 
 
 def read_document(path: Path) -> Document:
-    """Read a file that a person wrote.
+    """Read a YAML or JSON file.
 
     Raises:
-        FormatError: It cannot be read, is no YAML, holds an anchor, alias or tag, a
-            key that stands twice, or is no mapping.
+        FormatError: It cannot be read, is not YAML, holds an anchor, alias or tag, a
+            duplicate key, or is not a mapping.
     """
     return document_of(read_text(path), path)
 
 
 def document_of(text: str, path: Path) -> Document:
-    """Return a text as `read_document` reads a file.
+    """Parse text the way `read_document` parses a file.
 
     Args:
         text: YAML.
         path: Where it is from, for messages and references.
 
     Raises:
-        FormatError: It is no YAML, holds an anchor, alias or tag, a key that stands
-            twice, or is no mapping.
+        FormatError: It is not YAML, holds an anchor, alias or tag, a duplicate
+            key, or is not a mapping.
     """
     try:
         value, marks = read_values(text, path)
@@ -241,7 +241,7 @@ def document_of(text: str, path: Path) -> Document:
 
 
 def kind_named(path: Path, other: str = "rig") -> str:
-    """Return what the name of a file says that it is: ``hero.targets.yaml``."""
+    """Return the kind in a file's name: ``targets`` of ``hero.targets.yaml``."""
     kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in KINDS]
     return kinds[-1] if kinds else other
 
@@ -250,7 +250,7 @@ def read_text(path: Path) -> str:
     """Return the text of a file.
 
     Raises:
-        FormatError: It cannot be read, is too large, changes meanwhile, or is no
+        FormatError: It cannot be read, is too large, changes while read, or is not
             UTF-8.
     """
     with open_input(path, None) as file:
@@ -269,7 +269,7 @@ def read_text(path: Path) -> str:
 
 
 def _cut(faults: Sequence[Fault]) -> Sequence[Fault]:
-    """Return the first faults, and a last one that counts the rest."""
+    """Return the first faults and one that counts the others."""
     if len(faults) <= MAX_FAULTS:
         return faults
     rest = f"{len(faults) - MAX_FAULTS} more faults are not shown"

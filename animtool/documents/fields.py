@@ -1,4 +1,4 @@
-"""Types of keys, and models whose keys are fields of a record."""
+"""Types of file keys, and models built from the fields of a record."""
 
 from __future__ import annotations
 
@@ -55,18 +55,18 @@ Quaternion = Annotated[list[Real], Len(4, 4)]
 
 
 def key(text: str, example: Any, default: Any = PydanticUndefined) -> Any:
-    """Return the field of a key: what it is, an example, and its value if not given.
+    """Return the field of a key: description, example and default.
 
-    Without a default it must be given. `animtool.core.options.key` is that of a record.
+    Without a default it is required. For records, see `animtool.core.options.key`.
     """
     return Field(default=default, description=text, examples=[example])
 
 
 def check_numbers(value: Any) -> Any:
-    """Return options as they are, where no number in them is beyond `MAX_NUMBER`.
+    """Return options unchanged; refuse numbers beyond `MAX_NUMBER`.
 
     Raises:
-        ValueError: One is, or is not finite.
+        ValueError: A number is too large or not finite.
 
     >>> check_numbers({"drag": [{"linear": 1e39}]})
     Traceback (most recent call last):
@@ -90,7 +90,7 @@ def _digits(number: int) -> str:
 def _numbers(
     value: Any, keys: tuple[str, ...]
 ) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield the numbers in mappings and lists, each with the keys that lead to it."""
+    """Yield the numbers in nested mappings and lists, with their locations."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             yield from _numbers(item, (*keys, str(key)))
@@ -102,7 +102,7 @@ def _numbers(
 
 
 class IgnoreModel(FileModel):
-    """A finding of `animtool validate` that is known and stays."""
+    """A finding of `animtool validate` that is accepted."""
 
     code: str = Field(
         min_length=1, description="Code of the finding.", examples=["RIG201"]
@@ -158,20 +158,20 @@ def with_fields(
     before: str = "",
     ranges: Ranges = "record",
 ) -> Callable[[type[Model]], type[Model]]:
-    """Give a model the fields of a record as keys, beside its own.
+    """Add the fields of a record to a model as keys.
 
-    What is infinite if it is not given is None in a file. Of what else a model has,
-    class variables stay; methods are for a subclass.
+    Infinite defaults are None in files. Class variables of the model stay;
+    methods belong in a subclass.
 
     Args:
         record: A dataclass; the annotations of fields have a `Key`.
-        names: Of the fields, in the order of the keys; none is each that has a `Key`
-            and is none of the model yet.
-        place: Kind of file, where the keys are those of the record's options.
-        order: Of all keys; others come last. None is that of the record.
-        before: Key that they come before; the last ones where none is named.
-        ranges: Who checks the `Range` of a field: what reads the file on the record or
-            on the model, or the model, which has it in its schema.
+        names: Fields, in the order of the keys; empty for every field with a `Key`
+            that the model lacks.
+        file_kind: Kind of file whose names of the record's options are used.
+        order: Order of keys; others come last. Empty keeps the record's order.
+        before: Key to insert them before; empty appends them.
+        ranges: What checks the `Range` of a field: the file's reader on the record or
+            on the model, or the model's schema.
     """
 
     def decorate(model: type[Model]) -> type[Model]:
@@ -214,7 +214,7 @@ RecordT = TypeVar("RecordT")
 
 
 def record_of(record: type[RecordT], model: FileModel, **others: Any) -> RecordT:
-    """Return a record of the fields that a model has too, and of others."""
+    """Return a record from a model's fields of the same names, and other arguments."""
     kind, arguments = cast(Any, record), others
     keys = keys_of(kind)
     for each in fields(kind):
@@ -233,7 +233,7 @@ def _endless(default: Any) -> bool:
 
 
 def _definition(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
-    """Return the type of a key, and what documents it."""
+    """Return the type and the documentation of a key."""
     type_, default = _typed(record, name, key, ranges)
     described: dict[str, Any] = {} if default is MISSING else {"default": default}
     return type_, Field(
@@ -242,7 +242,7 @@ def _definition(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, 
 
 
 def _typed(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
-    """Return the type of a key, and its default."""
+    """Return the type and the default of a key."""
     option = options_of(record).get(name)
     if option is not None:
         kind = option.kind

@@ -1,4 +1,4 @@
-"""The right form of a value that was written in another one."""
+"""Hints that show the right form of a value."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _TWO = 2
 
 @dataclass(frozen=True, slots=True)
 class Forms:
-    """Examples of the options of each name that a mapping of one entry may have."""
+    """Option examples by name, for mappings with a single entry."""
 
     options: Mapping[str, Any] = field(hash=False)
 
@@ -35,13 +35,13 @@ class Forms:
 def form_hint(
     model: type[BaseModel], value: Any, location: Location, *, listed: bool
 ) -> str | None:
-    """Return how the key around a value is written; None where no example is short.
+    """Return a hint that shows how to write a key; None if its example is too long.
 
     Args:
-        model: What the document should be.
+        model: Model of the document.
         value: The document.
         location: Of the value.
-        listed: Whether a list is wanted.
+        listed: Whether a list is expected.
     """
     match = field_at(model, value, location)
     if match is None:
@@ -74,7 +74,7 @@ def form_hint(
 
 
 def _meant(value: Any, example: Any) -> list[Any] | None:
-    """Return a value in the form of an example, where it is clear what was meant."""
+    """Convert a value to the form of an example, if its meaning is unambiguous."""
     if not isinstance(example, list | tuple):
         return None
     ends = _PAIR.fullmatch(value.strip()) if isinstance(value, str) else None
@@ -92,7 +92,7 @@ def _meant(value: Any, example: Any) -> list[Any] | None:
 
 
 def _holds(example: Any, value: Any) -> bool:
-    """Return whether an example is made of what was given."""
+    """Return whether an example contains the value."""
     if isinstance(example, dict):
         return any(_holds(one, value) for one in (*example, *example.values()))
     if isinstance(example, list | tuple):
@@ -101,7 +101,7 @@ def _holds(example: Any, value: Any) -> bool:
 
 
 def _forms(annotation: Any) -> Forms | None:
-    """Return the forms that a type, or one that it may be, is marked with."""
+    """Return the `Forms` annotation of a type or of a union's member."""
     for note in getattr(annotation, "__metadata__", ()):
         if isinstance(note, Forms):
             return note
@@ -110,7 +110,7 @@ def _forms(annotation: Any) -> Forms | None:
 
 
 def _takes_file(annotation: Any) -> bool:
-    """Return whether a mapping of a type has the name of a file."""
+    """Return whether a type's mapping has a `file` key."""
     models = models_of(annotation)
     if models:
         return any("file" in fields_of(one) for one in models)

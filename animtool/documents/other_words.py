@@ -1,4 +1,4 @@
-"""Words of other tools for keys and values of files, and the ones used here."""
+"""Terms of other tools for keys and values, and their names here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands in for a faulty value, so that the rest of a document can be checked."""
+"""Placeholders for faulty values, so that validation can continue."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from animtool.documents.document import Location
 
 
 def annotation_of(field: FieldInfo) -> Any:
-    """Return the type of a field, with what narrows it."""
+    """Return the type of a field with its constraints."""
     if not field.metadata:
         return field.annotation
     return Annotated[(field.annotation, *field.metadata)]
 
 
 def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any:
-    """Return the type that a value at a location should have; None where none is."""
+    """Return the expected type at a location; None if unknown."""
     annotation: Any = model
     node = value
     for step in location:
@@ -35,7 +35,7 @@ def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any
 def field_at(
     model: type[BaseModel], value: Any, location: Location
 ) -> tuple[int, FieldInfo] | None:
-    """Return the innermost field around a location, and the steps that lead to it."""
+    """Return the innermost field around a location, and its depth."""
     annotation: Any = model
     node, nearest = value, None
     for depth, step in enumerate(location, 1):
@@ -52,7 +52,7 @@ def field_at(
 
 
 def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[str]:
-    """Return the keys that a mapping at a location may have."""
+    """Return the allowed keys of a mapping at a location."""
     node = value
     for step in location:
         node = node[step]
@@ -61,7 +61,7 @@ def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[st
 
 
 def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
-    """Return the models that a type allows; of several that which a mapping names."""
+    """Return the models of a type; of a tagged union, the one that the value names."""
     kinds = (
         get_args(one)[0] if get_origin(one) is Annotated else one
         for one in _alternatives(annotation)
@@ -73,7 +73,7 @@ def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
 
 
 def stand_in(annotation: Any) -> Any:
-    """Return the plainest value of a type.
+    """Return the simplest valid value of a type.
 
     >>> stand_in(float | None), stand_in(list[int]), stand_in(Literal["m", "cm"])
     (1.0, [], 'm')
@@ -100,7 +100,7 @@ def stand_in(annotation: Any) -> Any:
 
 
 def takes_no_text(annotation: Any) -> bool:
-    """Return whether a type allows numbers and truth values, and nothing else.
+    """Return whether a type allows only numbers and booleans.
 
     >>> takes_no_text(float | None), takes_no_text(float | str)
     (True, False)
@@ -113,7 +113,7 @@ def takes_no_text(annotation: Any) -> bool:
 
 
 def replaced(value: Any, location: Location, new: Any) -> None:
-    """Put a value at a location."""
+    """Return a copy with a value replaced at a location."""
     *outer, last = location
     for step in outer:
         value = value[step]
@@ -129,12 +129,12 @@ def _empty(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
-    """Return the fields of a model by the keys that a file has for them."""
+    """Return the fields of a model by their keys in files."""
     return {info.alias or name: info for name, info in model.model_fields.items()}
 
 
 def _named(model: type[BaseModel], node: Any) -> bool:
-    """Return whether a mapping names a model by the key that tells it from others."""
+    """Return whether a mapping's discriminator names a model."""
     kinds = model.model_fields.get("type")
     if kinds is None or not isinstance(node, dict):
         return False
@@ -158,7 +158,7 @@ def _inside(annotation: Any, node: Any, step: str | int) -> Any:
 
 
 def _alternatives(annotation: Any) -> list[Any]:
-    """Return the types that a union allows, and of another type itself."""
+    """Return the members of a union, or the type itself."""
     inner = annotation
     if get_origin(inner) is Annotated:
         inner = get_args(inner)[0]

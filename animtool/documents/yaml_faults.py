@@ -1,4 +1,4 @@
-"""What is wrong with a text that is not YAML, in words of the file's author."""
+"""Messages for YAML syntax faults."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _CLOSED = {
 
 
 class YamlFault(NamedTuple):
-    """A fault of a text: what is wrong at a line and column, and what to do."""
+    """A syntax fault: message, line, column and hint."""
 
     message: str
     hint: str | None
@@ -45,13 +45,13 @@ class YamlFault(NamedTuple):
 
 
 def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
-    r"""Return what is wrong with a text.
+    r"""Return the syntax fault of a text.
 
     Args:
         text: The text.
-        problem: What the scanner says.
-        line: Where it says it, from 1 on.
-        column: Likewise.
+        problem: Message of the YAML scanner.
+        line: Its line, from 1.
+        column: Its column, from 1.
 
     >>> yaml_fault("a: 1\n  b: 2\n", "mapping values are not allowed", 2, 4)[:2]
     ('line 2 is indented further than line 1', 'start it in column 1')
@@ -82,7 +82,7 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
 
 
 def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
-    """Return the fault of a line that starts in the column of no line above it."""
+    """Return the fault of a line whose indentation matches no line above it."""
     here = lines[min(line, len(lines)) - 1]
     indent, is_entry = _indent(here), here.lstrip().startswith("-")
     others = [
@@ -104,7 +104,7 @@ def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
 
 
 def _above(lines: list[str], line: int) -> int:
-    """Return the number of the nearest line above with a value; 0 where none has."""
+    """Return the number of the nearest nonblank line above; 0 for none."""
     for number in range(min(line, len(lines)) - 1, 0, -1):
         if re.match(r"\s*[^\s#]", lines[number - 1]):
             return number

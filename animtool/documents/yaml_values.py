@@ -2,8 +2,8 @@
 
 YAML is read by the core schema of version 1.2: ``1e-3`` is a number, ``no``, ``12:30``
 and dates are text, ``010`` is ten. Anchors, aliases, tags and keys that stand twice
-are refused. JSON is nearly a part of YAML: where it is nothing else, `plain_json` reads
-the same values at once, and their places are looked for when one is asked for.
+are refused. JSON that is also YAML is parsed by `plain_json`, which is faster;
+its line numbers are computed on demand.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ _UNMASK = str.maketrans({mask: brace for brace, mask in _MASK.items()})
 
 
 class Marks(NamedTuple):
-    """Where and how the values of a text are written."""
+    """Source positions and unquoted text of values."""
 
     # Line and column of every node, in the order of the text.
     positions: list[tuple[int, int]]
@@ -77,7 +77,7 @@ class Marks(NamedTuple):
 
 
 class ReadValues(NamedTuple):
-    """What a text holds."""
+    """Values of a parsed text, and their marks on demand."""
 
     value: Any  # plain values: mappings, lists, texts, numbers
     # Of JSON they are only looked for where something has to be said of a value.
@@ -85,7 +85,7 @@ class ReadValues(NamedTuple):
 
 
 def read_values(text: str, path: Path) -> ReadValues:
-    """Return what a text holds."""
+    """Parse YAML or JSON text."""
     marks = sum(map(text.count, _MARKS))
     if marks > MAX_MARKS:
         message = f"contains {marks} value separators; the limit is {MAX_MARKS}"
@@ -131,7 +131,7 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
 
 
 def masked_variables(text: str) -> str:
-    """Return a text in which variables are plain text to YAML, wherever they are.
+    """Mask variables so that YAML parses them as plain text.
 
     Every character keeps its line and column.
 
@@ -159,7 +159,7 @@ def compose(text: str) -> Any:
 
 
 def _is_variable(text: str, mark: Any) -> bool:
-    """Return whether the bracket of a ``${`` is where the reader stopped."""
+    """Return whether the parser stopped at the bracket of a ``${``."""
     if mark is None:
         return False
     line = text.splitlines()[mark.line : mark.line + 1]
@@ -167,7 +167,7 @@ def _is_variable(text: str, mark: Any) -> bool:
 
 
 def _joined(escape: re.Match[str]) -> str:
-    """Return an escape of JSON as YAML spells it: one number for a surrogate pair."""
+    """Convert a JSON escape to YAML: one code point for a surrogate pair."""
     high, low = escape.groups()
     if high is None:
         return escape[0]
@@ -177,7 +177,7 @@ def _joined(escape: re.Match[str]) -> str:
 
 
 def plain_scalar(text: str) -> Any:
-    """Return what a scalar without quotes means, by the core schema of YAML 1.2.
+    """Parse an unquoted scalar by the core schema of YAML 1.2.
 
     >>> plain_scalar("1e-3"), plain_scalar("no"), plain_scalar("~")
     (0.001, 'no', None)
@@ -195,9 +195,9 @@ def plain_scalar(text: str) -> Any:
 
 
 class _YamlReader:
-    """Builds values from parser events, with a stack of its own.
+    """Builds values from parser events on an explicit stack.
 
-    Events, not nodes: depth and aliases are met before anything is built of them.
+    Events, not nodes: depth and aliases are checked before values are built.
     """
 
     def __init__(self, path: Path) -> None:
@@ -298,7 +298,7 @@ class _YamlReader:
 
 @dataclass(slots=True)
 class _Open:
-    """A mapping or list that is not at its end yet."""
+    """A mapping or list that is still open."""
 
     value: Any  # what there is of it
     key: str | None = None  # of a mapping, the one whose value comes next
@@ -355,7 +355,7 @@ class _Open:
             self.brackets += _open_brackets(plain)
 
     def close(self, reader: _YamlReader) -> None:
-        """Note once that times are keys of a mapping, and how they are written."""
+        """Report once that times are mapping keys; show the right form."""
         if not self.times:
             return
         entries = [
@@ -372,7 +372,7 @@ class _Open:
     def _piece(
         self, value: Any, position: tuple[int, int], reader: _YamlReader, plain: str
     ) -> None:
-        """Put a text together that commas cut into a value and keys without any."""
+        """Rejoin a text that commas split into a value and keys."""
         if value is not None or plain or not self.pieces:
             self.brackets = _open_brackets(plain)
             self.pieces = [plain] if self.brackets > 0 else []
@@ -391,7 +391,7 @@ def _cut(name: str) -> str:
 
 
 def _flow(value: Any) -> str:
-    """Return a value as YAML within a line, without the quotes that a text may need.
+    """Return a value as flow YAML without quotes.
 
     >>> _flow([{"t": 1, "v": [0.5, None]}])
     '[{t: 1, v: [0.5, null]}]'
