@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 def _refuse_patterns(sources: Sequence[Path]) -> None:
-    """Refuse a glob that the shell did not expand."""
+    """Refuse an unexpanded glob pattern."""
     for path in sources:
         if set("*?[") & {*str(path)} and not path.exists():
             text = f"{path} is a pattern: animtool batch '{path}' -o out/ bakes the "
@@ -169,7 +169,7 @@ def _check_usage(params: dict[str, Any]) -> None:
 
 
 def _check_library(scene: Scene, params: dict[str, Any]) -> None:
-    """Refuse to skip a library, to which a take is added."""
+    """Refuse `--skip-existing` for a clip library that a take is added to."""
     if params["skip_existing"] and any(
         output.bake.form == "library" for output in scene.outputs
     ):
@@ -190,7 +190,7 @@ def _plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
 def _bake(
     console: Console, outline: Outline, params: dict[str, Any], *, to_stdout: bool
 ) -> None:
-    """Bake to the outputs that are asked for."""
+    """Bake to the requested outputs."""
     from animtool.scene.bake.bake import bake_outline
 
     scene, files = outline.scene, outline.reading.files
@@ -215,7 +215,7 @@ def _say_reports(
     *,
     several: bool,
 ) -> None:
-    """Print the summaries of outputs: of one as it is, of several of a scene together.
+    """Print the reports of all outputs, as JSON or as text.
 
     No scene has no stages.
     """
@@ -250,7 +250,7 @@ def _measure(
     output: Path | None,
     params: Mapping[str, Any],
 ) -> None:
-    """Measure time against error, print it, and draw it where that is asked for."""
+    """Measure time against error, print the table, and plot it if requested."""
     if output is not None:
         raise click.UsageError("--table writes no file: remove -o.")
     if len(sources) > 1:

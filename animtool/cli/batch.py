@@ -42,14 +42,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _Numbers:
-    """Which items: from the first to the last, or as many of these as there are."""
+    """A range of item numbers."""
 
     first: int
     last: int
     open: bool = False
 
     def among(self, count: int) -> tuple[int, int]:
-        """Return the first and the last of a number of items."""
+        """Return the first and the last number within the number of items."""
         open_end = self.open and self.first <= count
         return self.first, min(self.last, count) if open_end else self.last
 
@@ -293,7 +293,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
 
 
 def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
-    """Return what is asked for: what a batch file says, and what comes before it."""
+    """Return the batch: the batch file's values, overridden by options."""
     from animtool.batch.spec import BatchSpec
 
     jobs = [text for text in inputs if is_named(Path(text), "batch")]
@@ -344,7 +344,7 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
 
 
 class _Repeat:
-    """The command that makes one item again."""
+    """The command that repeats one item."""
 
     def __init__(self, inputs: tuple[str, ...], params: dict[str, Any]) -> None:
         self._inputs, self._params = inputs, params
@@ -407,7 +407,7 @@ def _tell(
 
 
 def _tell_notices(console: Console, report: BatchReport) -> None:
-    """Say what is odd about items, each once, and of which items."""
+    """Print the warnings of items, each once with the items that have it."""
     for notice, entries in report.notices_of_items().items():
         paths = {entry.item.file.path.absolute() for entry in entries}
         # One that names the only input needs no more.

@@ -1,4 +1,4 @@
-"""What a command says: results on stdout, the rest on stderr."""
+"""Output of a command: results on stdout, everything else on stderr."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SOURCE_NAMES = {"fps": "source_fps", "prim_path": "source_prim", "unit": "units"
 
 
 def as_flag(argument: Argument) -> str:
-    """Return an argument as commands have it whose options are called as it is.
+    """Return an argument as a flag of the same name.
 
     >>> as_flag(Argument("rig_layer")), as_flag(Argument("normals", "false"))
     ('--rig-layer', '--no-normals')
@@ -44,7 +44,7 @@ def as_flag(argument: Argument) -> str:
 
 
 def calling_of(command: click.Command) -> Calling:
-    """Return what a command calls arguments that it has: its flags."""
+    """Return how a command spells arguments: its flags."""
 
     def called(argument: Argument) -> str | None:
         value = argument.value or ""
@@ -64,7 +64,7 @@ def calling_of(command: click.Command) -> Calling:
 
 
 def _names(argument: Argument) -> tuple[str, ...]:
-    """Return what commands call an argument, the usual name first."""
+    """Return the option names of an argument, most common first."""
     field = argument.field
     source_name = (
         SOURCE_NAMES.get(field) if argument.name.startswith("source.") else None
@@ -76,7 +76,7 @@ def _names(argument: Argument) -> tuple[str, ...]:
 
 
 def _option(command: click.Command, names: tuple[str, ...]) -> click.Option | None:
-    """Return the option of the first name, None where the command has none."""
+    """Return the option of the first matching name; None if the command has none."""
     options = [each for each in command.params if isinstance(each, click.Option)]
     for name in names:
         for option in options:
@@ -90,7 +90,7 @@ _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
 
 @dataclass(slots=True)
 class Console:
-    """Where a command's words go."""
+    """Output streams of a command."""
 
     verbosity: int = 0  # -1 errors only, 0 the usual, 1 notes and timings too
     json_log: bool = False  # write each line on stderr as a JSON object
@@ -98,7 +98,7 @@ class Console:
     calling: Calling = as_flag  # what the command calls arguments
 
     def result(self, *lines: str) -> None:
-        """Write lines of a result to stdout; what is in them makes no other line."""
+        """Write result lines to stdout, control characters escaped."""
         escaped_lines = (escaped(worded(line, self.calling)) for line in lines)
         sys.stdout.write("".join(f"{line}\n" for line in escaped_lines))
         note_said()
@@ -111,7 +111,7 @@ class Console:
         sys.stdout.flush()
 
     def document(self, text: str) -> None:
-        """Write a whole text to stdout, whose format has its own escapes."""
+        """Write a document to stdout unescaped."""
         sys.stdout.write(text if text.endswith("\n") else text + "\n")
         note_said()
 
@@ -126,7 +126,7 @@ class Console:
             self._line("debug", text)
 
     def faults(self, faults: Iterable[Fault], *, fatal: bool = False) -> None:
-        """Write faults to stderr: errors and what ends the work always."""
+        """Write faults to stderr; errors even if quiet."""
         for unworded in faults:
             fault = unworded.worded(self.calling)
             if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
@@ -141,9 +141,9 @@ class Console:
         """Write a report, as JSON to stdout or as lines.
 
         Args:
-            form: ``json``, or another for lines.
+            form: ``json`` or ``text``.
             record: The report.
-            template: Its lines; those of a result go to stdout, others to stderr.
+            template: Its lines; result lines go to stdout, others to stderr.
         """
         if form == "json":
             self.result_json(record)
@@ -167,7 +167,7 @@ class Console:
             self.say(line)
 
     def error(self, message: str, *others: str) -> None:
-        """Write an error that has no code to stderr, and further lines about it."""
+        """Write an error without a code to stderr, with detail lines."""
         label = self._color("error", _COLORS[Severity.ERROR])
         message, *more = (worded(text, self.calling) for text in (message, *others))
         lines = (f"{label}: {escaped(message)}", *map(escaped, more))
@@ -175,14 +175,14 @@ class Console:
         self._write({"level": "error", "message": full_message}, "\n".join(lines))
 
     def is_live(self) -> bool:
-        """Return whether somebody looks at stderr while things change."""
+        """Return whether stderr is a terminal for live updates."""
         return self.verbosity >= 0 and not self.json_log and sys.stderr.isatty()
 
     @contextmanager
     def progress(
         self, label: str, *, stdout: bool = False
     ) -> Iterator[Callable[[float], None] | None]:
-        """Give a function that shows the share done; None where nobody looks."""
+        """Provide a function that shows the fraction done; None without a terminal."""
         if not self.is_live() or (stdout and sys.stdout.isatty()):
             yield None
             return
@@ -211,7 +211,7 @@ class Console:
             bar.stop()
 
     def _worded(self, value: object) -> object:
-        """Return plain values whose texts call arguments as the command does."""
+        """Return plain values whose texts name arguments by their flags."""
         if isinstance(value, str):
             return worded(value, self.calling)
         if isinstance(value, Mapping):
@@ -225,7 +225,7 @@ class Console:
         self._write({"level": level, "message": text}, escaped(text))
 
     def _write(self, entry: dict[str, object], text: str) -> None:
-        """Write what is escaped, with colours of our own, or an entry as JSON."""
+        """Write escaped text with our colors, or an entry as JSON."""
         sys.stderr.write((json_printed(entry) if self.json_log else text) + "\n")
         note_said()
 
@@ -234,7 +234,7 @@ class Console:
 
 
 def _wants_color(stream: TextIO) -> bool:
-    """Follow NO_COLOR and FORCE_COLOR, else whether a terminal listens."""
+    """Return whether to use color: NO_COLOR, FORCE_COLOR, else on a terminal."""
     if os.environ.get("NO_COLOR"):
         return False
     return bool(os.environ.get("FORCE_COLOR")) or stream.isatty()

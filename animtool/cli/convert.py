@@ -139,7 +139,7 @@ def convert(
 
 
 def _only_output(source: Path, output: Path | None, named: Path | None) -> Path:
-    """Return OUTPUT, an argument or -o; refuse it where it looks like the source."""
+    """Return OUTPUT from the argument or -o; refuse swapped arguments."""
     if output is not None and named is not None:
         raise click.UsageError("OUTPUT and -o both name the output: use one of them.")
     chosen = output or named
@@ -154,7 +154,7 @@ def _only_output(source: Path, output: Path | None, named: Path | None) -> Path:
 
 
 def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
-    """Convert each take of a file that holds several to a USD file of a folder.
+    """Convert each take of a multi-take file to a USD file in a folder.
 
     Returns whether it holds any.
     """
@@ -180,7 +180,7 @@ def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Converted:
-    """What a conversion of markers did."""
+    """Result of a marker conversion."""
 
     frames: int
     markers: int

@@ -28,7 +28,7 @@ from animtool.report.text import Each, Template
 
 
 def _largest(kind: str, size: str, where: str) -> str:
-    """Return the line of the largest difference of a kind, and where it is."""
+    """Return the template of the largest difference of a kind and its location."""
     width = 14 if "prim" in where else 12
     at = where.replace("@", kind)
     return (
@@ -67,7 +67,7 @@ _POINTS = Template(
 
 
 def _choices(command: Command) -> Command:
-    """Add what to read of the files: options of both, and of either alone."""
+    """Add source options for both files, and for either one."""
     for name, metavar, what in (
         ("take", "NAME", "The take to read from clip libraries in USD"),
         ("prim-path", "PATH", "The character, where a file has several"),
@@ -153,7 +153,7 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
 
 
 def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
-    """Return what each file is: options of both where they fit, then its own."""
+    """Return each file's source options: shared ones that apply, then its own."""
     from animtool.scene.sources.open import fitting_options
 
     shared = source_options_record(

@@ -1,4 +1,4 @@
-"""Help that one can scan: ``-h`` the usual options, ``--help`` all, by group."""
+"""Help: ``-h`` lists the common options, ``--help`` all of them, by group."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ _MAX_SHORT = 40  # lines of the short help
 
 
 class Command(click.Command):
-    """A command with a short help and a whole one, its options by group."""
+    """A command with short and full help, options grouped."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the parameters, with ``-h`` and ``--help`` last."""
@@ -108,7 +108,7 @@ class Command(click.Command):
                 _section(formatter, name, records)
 
     def short_help_of(self, ctx: click.Context) -> str:
-        """Return the help of ``-h``: usage, the usual options, and examples."""
+        """Return the help of ``-h``: usage, common options, examples."""
         formatter = ctx.make_formatter()
         self.format_usage(ctx, formatter)
         about = (self.help or "").strip().split("\n\n")[0]
@@ -133,7 +133,7 @@ class Command(click.Command):
     def _records(
         self, ctx: click.Context
     ) -> Iterable[tuple[click.Option, tuple[str, str]]]:
-        """Yield the options, and the name and text of each."""
+        """Yield the options with name and help text."""
         for option in self.get_params(ctx):
             record = option.get_help_record(ctx)
             if isinstance(option, click.Option) and record is not None:
@@ -148,20 +148,20 @@ def command(*args: Any, **options: Any) -> Callable[[Callable[..., Any]], Comman
 def write_sections(
     formatter: click.HelpFormatter, sections: Mapping[str, list[tuple[str, str]]]
 ) -> None:
-    """Write commands, by group, their texts in one column."""
+    """Write commands by group, texts aligned."""
     width = max(len(name) for rows in sections.values() for name, _ in rows)
     for title, rows in sections.items():
         _section(formatter, title, [(name.ljust(width), text) for name, text in rows])
 
 
 def group_of(command: str, option: click.Option) -> str:
-    """Return the heading of an option; KeyError for one that has none."""
+    """Return the heading of an option; KeyError if it has none."""
     word = _word(option)
     return _ELSEWHERE.get(command, {}).get(word) or _GROUP_OF[word]
 
 
 def common_options(command: str) -> list[str]:
-    """Return the options in the short help of a command; none: all but reports."""
+    """Return the options in a command's short help; empty for all but reports."""
     return _COMMON.get(command, "").split()
 
 

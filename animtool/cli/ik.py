@@ -221,7 +221,7 @@ def ik(console: Console, /, **params: Any) -> None:
 
 
 def _match(console: Console, params: dict[str, Any], source: Any) -> None:
-    """Write the targets of a take, and say what they are."""
+    """Write the targets file of a take and print a summary."""
     _check_match(params)
     output = params["output"]
     if skipped(console, "ik", params, output, lambda: [output]):
@@ -250,7 +250,7 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
 
 
 def _check_match(params: dict[str, Any]) -> None:
-    """Refuse what a match lacks, and what it would not heed."""
+    """Refuse missing and ignored options of `--match`."""
     for name, what in (("start", "--clip"), ("output", "-o")):
         if params[name] is None:
             raise click.UsageError(f"--match needs {what}.")
@@ -274,7 +274,7 @@ def _check(params: dict[str, Any]) -> None:
 
 
 def _source(params: dict[str, Any]) -> Any:
-    """Return what the start is."""
+    """Return the options of the start take."""
     named = ("prim_path", "take", "positions")
     extra = {"shot": params["shot"], "placement": params["placement"]}
     return source_options_record(params, *named, **extra)
@@ -311,7 +311,7 @@ def _job(params: dict[str, Any]) -> Any:
 
 
 def _bake_options(params: dict[str, Any]) -> Any:
-    """Return how outputs are written."""
+    """Return the output options."""
     output = params["output"]
     flags = {
         "--split": params["split"],

@@ -195,7 +195,7 @@ def _extreme(extreme: Extreme, unit: str) -> str:
 
 
 def _system_counts(counts: dict[str, int]) -> str:
-    """Return what a system is made of."""
+    """Format the element counts of a system."""
     return ", ".join(
         f"at most {count} at once"
         if name == "max_particles"
@@ -298,7 +298,7 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
 
 
 def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
-    """Return what a file holds."""
+    """Describe a file."""
     from animtool.core.readers import is_still
     from animtool.formats.marker_files import is_marker_file
     from animtool.scene.sources.open import is_usd
@@ -322,7 +322,7 @@ def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
 
 
 def _take(path: Path, params: dict[str, Any]) -> Any:
-    """Return what the take of a file is; of a glTF without nodes what else it holds."""
+    """Describe the take of a file; for a glTF without nodes, its other content."""
     from animtool.core.readers import GLTF, reader_of
     from animtool.report.describe import describe
 
@@ -339,7 +339,7 @@ def _take(path: Path, params: dict[str, Any]) -> Any:
 
 
 def _stage(path: Path, params: dict[str, Any]) -> Any:
-    """Return what a USD file holds."""
+    """Describe a USD file."""
     from animtool.report.describe import describe
     from animtool.scene.sources.open import SourceOptions
 

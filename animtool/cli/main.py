@@ -1,4 +1,4 @@
-"""The command group, loaded lazily, and the one place where errors end."""
+"""The command group, loaded lazily, and the top-level error handler."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ KILLED_HINT = (
 
 
 def is_out_of_memory(error: BaseException | None) -> bool:
-    """Return whether an error, or what it was raised from, is for want of memory."""
+    """Return whether an error or its cause is an out-of-memory error."""
     visited: set[int] = set()
     while error is not None and id(error) not in visited:
         visited.add(id(error))
@@ -74,7 +74,7 @@ def is_out_of_memory(error: BaseException | None) -> bool:
 
 
 def memory_fault(error: BaseException) -> Fault:
-    """Return the fault of an error for want of memory: how much, and what needed it."""
+    """Return the fault of an out-of-memory error: its size and the failed step."""
     needed = str(error).strip().rstrip(".")
     message = f"out of memory: {needed}" if needed else "out of memory"
     where = _step(error)
@@ -84,7 +84,7 @@ def memory_fault(error: BaseException) -> Fault:
 
 
 def _step(error: BaseException) -> str:
-    """Return the innermost function of animtool's, by module and name."""
+    """Return module and name of the innermost animtool function."""
     step, trace = "", error.__traceback__
     while trace is not None:
         code = trace.tb_frame.f_code
@@ -98,7 +98,7 @@ def _step(error: BaseException) -> str:
 
 
 def limited_bytes() -> int | None:
-    """Return the limit of this process's memory [bytes]; None where there is none."""
+    """Return the memory limit of this process [byte]; None for no limit."""
     try:
         import resource
     except ImportError:  # Windows has none
@@ -112,9 +112,9 @@ def limited_bytes() -> int | None:
 
 
 def crash_reason(name: str, path: str = "") -> Fault | None:
-    """Return the fault of a process that a signal ended for reasons outside of it.
+    """Return the fault of a process that was killed from outside.
 
-    None is a crash of its own. ``path`` is the file that USD read; empty is none.
+    None for any other crash. ``path`` is the file that USD read; may be empty.
     """
     location = path or None
     if name == "SIGKILL":
@@ -266,7 +266,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 class _CrashError(Exception):
-    """The process that did the work crashed, over no file that is known."""
+    """The worker process crashed while reading an unknown file."""
 
 
 def _remove_leftovers(folders: Sequence[str], process: int) -> None:
@@ -293,7 +293,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _run(arguments: Sequence[str], console: Console) -> int:
-    """Run the command line; raises what signals do, once, and errors to debug."""
+    """Run the command line; raise interrupts, and errors under `--debug`."""
     streams = sys.stdout, sys.stderr
     try:
         receive_signals()
@@ -320,7 +320,7 @@ def _run(arguments: Sequence[str], console: Console) -> int:
 
 
 def _report(console: Console, error: BaseException) -> int:
-    """Say what ended the command and return the exit code for it."""
+    """Report the error that ended the command and return its exit code."""
     match error:
         case AnimtoolError():
             console.faults(error.faults, fatal=True)
@@ -366,9 +366,9 @@ def _report(console: Console, error: BaseException) -> int:
 
 
 def _logs_json(arguments: Sequence[str]) -> bool:
-    """Return whether stderr is to be JSON.
+    """Return whether stderr is JSON.
 
-    Read here and not by the commands, so that misspelt options are said as JSON too.
+    Read here and not by the commands, so that usage errors are JSON too.
     """
     asked = " ".join(arguments).replace("=", " ")
     is_default = os.environ.get("ANIMTOOL_LOG_FORMAT") == "json"
@@ -398,7 +398,7 @@ OTHER_OPTIONS = {
 
 
 def _with_our_option(error: click.NoSuchOption) -> click.ClickException:
-    """Return an error that suggests the option of the command that does this."""
+    """Return a usage error that suggests this command's option."""
     params = [] if error.ctx is None else error.ctx.command.params
     known = {flag for option in params for flag in option.opts}
     meant = [o for o in OTHER_OPTIONS.get(error.option_name, ()) if o in known]

@@ -1,4 +1,4 @@
-"""Options and messages of commands that read and write files of markers."""
+"""Shared options and messages of marker commands."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ output_option = click.option(
 
 @dataclass(frozen=True, slots=True)
 class WrittenMarkers:
-    """A file of markers that a command wrote."""
+    """Report of a written marker file."""
 
     command: str
     output: Path
@@ -58,7 +58,7 @@ class WrittenMarkers:
 
     @property
     def head(self) -> dict[str, str]:
-        """The name of the report, that of the command."""
+        """The report's key: the name of the command."""
         return {self.command: VERSION}
 
 
@@ -70,7 +70,7 @@ WRITTEN = Template(
 
 
 def read_marker_file(path: Path, params: Mapping[str, Any]) -> Any:
-    """Return the markers of a file, as the options say."""
+    """Read a marker file with a command's options."""
     from animtool.formats.marker_files import open_markers
 
     options = source_options_record(params)
@@ -92,7 +92,7 @@ def run_on_markers(
     work: Callable[..., tuple[Any, Any]],
     template: Template | None = None,
 ) -> None:
-    """Read files of markers, work on them, write the result and report.
+    """Read marker files, process them, write the result and report.
 
     work: From the markers of the sources to markers and a report, which has notices.
     template: Further lines of the report.

@@ -107,7 +107,7 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
 
 
 def _ends(status: Sequence[object]) -> list[str]:
-    """Return how many frames ended how, nothing where all are solved."""
+    """Return frame counts by status; empty if all are solved."""
     counts = Counter(map(str, status))
     ends = [f"{count} {name}" for name, count in sorted(counts.items())]
     return [] if set(counts) == {"solved"} else ends

@@ -101,7 +101,7 @@ _METHODS = {
 
 
 def _methods(gaps: Any) -> str:
-    """Return how gaps were filled."""
+    """Format the counts of filled gaps by method."""
     counts = Counter(gap.method for gap in gaps)
     return ", ".join(f"{counts[m]} {word}" for m, word in _METHODS.items() if counts[m])
 

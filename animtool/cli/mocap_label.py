@@ -51,7 +51,7 @@ def label(
 
 
 def _partial(coverage: dict[str, float]) -> list[str]:
-    """Return the markers that are seen in less than half of the frames."""
+    """Return the markers visible in less than half of the frames."""
     partial = [
         (name, fraction) for name, fraction in coverage.items() if fraction < 0.5
     ]

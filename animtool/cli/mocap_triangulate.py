@@ -111,7 +111,7 @@ def triangulate(
 
 
 def _remarks(report: CameraReport) -> str:
-    """Return where a camera moved, and where it does not agree with the others."""
+    """Return remarks on a camera: movement and disagreement."""
     from animtool.core.shot import frame_spans
 
     said = [f"{'off' if m.kept else 'out'} {m.first + 1}-{m.end}" for m in report.moved]

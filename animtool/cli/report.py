@@ -110,7 +110,7 @@ def _measured(
     params: dict[str, Any],
     folder: Path,
 ) -> Tradeoffs:
-    """Measure, with stages to look at in a folder where a page is asked for."""
+    """Measure tradeoffs; write stages to a folder if a page is requested."""
     from animtool.core.files.output import check_outputs
     from animtool.scene.tables.tradeoffs import measure_tradeoffs, suite_tradeoffs
 

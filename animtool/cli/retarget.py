@@ -45,7 +45,7 @@ NEGLIGIBLE = 1e-9
 
 
 def _verdict(verdict: Verdict) -> str:
-    """Return a verdict in a line: what to look at, and in which frames."""
+    """Format a verdict: what to check, in which frames."""
     reasons = []
     for reason in verdict.reasons:
         text = f"{reason.what} {reason.text}".rstrip()
@@ -72,7 +72,7 @@ def _stopped_joints(stopped: Mapping[str, float]) -> list[str]:
 
 
 def _scored(value: float, printer: str) -> str:
-    """Return a score; nothing of what there is none of."""
+    """Format a score; empty for a missing one."""
     if math.isnan(value):
         return ""
     printers = {"angle": _angle, "percent": percent, "times": "{:.3g}".format}
