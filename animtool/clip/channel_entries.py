@@ -1,4 +1,4 @@
-"""The keys of a curve as a file has them: checked, and made a channel."""
+"""Parsing of a curve's keys into a channel."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ SHORTEST = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ChannelReader:
-    """Makes channels of the curves in a document; what is wrong is noted there."""
+    """Builds channels from a document's curves; records faults in the document."""
 
     document: Document  # the file
 
     def check(self, at: Location, model: CurveModel) -> None:
-        """Note times out of order and handles on the wrong side of their keys."""
+        """Record unordered times, and handles on the wrong side of their keys."""
         self._check_times(at, key_times(model))
         self._check_handles(at, model)
 
     def channel(
         self, at: Location, model: CurveModel, target: str, kind: str, unit: float
     ) -> ClipChannel | None:
-        """Return the channel of a curve; None where its values are of another width.
+        """Return the channel of a curve; None if its values have the wrong width.
 
         Args:
-            at: Where it stands.
-            model: Its content.
-            target: What it moves, for the channel and for messages.
-            kind: What that is, such as ``angle``, ``translation`` or ``rotation``.
+            at: Location of the curve.
+            model: The curve.
+            target: Its target, for the channel and messages.
+            kind: Its kind, such as ``angle``, ``translation`` or ``rotation``.
             unit: What a value of 1 means.
         """
         turning = kind == "rotation" and model.euler is None
@@ -101,7 +101,7 @@ class ChannelReader:
     def _plain(
         self, at: Location, model: CurveModel, target: str, kind: str, unit: float
     ) -> ClipChannel | None:
-        """Return the channel of plain keys; None where something is wrong with one."""
+        """Return the channel of plain keys; None on a fault."""
         keys = model.keys
         assert isinstance(keys, PlainKeys)
         turning = kind == "rotation" and model.euler is None
@@ -191,7 +191,7 @@ class ChannelReader:
     def _refuse_slopes(
         self, at: Location, model: CurveModel, keys: Sequence[KeyModel]
     ) -> None:
-        """Refuse what shapes the curves of numbers, on quaternions."""
+        """Refuse handles and tangents on quaternion keys."""
         hint = "write euler: XYZ to key three angles, which have them"
         spots: list[tuple[Location, CurveModel | KeyModel, tuple[str, ...]]]
         spots = [(at, model, ("tangents", "parametrization"))]
@@ -208,9 +208,9 @@ class ChannelReader:
     def _warn_of_idle(
         self, at: Location, model: CurveModel, interps: tuple[Interp, ...]
     ) -> None:
-        """Warn of what shapes curves of another kind than those beside its key.
+        """Warn of handles that the adjacent interpolation does not use.
 
-        Handles before the first key and behind the last wait for keys to come.
+        Handles before the first and after the last key are allowed.
         """
         inner = interps[:-1]
         for k, key in enumerate(_each(model)):
@@ -230,7 +230,7 @@ class ChannelReader:
     def _warn_of_path(
         self, at: Location, model: CurveModel, segments: Collection[Interp]
     ) -> None:
-        """Warn of which Catmull-Rom curve it is, where there is none."""
+        """Warn of a Catmull-Rom parametrization without Catmull-Rom keys."""
         named = "parametrization" in model.model_fields_set
         if named and Interp.CATMULL_ROM not in segments:
             message = "'parametrization' has no effect without catmull_rom"
@@ -263,7 +263,7 @@ class ChannelReader:
         unit: float,
         even: bool,
     ) -> tuple[Tangent, list[float], Tangent, list[float]]:
-        """Return tangent and handle before a key, and behind it."""
+        """Return in-tangent, in-handle, out-tangent and out-handle of a key."""
         if width == 4:
             default, none = Tangent(model.tangents), [0.0] * (1 + width)
             return default, none, default, none
@@ -296,12 +296,12 @@ class ChannelReader:
 
 
 def _each(model: CurveModel) -> list[KeyModel]:
-    """Return the keys that have models."""
+    """Return the keys as models."""
     return [] if isinstance(model.keys, PlainKeys) else model.keys
 
 
 def file_quaternions(values: FloatArray) -> tuple[FloatArray, list[int]]:
-    """Return unit (x, y, z, w) of rows [w, x, y, z], and which have no length.
+    """Return unit (x, y, z, w) of rows [w, x, y, z], and a mask of zero ones.
 
     Signs continue from row to row.
 

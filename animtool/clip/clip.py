@@ -1,4 +1,4 @@
-"""A clip in memory: channels of keys over a range of frames; as text it comes back."""
+"""Clips in memory, and their text form."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ DEFAULT_TANGENT = Tangent.AUTO_CLAMPED
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """Keys over frames, for the rig that their targets are of.
+    """A keyframe clip for a rig.
 
     Attributes:
-        name: What it is called.
-        fps: Frames a second that key times count.
+        name: Name of the clip.
+        fps: Frame rate of the key times [1/s].
         first: First frame of the range.
         last: Last frame of the range, not before the first.
-        channels: One a target.
-        notices: What is odd about the file that it was read from; not compared.
+        channels: One per target.
+        notices: Warnings on the file that it was read from; not compared.
     """
 
     name: str
@@ -52,15 +52,15 @@ class Clip:
 
     @classmethod
     def load(cls, path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
-        """Return the clip of a clip file, its targets and units checked on a rig.
+        """Load a clip file and check its targets and units against a rig.
 
         Args:
             path: The file.
-            rig: Its rig, or the file of it; None is the one that it names.
+            rig: Its rig or rig file; None for the one that the clip names.
 
         Raises:
-            FormatError: The clip or its rig is malformed, with every fault.
-            OptionError: No rig is named (CLIP011).
+            FormatError: The clip or its rig is malformed; has every fault.
+            OptionError: The clip names no rig (CLIP011).
         """
         load = load_object("animtool.clip.file:load_clip_of")
         return cast("Clip", cast("Callable[..., object]", load)(path, rig))
@@ -68,15 +68,15 @@ class Clip:
     def frame_count(
         self, fps: FractionLike | None = None, step: Fraction = Fraction(1)
     ) -> int:
-        """Return how many frames the range has.
+        """Return the number of frames in the range.
 
         Args:
-            fps: Time codes a second; None is the clip's.
-            step: Time codes from one frame to the next.
+            fps: Frame rate; None for the clip's.
+            step: Time codes per frame.
 
         Raises:
-            FormatError: None, or more than 10 million (CLIP006).
-            OptionError: The rate is none (SCN022).
+            FormatError: No frame, or more than 10 million (CLIP006).
+            OptionError: The rate is invalid (SCN022).
 
         >>> Clip("nod", Fraction(24), Fraction(1), Fraction(13), ()).frame_count()
         13
@@ -98,13 +98,13 @@ class Clip:
         step: Fraction | float = 1,
         clamp: bool = False,
     ) -> Take:
-        """Return the clip on a rig over its range, the first frame's number kept.
+        """Sample the clip on a rig over its range.
 
-        Controls out of range and joints beyond their limits are named in the
+        Controls out of range and joints beyond their limits are listed in the
         take's notices.
 
         Args:
-            rig: Whose controls, shapes and joints the targets are.
+            rig: The rig of its targets.
             fps: Frames a second, such as 24, ``"23.976"`` or ``Fraction(24000,
                 1001)``; None is the clip's.
             step: Time codes from one frame to the next, such as 0.25 for four
@@ -112,10 +112,10 @@ class Clip:
             clamp: Bring controls into their ranges and joints into their limits.
 
         Raises:
-            OptionError: With every target that the rig has not (CLIP001 to CLIP003),
-                a rate that is none (SCN022), or a step (CLIP021).
-            FormatError: The range has no frame, or more than 10 million (CLIP006);
-                an expression of the rig has no value at some frame (CLIP015).
+            OptionError: A target is not in the rig (CLIP001 to CLIP003), or
+                the rate (SCN022) or the step (CLIP021) is invalid.
+            FormatError: The range has no frame, or over 10 million (CLIP006);
+                an expression of the rig is undefined at a frame (CLIP015).
 
         >>> from animtool.rig.skeleton import Joint
         >>> hero = Rig("hero", (Joint("hips", -1),))
@@ -144,7 +144,7 @@ class Clip:
         return Take(rig, clock, sampled.motion, notices, curve=keyed)
 
     def __repr__(self) -> str:
-        """Return the name, and how much there is of what."""
+        """Return the name and counts."""
         keys = counted(sum(len(channel.times) for channel in self.channels), "key")
         channels = counted(len(self.channels), "channel")
         return (
@@ -175,14 +175,14 @@ Choice = TypeVar("Choice", bound=Hashable)
 def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
     """Return a clip as the text of a clip file, in the units of its rig.
 
-    Numbers that the rig's unit cannot give back to the last digit are written in
+    Numbers that do not round-trip exactly in the rig's unit are written in
     metres or radians instead; the file says which.
 
     Args:
         clip: Quaternions of its keys at unit length, of signs that continue, and
             handles where tangents are free, as `animtool.clip.file.load_clip` has it.
         rig: Whose units it is written in.
-        rig_file: The rig file, as the clip is to name it.
+        rig_file: The rig file as named in the clip.
     """
     units = _units(clip, rig)
     angle = "rad" if units.angle == 1.0 else "deg"
@@ -203,7 +203,7 @@ def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
 
 
 def _units(clip: Clip, rig: Rig) -> ClipUnits:
-    """Return the units that a clip is written in."""
+    """Return the units to write a clip in."""
     rig_units = ClipUnits.of_rig(rig)
     lengths = _numbers_in(clip, ClipUnits(math.nan, 1.0))
     angles = _numbers_in(clip, ClipUnits(1.0, math.nan))
@@ -214,7 +214,7 @@ def _units(clip: Clip, rig: Rig) -> ClipUnits:
 
 
 def _numbers_in(clip: Clip, marked: ClipUnits) -> Iterator[float]:
-    """Yield the values and handles of the channels whose unit is marked, by NaN."""
+    """Yield the values and handles of the channels whose unit is NaN."""
     for channel in clip.channels:
         if math.isnan(marked.of(channel.target, channel.euler)):
             yield from channel.values.ravel().tolist()
@@ -227,7 +227,7 @@ def _come_back(values: Iterable[float], unit: float) -> bool:
 
 
 def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
-    """Yield the lines of a curve of keys, its target left out.
+    """Yield the lines of a key curve, without its target.
 
     Args:
         channel: The curve.
@@ -255,7 +255,7 @@ def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
 def _key(
     channel: ClipChannel, k: int, interp: Interp, tangent: Tangent, unit: float
 ) -> Iterator[str]:
-    """Yield the entries of a key; what the channel says already is left out."""
+    """Yield the entries of a key that differ from the channel's."""
     row = channel.values[k].tolist()
     if row[3:]:
         x, y, z, w = row
@@ -282,5 +282,5 @@ def _value(row: Sequence[float], unit: float) -> str:
 
 
 def _commonest(choices: Sequence[Choice], default: Choice) -> Choice:
-    """Return what most of them are, the first of several; without any, the usual."""
+    """Return the most common choice; the default if there are none."""
     return Counter(choices).most_common(1)[0][0] if choices else default

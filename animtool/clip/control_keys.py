@@ -1,4 +1,4 @@
-"""Controls of a rig as keys, solved for from what a take's joints and shapes do."""
+"""Control keys solved from a take's joints and shapes."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ ROUNDING = 1e-11
 
 
 def uncombined_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
-    """Return the weights ``(F or 1,)`` that keys and controls add up to, by shape.
+    """Return shape weights ``(F or 1,)`` before combination shapes are added.
 
-    What combined shapes get from those that they combine is taken off.
+    The products that combination shapes get from their drivers are subtracted.
     """
     names = [shape.name for shape in rig.shapes]
     weights = take.motion.weights
@@ -46,9 +46,9 @@ def uncombined_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
 def solved_controls(
     take: Take, rig: Rig, joints: Sequence[JointMotion], same: Same
 ) -> SolvedControls:
-    """Return the values of a rig's controls that move it as a take does.
+    """Return control values that reproduce a take.
 
-    Values that come with the take are where the search starts; without any, the
+    The search starts at the take's control values, or without any at the
     defaults.
     """
     frames, controls = take.motion.frames, keyable_controls(rig)
@@ -81,9 +81,9 @@ def solved_controls(
 
 
 def keyable_controls(rig: Rig) -> Sequence[Control]:
-    """Return a rig's controls without drives of what takes no keys.
+    """Return a rig's controls without drives of unkeyable targets.
 
-    Those are what is driven by coordinates of joints, and what that drives.
+    Targets driven by joint coordinates, directly or indirectly, are unkeyable.
     """
     if not rig.is_driven:
         return rig.controls
@@ -104,7 +104,7 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
 
 
 def _settled(values: FloatArray, default: float) -> FloatArray:
-    """Return values without rounding: those of the default or of a still control."""
+    """Remove rounding noise: snap values to the default or to a constant."""
     small = ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
     values = np.where(np.abs(values - default) <= small, default, values)
     constant = np.ptp(values) <= small
@@ -113,7 +113,7 @@ def _settled(values: FloatArray, default: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class FittedControls:
-    """Keys of the controls that are not at their default."""
+    """Keys of the controls that leave their defaults."""
 
     channels: list[ReducedChannel]  # one each, in the rig's order
     # What the keys give, of every control ``(F or 1, 1)``, by target.
@@ -122,7 +122,7 @@ class FittedControls:
 
     @property
     def named(self) -> dict[str, FloatArray]:
-        """The values of the controls with keys ``(F or 1,)``, by their names."""
+        """Values of the keyed controls ``(F or 1,)`` by name."""
         return {n.removeprefix("control/"): v[:, 0] for n, v in self.values.items()}
 
 
@@ -172,7 +172,7 @@ def fit_controls(
 
 
 class _Effect:
-    """How far controls move a rig that is otherwise as in a take."""
+    """Measures how far controls move a rig in a take."""
 
     def __init__(
         self,
@@ -191,7 +191,7 @@ class _Effect:
     def ratio(
         self, values: Mapping[str, FloatArray], frames: IntArray | None = None
     ) -> float:
-        """Return the largest error that values of controls make, in tolerances."""
+        """Return the largest error of control values, in units of the tolerance."""
         take, rig = self.take, self.rig
         at = np.arange(take.motion.frames) if frames is None else frames
         exact = {
@@ -215,7 +215,7 @@ class _Effect:
         return max(ratio, off / self.weight_tolerance)
 
     def tolerance(self, name: str) -> float:
-        """Return a first tolerance of a control's keys."""
+        """Return the initial tolerance of a control's keys."""
         values = self.exact[f"control/{name}"]
         step = 1e-3 * float(np.ptp(values))
         frames = np.unique(
@@ -231,7 +231,7 @@ def driven_pose(
     exact: Motion,
     keyed_tracks: frozenset[tuple[ChannelKind, int]],
 ) -> Motion:
-    """Return a motion with the joints that controls move as they move them."""
+    """Return a motion whose control-driven joints follow other values."""
 
     def mixed(kind: ChannelKind, name: str) -> Channel:
         of_take: Channel = getattr(motion, name)

@@ -1,4 +1,4 @@
-"""A take's joints relative to rest, and the keys that controls leave to them."""
+"""Joint motion relative to rest, less what controls drive."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _TURNING = {JointType.FREE, JointType.BALL}
 
 @dataclass(frozen=True, slots=True)
 class Same:
-    """Differences that are rounding, and need no keys: [rad], [m], [1]."""
+    """Differences below which no keys are needed [rad], [m], [1]."""
 
     angle: float
     length: float
     weight: float
 
     def of(self, target: str) -> float:
-        """Return that of a target of a control.
+        """Return the tolerance of a control's target.
 
         >>> Same(1e-6, 1e-7, 1e-8).of("joint/hips.translation.x")
         1e-07
@@ -46,7 +46,7 @@ class Same:
 
 @dataclass(frozen=True, slots=True)
 class JointMotion:
-    """What a joint does relative to its rest frame, in n = F frames, or 1 if still."""
+    """Motion of a joint relative to rest: n = F frames, or 1 if static."""
 
     rotation: FloatArray  # ``(n, 4)``, signs continuous
     shift: FloatArray  # ``(n, 3)`` [m]
@@ -62,8 +62,8 @@ class JointMotion:
 def joint_motions(rig: Rig, motion: Motion, same: Same) -> list[JointMotion]:
     """Return the motion of every joint relative to rest.
 
-    Whole turns of a pin's angle are those that keep it within its limits and agree
-    with the joints that follow it.
+    Revolutions of a pin's angle are chosen to keep it within its limits and agree
+    with its mimic joints.
     """
     moves = [set(c.animated.tolist()) for c in (motion.translations, motion.rotations)]
     motions = []
@@ -120,7 +120,7 @@ def _joint_motion(
 def _on_nearest_revolution(
     rig: Rig, motions: Sequence[JointMotion], j: int, same: Same
 ) -> JointMotion:
-    """Return a pin's motion with its angle on the likeliest turn."""
+    """Return a pin's motion with its angle on the likeliest revolution."""
     joint, joint_motion = rig.joints[j], motions[j]
     led = [
         (motions[i], follower.mimic, follower.type)
@@ -155,10 +155,10 @@ def requested_of_joints(
     near: Mapping[str, FloatArray],
     same: Same,
 ) -> tuple[dict[str, FloatArray], set[str]]:
-    """Return what controls would have to add to joints, and what they cannot.
+    """Return what controls must add to joints, and the unreachable targets.
 
-    Returns the value of each target ``(F or 1,)``, and the targets of joints that also
-    move in ways that no control drives.
+    Returns target values ``(F or 1,)``, and the targets of joints that also
+    move along axes that no control drives.
     """
     requested: dict[str, FloatArray] = {}
     keyed: set[str] = set()
@@ -188,7 +188,7 @@ def requested_of_joints(
 
 
 def _near(rotation: FloatArray, thought: FloatArray) -> FloatArray:
-    """Return rotation vectors ``(n, 3)``, on the turn nearest to those thought of."""
+    """Return rotation vectors ``(n, 3)`` on the revolution nearest to a guess."""
     vector = so3.log(rotation)
     vector, thought = np.broadcast_arrays(vector, thought)
     length = np.linalg.norm(vector, axis=1, keepdims=True)
@@ -208,7 +208,7 @@ def joint_tracks(
     fitted: Mapping[str, FloatArray],
     same: Same,
 ) -> list[KeyTrack]:
-    """Return tracks of what joints do beyond what controls and mimics make them do."""
+    """Return tracks of joint motion beyond controls and mimics."""
     tracks: dict[int, list[KeyTrack]] = {}
     coordinates: dict[str, FloatArray] = {}
     last = [j for j, joint in enumerate(rig.joints) if joint.mimic is not None]
@@ -236,7 +236,7 @@ def joint_tracks(
 
 @dataclass(frozen=True, slots=True)
 class _OneJoint:
-    """A joint whose keys are looked for."""
+    """A joint to key."""
 
     joint: Joint
     index: int
@@ -246,12 +246,12 @@ class _OneJoint:
     same: Same
 
     def driven(self, part: str, *, fitted: bool = False) -> FloatArray:
-        """Return what controls add to a part ``(F or 1,)``."""
+        """Return the controls' contribution to a part ``(F or 1,)``."""
         source = self.fitted if fitted else self.stated
         return source.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
 
     def vector(self, part: str, *, fitted: bool = False) -> FloatArray:
-        """Return what controls add to the axes of a part ``(F or 1, 3)``."""
+        """Return the controls' contribution to a vector part ``(F or 1, 3)``."""
         columns = [self.driven(f"{part}.{axis}", fitted=fitted) for axis in "xyz"]
         return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
@@ -315,7 +315,7 @@ class _OneJoint:
                 yield self._euler("rotation", keyed, so3.multiply(rest, before))
 
     def _differs(self, off: FloatArray, same: float, *, rests: bool) -> bool:
-        """Return whether a coordinate needs keys: of an undriven joint, if it moves."""
+        """Return whether a coordinate needs keys."""
         name = f"joint/{self.joint.name}."
         driven = any(target.startswith(name) for target in self.stated)
         if not driven and self.joint.mimic is None:

@@ -1,4 +1,4 @@
-"""Reading a clip file, ``*.clip.yaml``."""
+"""Clip file reader, ``*.clip.yaml``."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _REPLACED = {
 
 @dataclass(frozen=True, slots=True)
 class ClipFile:
-    """A clip file, not checked yet."""
+    """An unchecked clip file."""
 
     # Its text, with places and with the faults of its keys and types.
     document: Document
@@ -48,8 +48,8 @@ class ClipFile:
         """Return the rig that the clip names.
 
         Raises:
-            FormatError: It names none, and has other faults.
-            OptionError: It names none (CLIP011).
+            FormatError: It names no rig and has other faults.
+            OptionError: It names no rig (CLIP011).
         """
         if self.rig is None:
             check_clip(self)
@@ -63,10 +63,10 @@ class ClipFile:
 
 
 def open_clip(path: Path | str) -> ClipFile:
-    """Read a clip file; `load_clip` checks it and puts it on its rig.
+    """Read a clip file; `load_clip` checks it against its rig.
 
     Raises:
-        FormatError: It is no clip file of a version that is known.
+        FormatError: It is not a clip file of a known version.
     """
     return clip_of_document(read_document(Path(path)))
 
@@ -87,12 +87,12 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
 
     Args:
         file: The clip.
-        path: The rig's file; None is the one that the clip names.
+        path: The rig file; None for the one that the clip names.
 
     Raises:
-        FormatError: With every fault of the rig, and those of the clip that can be
-            told without it.
-        OptionError: No rig is named (CLIP011).
+        FormatError: Has every fault of the rig, and those of the clip that do not
+            depend on it.
+        OptionError: The clip names no rig (CLIP011).
     """
     named = file.needed_rig() if path is None else path
     if path is None and not is_there(named):
@@ -108,7 +108,7 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
 
 
 def _note_missing(file: ClipFile) -> NoReturn:
-    """Raise what is wrong with a clip whose rig is not there."""
+    """Raise the faults of a clip whose rig is missing."""
     message = f"{file.model.rig!r} does not exist"
     near = missing_hint(file.document, file.model.rig or "")
     hint = "; ".join(
@@ -120,21 +120,21 @@ def _note_missing(file: ClipFile) -> NoReturn:
 
 
 def load_clip(file: ClipFile, rig: Rig) -> Clip:
-    """Return the clip of a file, for a rig.
+    """Check a clip file against a rig and return the clip.
 
     Args:
         file: Its content.
         rig: Whose controls, shapes and joints its targets are.
 
     Raises:
-        FormatError: With every fault: unknown keys, values of the wrong type or width,
+        FormatError: Has every fault: unknown keys, values of the wrong type or width,
             unknown targets, key times out of order, handles that point backwards.
     """
     return _ClipReader(file.document, file.model, rig).clip()
 
 
 def load_clip_of(path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
-    """Return the clip of a path; see `Clip.load`."""
+    """Load a clip; see `Clip.load`."""
     file = open_clip(path)
     if not isinstance(rig, Rig):
         rig = load_rig_of(file, None if rig is None else Path(rig))
@@ -142,16 +142,16 @@ def load_clip_of(path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
 
 
 def check_clip(file: ClipFile) -> None:
-    """Check a clip file without its rig: its targets may be anything.
+    """Check a clip file without its rig: any target is valid.
 
     Raises:
-        FormatError: With every fault but those that need the rig.
+        FormatError: Has every fault that does not need the rig.
     """
     _ClipReader(file.document, file.model, None).clip()
 
 
 def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
-    """Return the units of the numbers in a clip: its own, else its rig's."""
+    """Return the units of a clip's numbers, by default its rig's."""
     length, angle = model.units.length, model.units.angle
     units = ClipUnits(1.0, 1.0)
     if rig is not None:
@@ -205,7 +205,7 @@ class _ClipReader:
         return checked_range(self.document, first, last)
 
     def _once(self, at: Location, target: str, claimed: dict[str, int], i: int) -> None:
-        """Refuse a target twice, or motion and its replacement on one joint."""
+        """Refuse duplicate targets, and both motion and local motion of one joint."""
         name, part = split_part(target, _REPLACED)
         claim = f"{name}.{_REPLACED[part]}" if part else target
         if claim in claimed:
@@ -239,7 +239,7 @@ class _ClipReader:
 def checked_range(
     document: Document, first: float, last: float
 ) -> tuple[Fraction, Fraction]:
-    """Return the ends of a document's range; what is wrong with it is noted."""
+    """Return the ends of a document's range; record its faults."""
     if first > last:
         message = f"the range from {first:g} to {last:g} is reversed"
         hint = f"write [{last:g}, {first:g}]"

@@ -1,4 +1,4 @@
-"""What a take's keys lose: the error of each channel, and what departs from the rig."""
+"""Errors of a keyed take by channel, and notes on departures from the rig."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MAX_NAMES = 6
 
 @dataclass(frozen=True, slots=True)
 class ChannelError:
-    """How far a channel of a clip is from the take that it was made of."""
+    """Largest error of a clip's channel."""
 
     target: str  # of the channel
     error: float  # the largest, in ``unit``
@@ -101,7 +101,7 @@ def key_notices(
     tracks: Sequence[KeyTrack],
     driven: Mapping[str, FloatArray],
 ) -> tuple[Fault, ...]:
-    """Return notes on where a take departs from what its rig can do by itself."""
+    """Return notes on motion that the rig's controls and mimics cannot produce."""
     notices = [
         *_released(solved),
         *_on_top(rig, tracks, driven),
@@ -128,7 +128,7 @@ def _released(solved: SolvedControls) -> Iterator[_Note]:
 def _on_top(
     rig: Rig, tracks: Sequence[KeyTrack], driven: Mapping[str, FloatArray]
 ) -> Iterator[_Note]:
-    """Yield what moves by itself besides what a control that has keys moves."""
+    """Yield notes on joints that move in addition to their keyed controls."""
     units = ClipUnits.of_rig(rig)
     angle = "rad" if units.angle == 1.0 else "deg"
     for track in tracks:

@@ -1,4 +1,4 @@
-"""A take as a clip of sparse keys, which gives it back on a rig."""
+"""Fit sparse keys to a take."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ FINER = 0.5
 
 @dataclass(frozen=True, slots=True)
 class KeyedTake:
-    """A clip, and how far it is from its take."""
+    """A clip of sparse keys and its error."""
 
     clip: Clip  # for the rig
     # Its keys; the errors are those of the clip sampled on the rig.
@@ -78,25 +78,25 @@ def keyed_take(
     joint_tolerances: Mapping[str, float] | None = None,
     base: Take | None = None,
 ) -> KeyedTake:
-    """Return a clip that gives a take back on a rig.
+    """Return a clip of sparse keys that reproduces a take.
 
-    Controls are keyed where their values follow from what they drive. Keys of joints
-    and shapes are what controls, mimics and combined shapes leave: an angle, a slide,
+    Controls are keyed if their values follow from their targets. Keys of joints
+    and shapes hold what controls, mimics and combination shapes leave: an angle, slide,
     a translation or rotation relative to rest, or the local transform where a joint
-    moves in a way that its type does not have.
+    moves beyond its type.
 
     Args:
-        take: With at least one frame.
-        rig: Its rig, as it will be read with the clip.
+        take: At least one frame.
+        rig: Its rig as read with the clip.
         name: What the clip is called.
         tolerance: Largest error of any joint > 0 [m].
-        joint_tolerances: Other tolerances, by names of joints or patterns > 0 [m].
-        base: For an additive take what it is put on. Its controls stay at their
+        joint_tolerances: Tolerances by joint name or pattern > 0 [m].
+        base: Base of an additive take. Its controls stay at their
             defaults.
 
     Raises:
-        OptionError: A joint is unknown or a tolerance not above 0 (CLIP020).
-        FormatError: An expression of the rig has no value at some frame (CLIP015).
+        OptionError: Unknown joint or a tolerance not above 0 (CLIP020).
+        FormatError: An expression of the rig is undefined at a frame (CLIP015).
     """
     others = joint_tolerances or {}
     bounds = joint_bounds(rig, tolerance, others)
@@ -115,7 +115,7 @@ def keyed_take(
 
 
 def _same(rig: Rig, tolerance: float) -> Same:
-    """Return which differences are rounding, next to a tolerance of joints [m]."""
+    """Return the differences that count as rounding for a tolerance [m]."""
     least = SAME_FRACTION * tolerance
     return Same(
         min(SAME_ANGLE, least / max(rest_size(rig), SHELL)),
@@ -141,7 +141,7 @@ def _solved(
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """A take to be keyed, and what is known of it."""
+    """A take to key, with its solved controls."""
 
     take: Take
     rig: Rig
@@ -155,7 +155,7 @@ class _Job:
     base: Take | None
 
     def reduced(self, factor: float) -> KeyedTake:
-        """Return the take's keys at a part of the tolerance."""
+        """Return the take's keys at a fraction of the tolerance."""
         take, rig, others = self.take, self.rig, self.others
         others = {pattern: factor * value for pattern, value in others.items()}
         bounds = joint_bounds(rig, factor * self.tolerance, others)
@@ -198,7 +198,7 @@ class _Job:
         )
 
     def _driven(self) -> dict[str, FloatArray]:
-        """Return what is driven by coordinates of joints, which has no keys."""
+        """Return the values of unkeyable targets, driven by joint coordinates."""
         rig = self.rig
         if not rig.is_driven:
             return {}
@@ -214,7 +214,7 @@ class _Job:
     def _keyed_tracks(
         self, tracks: list[KeyTrack]
     ) -> frozenset[tuple[ChannelKind, int]]:
-        """Return what has keys of its own, and the joints that follow such a joint."""
+        """Return the keyed channels, and those of mimic joints of keyed joints."""
         keyed = {(track.kind, track.index) for track in tracks}
         leading = {self.rig.joints[index].name for _, index in keyed}
         for j, joint in enumerate(self.rig.joints):
@@ -225,7 +225,7 @@ class _Job:
     def _start(
         self, controls: FittedControls, keyed_tracks: frozenset[tuple[ChannelKind, int]]
     ) -> Motion:
-        """Return the take with joints as the keys of controls move them."""
+        """Return the take with joints driven by the fitted control keys."""
         times = self.take.clock.times
         exact = {f"control/{n}": v[:, None] for n, v in self.solved.values.items()}
         exact_motion = sample_values(exact, self.rig, times).motion
@@ -244,7 +244,7 @@ class _Job:
     def _weights(
         self, exact: Mapping[str, FloatArray], fitted: Mapping[str, FloatArray]
     ) -> list[KeyTrack]:
-        """Return tracks of weights, what controls and combined shapes add taken off."""
+        """Return tracks of weights less controls and combination shapes."""
         tracks = []
         nothing = np.zeros(1)
         for i, shape in enumerate(self.rig.shapes):
@@ -265,7 +265,7 @@ class _Job:
 
 
 def _growth(rig: Rig, tracks: list[KeyTrack]) -> float:
-    """Return how many tolerances a weight from 0 to 1 may be off, 1 at least."""
+    """Return the error growth of combination shapes [1], at least 1."""
     keyed = {track.index for track in tracks}
     parts = {s.name: float(i in keyed) for i, s in enumerate(rig.shapes)}
     for shape in combination_order(rig.shapes):
@@ -280,7 +280,7 @@ def _measured(
     base: Take | None,
     bounds: FloatArray,
 ) -> Reduction:
-    """Return a reduction with the errors of a motion that came of it."""
+    """Return a reduction with measured errors."""
     weight_error = _weight_error(take.motion.weights, keyed.weights)
     if not take.rig.joints:
         return replace(reduction, weight_error=weight_error)

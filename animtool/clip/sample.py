@@ -1,4 +1,4 @@
-"""Sampling a clip on its rig: curves, controls, joints, shapes, limits."""
+"""Clip sampling on a rig: curves, controls, joints, shapes, limits."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Parts = dict[str, FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class ClipNotice:
-    """A fault of a control or a joint."""
+    """A notice on a control or a joint."""
 
     fault: Fault  # it, without a place
     target: str  # ``control/NAME`` or ``joint/NAME``
@@ -38,7 +38,7 @@ class ClipNotice:
 
 @dataclass(frozen=True, slots=True)
 class SampledMotion:
-    """A clip at some times."""
+    """The sampled motion of a clip, with notices."""
 
     motion: Motion  # joints, shapes and controls; what does not move is stored once
     # Controls out of range and limits exceeded, with frame and by how much, the worst
@@ -59,9 +59,9 @@ def sample_channels(
     *,
     clamp: bool = False,
 ) -> SampledMotion:
-    """Return channels of a clip on its rig at times ``(F,)`` [frames of the clip].
+    """Sample a clip's channels on a rig at times ``(F,)`` [frame of the clip].
 
-    Channels whose keys are all alike are not sampled, and joints that neither a
+    Channels with equal keys are not sampled; joints that neither a
     channel nor a moving control reaches are left at rest. What channels and controls
     say of one joint is added: turns of controls are rotation vectors, applied before
     the channel's rotation. A channel of ``local_translation`` or ``local_rotation``
@@ -76,7 +76,7 @@ def sample_channels(
         clamp: Bring controls into their ranges and joints into their limits.
 
     Raises:
-        FormatError: An expression of the rig has no value at some frame (CLIP015).
+        FormatError: An expression of the rig is undefined at a frame (CLIP015).
     """
     values = evaluate_channels(channels, times)
     sampled = sample_values(values, rig, times, clamp=clamp)
@@ -91,7 +91,7 @@ MAX_NAMED = 8
 def _with_keys(
     notice: ClipNotice, channels: Sequence[ClipChannel], rig: Rig, times: FloatArray
 ) -> ClipNotice:
-    """Return a notice of a control out of range with the frames of its keys there."""
+    """Return a notice with the key frames at which a control is out of range."""
     if notice.fault.code != "CLIP101":
         return notice
     name = notice.target.removeprefix("control/")
@@ -126,7 +126,7 @@ def sample_values(
     *,
     clamp: bool = False,
 ) -> SampledMotion:
-    """Return the motion that values of targets give a rig, as `sample_channels` does.
+    """Return the motion of a rig from target values; see `sample_channels`.
 
     ``keyed``: values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
     rotations as quaternions.
@@ -170,7 +170,7 @@ def sample_values(
 def _coordinates(
     rig: Rig, parts: Mapping[str, Parts], *, clamp: bool
 ) -> dict[str, FloatArray]:
-    """Return the angles and slides that keys and controls give joints, by name."""
+    """Return joint angles and slides from keys and controls, by name."""
     coordinates = {}
     for name, keyed in parts.items():
         joint = rig.joints[rig.index(name)]
@@ -226,7 +226,7 @@ _CLAMPED = ": clamped"
 def _parts_by_joint(
     keyed: Mapping[str, FloatArray], driven: DrivenValues
 ) -> dict[str, Parts]:
-    """Return what moves each joint, by part; driven parts begin with ``+``."""
+    """Return the values of each joint, by part; driven parts begin with ``+``."""
     parts: dict[str, Parts] = {}
     for target, value in keyed.items():
         if target.startswith("joint/"):
@@ -240,7 +240,7 @@ def _parts_by_joint(
 
 
 def _replace(parts: Mapping[str, Parts]) -> list[ClipNotice]:
-    """Take away what controls add where a channel holds the joint as a whole."""
+    """Drop control contributions where a local channel replaces the joint's motion."""
     notices = []
     for name, part in parts.items():
         for local, added in _ADDED.items():
@@ -269,9 +269,9 @@ _FOLLOWING = {
 
 
 def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[ClipNotice]:
-    """Give joints that follow another the coordinate that comes of it.
+    """Set the coordinates of mimic joints.
 
-    Keys of its own take the place of what a joint follows, and a note says so.
+    Keys on a mimic joint override its mimic, with a note.
     """
     notices = []
     for joint in rig.joints:
@@ -315,7 +315,7 @@ class _Joints:
     )
 
     def add(self, j: int, parts: Parts) -> None:
-        """Work out a joint's translation, rotation and scale ``(F or 1, K)``."""
+        """Compute a joint's translation, rotation and scale ``(F or 1, K)``."""
         joint = self.rig.joints[j]
         rest_t, rest_r = np.array(joint.translation), np.array(joint.rotation)
         base_t = parts.get("local_translation", rest_t[None])
@@ -334,7 +334,7 @@ class _Joints:
             self.values["scales"][j] = parts["scale"]
 
     def channel(self, name: str, rest: FloatArray) -> Channel:
-        """Return the channel of a part: what moves, and what stands elsewhere."""
+        """Return the channel of a part: animated values and constants."""
         constant, count = rest.copy(), len(self.times)
         animated: list[int] = []
         columns: list[FloatArray] = []
@@ -406,14 +406,14 @@ class _Joints:
 
 
 def _sum(keyed: FloatArray | None, driven: FloatArray | None) -> FloatArray | None:
-    """Return what a channel ``(F, 1)`` and controls ``(F,)`` come to."""
+    """Return the sum of a channel ``(F, 1)`` and controls ``(F,)``."""
     if driven is None:
         return keyed
     return driven[:, None] if keyed is None else keyed + driven[:, None]
 
 
 def _column_channel(columns: list[FloatArray], count: int) -> Channel:
-    """Return the channel of columns ``(F,)`` or ``(1,)``."""
+    """Return a channel from columns ``(F,)`` or ``(1,)``."""
     rest = np.array([column[0] for column in columns])[:, None]
     animated = [i for i, column in enumerate(columns) if (column != column[0]).any()]
     values = np.zeros((count, len(animated), 1))
@@ -429,7 +429,7 @@ def _control_channel(rig: Rig, driven: DrivenValues, count: int) -> Channel:
 def _weights(
     rig: Rig, keyed: Mapping[str, FloatArray], driven: DrivenValues, count: int
 ) -> Channel | None:
-    """Return the shapes' weights; None where all are zero throughout."""
+    """Return the shapes' weights; None if all are zero."""
     weights: dict[str, FloatArray] = {}
     for shape in rig.shapes:
         target = f"shape/{shape.name}"

@@ -48,7 +48,7 @@ class ClipUnitsModel(FileModel):
 
 
 class KeyModel(FileModel):
-    """A key: time [frames], value, and how the curve leaves and meets it."""
+    """A key: time [frame], value and tangents."""
 
     t: Real = key(
         "Frame at the file's `fps`, which may be fractional; keys ascend.", 12.5
@@ -95,7 +95,7 @@ class _TargetModel(FileModel):
 
 
 class JoinModel(FileModel):
-    """How keys are joined up."""
+    """Interpolation of keys."""
 
     interp: Interp | None = key(
         "Interpolation between keys. Default: `bezier`, or `spline` for quaternions.",
@@ -123,7 +123,7 @@ class JoinModel(FileModel):
 
 
 class CurveModel(JoinModel):
-    """Keys, and how they are joined up."""
+    """Keys and their interpolation."""
 
     keys: Annotated[Keys, Len(1)] = key("One key or more.", [{"t": 1.0, "v": 0.0}])
 

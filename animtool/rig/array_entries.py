@@ -1,4 +1,4 @@
-"""The arrays that a rig file refers to, and what simulations move of it."""
+"""Array references and attachments of a rig file."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NO_ARRAY = LoadedArray(np.zeros(0))
 
 @dataclass(frozen=True, slots=True)
 class ArrayReader:
-    """Looks at arrays one at a time; what is wrong is noted in the document."""
+    """Checks array references; records faults in the document."""
 
     document: Document  # the file
     roots: Sequence[Path]  # folders that references may lead into
@@ -50,7 +50,7 @@ class ArrayReader:
     def array(
         self, at: Location, text: str, role: str, shape: Shape, count: int | None = None
     ) -> ArraySource:
-        """Return a reference, and note what is wrong with where it leads."""
+        """Return a reference; record the faults of its array."""
         name, key = split_reference(text, _KEYS.get(role, role))
         path = self.paths.get(name)
         path = path or referred(self.document, at, name, self.roots)
@@ -69,12 +69,12 @@ class ArrayReader:
         return ref
 
     def rows(self, ref: ArraySource) -> int | None:
-        """Return the length of an array; None where it cannot be read."""
+        """Return the length of an array; None if it cannot be read."""
         shape = self.shape(ref)
         return shape[0] if shape else None
 
     def shape(self, ref: ArraySource) -> tuple[int, ...] | None:
-        """Return the shape of an array; None where it cannot be read."""
+        """Return the shape of an array; None if it cannot be read."""
         if isinstance(ref, LoadedArray):
             return None if ref is NO_ARRAY else ref.values.shape
         try:
@@ -117,7 +117,7 @@ class ArrayReader:
 
 
 def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str | None:
-    """Return what is wrong with the values of an array, at the first place; or None."""
+    """Return the first fault in an array's values, or None."""
     if role in _COUNTING:
         free = np.zeros(values.shape, bool)
         if role == "faces":
@@ -172,7 +172,7 @@ SLIP = 0.8
 
 @dataclass(frozen=True, slots=True)
 class AttachmentReader:
-    """Makes attachments one at a time; what is wrong is noted in the document."""
+    """Builds attachments; records faults in the document."""
 
     document: Document  # the file
     arrays: ArrayReader  # looks at the arrays that the file refers to
@@ -182,7 +182,7 @@ class AttachmentReader:
     check_mesh: Check  # notes a name that is no mesh
 
     def attachment(self, at: Location, entry: AttachModel) -> Attachment:
-        """Return an attachment; faults are noted in the document."""
+        """Return an attachment; record its faults in the document."""
         self._fitting_keys(at, entry)
         joints = tuple(entry.joints or ())
         for k, name in enumerate(joints):
@@ -206,7 +206,7 @@ class AttachmentReader:
         )
 
     def _fitting_keys(self, at: Location, entry: AttachModel) -> None:
-        """Note the keys that an attachment's kind lacks, or does not take."""
+        """Record the missing and unsupported keys of an attachment's kind."""
         if self.document.doubtful((*at, "kind")):
             return
         wants, takes = _ATTACH_KEYS.get(

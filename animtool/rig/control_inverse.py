@@ -1,4 +1,4 @@
-"""Values of controls from what they drive: the inverse of `animtool.rig.controls`."""
+"""Solve control values from targets: the inverse of `animtool.rig.controls`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FRAMES_AT_ONCE = 1024
 
 @dataclass(frozen=True, slots=True)
 class SolvedControls:
-    """Keys of controls that drive a rig's joints and shapes as given."""
+    """Control values that reproduce joints and shapes."""
 
     values: dict[str, FloatArray]  # keyed value of every control, ``(F,)``
     # Controls whose value follows from what they drive, in the rig's order.
@@ -42,7 +42,7 @@ class SolvedControls:
 def keyed_values(
     controls: Sequence[Control], reached: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return the keys that bring controls to values ``(F,)``, less what others add.
+    """Return keys for control values ``(F,)``, less what other controls add.
 
     >>> from animtool.rig.controls import Drive
     >>> from animtool.rig.expressions import parse_expression
@@ -69,7 +69,7 @@ def solve_controls(
     *,
     keyed: Set[str] = frozenset(),
 ) -> SolvedControls:
-    """Return values of controls that drive targets as wanted, in their ranges.
+    """Return control values within their ranges that drive targets to goals.
 
     Controls that share a target, or read each other, are solved together: sweeps of the
     nearest point on each control's own polyline find the segments, Newton steps on all
@@ -107,7 +107,7 @@ def solve_controls(
 def _solved_group(
     problem: _Problem, start: dict[str, FloatArray]
 ) -> tuple[dict[str, FloatArray], set[str]]:
-    """Return the values of controls that belong together, and those released."""
+    """Solve a group of coupled controls; return values and released controls."""
     if not problem.unexplained(start):
         return start, set()
     free = [name for name in start if name not in problem.masters]
@@ -135,7 +135,7 @@ def _solved_group(
 def _readmitted(
     problem: _Problem, values: dict[str, FloatArray], released: set[str]
 ) -> tuple[dict[str, FloatArray], set[str]]:
-    """Return values with those controls solved again that others had put off."""
+    """Solve again the controls that were released because of others."""
     left = set(released)
     for control in problem.controls:
         name = control.name
@@ -150,9 +150,9 @@ def _readmitted(
 def _simplest(
     problem: _Problem, values: dict[str, FloatArray], start: dict[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return values with controls back at their start that make no difference there.
+    """Reset the controls to their start where that makes no difference.
 
-    Samples in float32 leave traces of rounding on controls that are still.
+    Samples in float32 leave rounding noise on static controls.
     """
     broken = problem.unexplained(values)
     for name, value in start.items():
@@ -192,7 +192,7 @@ def _groups(controls: Sequence[Control]) -> list[set[str]]:
 
 
 class _Problem:
-    """Controls that are solved together, and what they should add to their targets."""
+    """A group of coupled controls and their goals."""
 
     def __init__(
         self,
@@ -222,7 +222,7 @@ class _Problem:
     def on_revolutions(
         self, start: Mapping[str, FloatArray], free: Sequence[str]
     ) -> Iterator[_Problem]:
-        """Yield the problem with angles on the turns that one of them leads to."""
+        """Yield the problem with goal angles shifted by revolutions."""
         angles = [target for target in self.order if target.endswith(".angle")]
         for anchor in angles[:MAX_ANCHORS] if len(angles) > 1 else ():
             alone = self._of({anchor: self.goals[anchor]})
@@ -243,7 +243,7 @@ class _Problem:
         *,
         modulo: bool = False,
     ) -> FloatArray:
-        """Return wanted less driven, in tolerances ``(F, T)``; not finite is huge."""
+        """Return goals less driven values, in tolerances ``(F, T)``."""
         driven = evaluate_controls(self.controls, values).targets
         rows = []
         with np.errstate(invalid="ignore", over="ignore"):
@@ -282,9 +282,9 @@ class _Problem:
     def _nearest(
         self, values: Mapping[str, FloatArray], name: str, frames: IntArray
     ) -> FloatArray:
-        """Return the value of one control that leaves the least, others held ``(F,)``.
+        """Return the best value of one control ``(F,)``, the others fixed.
 
-        Its effect on the targets is taken for straight between the points of a grid.
+        Its effect is taken as linear between the points of a grid.
         """
         grid = _grid(self.by_name[name])
         rest = {other: value[frames] for other, value in values.items()}
@@ -318,7 +318,7 @@ class _Problem:
     def _newton(
         self, values: dict[str, FloatArray], free: Sequence[str], frames: IntArray
     ) -> None:
-        """Bring some controls to the least residual, by Gauss-Newton, in place."""
+        """Minimize the residual over some controls by Gauss-Newton, in place."""
         bounds = [_bounds(self.by_name[name]) for name in free]
         low, high = np.array(bounds).T
         now = np.stack([values[name][frames] for name in free], axis=-1)
@@ -358,7 +358,7 @@ class _Problem:
     ) -> FloatArray:
         """Return the Gauss-Newton step ``(F, C)`` of least length.
 
-        Controls that stand at an end of their range are held where it leads outside.
+        Controls at an end of their range are fixed if the step leads outside.
         """
         slopes = np.zeros((*residual.shape, len(free)))
         for i, name in enumerate(free):
@@ -385,7 +385,7 @@ class _Problem:
 def _reached_targets(
     controls: Sequence[Control], direct: Mapping[str, Iterable[str]]
 ) -> dict[str, set[str]]:
-    """Return the joint parts and shapes that each control moves, through others too."""
+    """Return the joint parts and shapes that each control moves, directly or not."""
     moves = {name: set(targets) for name, targets in direct.items()}
     for control in controls:
         for drive in control.drives:
@@ -415,7 +415,7 @@ def _bounds(control: Control) -> tuple[float, float]:
 
 
 def _grid(control: Control) -> FloatArray:
-    """Return values of a control between which its effect is nearly straight."""
+    """Return values of a control between which its effect is nearly linear."""
     corners = {x for drive in control.drives for x, _ in drive.curve}
     low, high = control.low, control.high
     if low is None or high is None:

@@ -1,4 +1,4 @@
-"""The drivers of a rig in order: what they read, and what depends on what.
+"""Evaluation order and dependencies of a rig's drivers.
 
 Drivers read coordinates of joints: the angle of a pin, the slide of a prismatic joint,
 and of a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
@@ -38,7 +38,7 @@ Driven = Driver | Mimic
 
 
 class DriverCycleError(ValueError):
-    """What is driven depends on itself.
+    """Drivers depend on each other in a cycle.
 
     Attributes:
         cycle: Targets such as ``joint/elbow``, the first one again at the end.
@@ -69,7 +69,7 @@ def readable_parts(joint: Joint) -> list[str]:
 
 
 def coordinate_fault(rig: Rig, name: str) -> Fault | None:
-    """Return why no driver can read a name; None where one can."""
+    """Return the fault of a name that no driver can read, or None."""
     joint, part = split_coordinate(name)
     if not joint:
         known = [control.name for control in rig.controls]
@@ -112,7 +112,7 @@ def _near(name: str, names: Sequence[str]) -> str | None:
 
 
 def driving_order(rig: Rig) -> list[str]:
-    """Return what is driven as targets, each behind all that its value depends on.
+    """Return the driven targets in dependency order.
 
     Joints that mimic such a joint are among them, and controls that a driven control
     drives. Shapes are last.
@@ -172,13 +172,13 @@ def _needs(driver: Driver | None) -> dict[str, None]:
 
 
 def reads(control: Control, drive: Drive) -> tuple[str, ...]:
-    """Return the controls that what a control adds depends on."""
+    """Return the controls that a control's drives read."""
     return (control.name,) if drive.expression is None else drive.expression.names
 
 
 @dataclass(frozen=True, slots=True)
 class DriverPlan:
-    """The driven parts of a rig, each behind what it depends on."""
+    """The driven parts of a rig in dependency order."""
 
     rig: Rig
     joints: tuple[int, ...]  # those driven, and those that mimic one of these
@@ -239,14 +239,14 @@ class DriverPlan:
         )
 
     def driver(self, joint: int) -> Driven:
-        """Return what gives a driven joint its coordinate."""
+        """Return the driver or mimic of a driven joint."""
         rig_joint = self.rig.joints[joint]
         driven = rig_joint.driven or rig_joint.mimic
         assert driven is not None
         return driven
 
     def sources(self, joint: int) -> list[int]:
-        """Return the joints that move a driven joint and are not driven themselves.
+        """Return the undriven joints that move a driven joint.
 
         A joint that mimics another is moved by that one.
         """
@@ -267,7 +267,7 @@ class DriverPlan:
         return sorted(sources)
 
     def controls_read(self) -> set[str]:
-        """Return the controls without a driver that drivers of joints read."""
+        """Return the undriven controls that joint drivers read."""
         controls = {control.name: control for control in self.rig.controls}
         waiting = [
             name
@@ -293,9 +293,9 @@ class DriverPlan:
         return {name for name in reached if name not in self.controls}
 
     def followers(self, moved: Collection[str]) -> list[str]:
-        """Return the driven joints that follow one of some joints, in the rig's order.
+        """Return the driven joints that depend on some joints, in the rig's order.
 
-        Those too that a joint which mimics one of them moves.
+        Includes dependencies through mimic joints.
         """
         moved_joints = {self.rig.index(name) for name in moved}
         return [
@@ -306,7 +306,7 @@ class DriverPlan:
 
 
 def plan_of(rig: Rig) -> DriverPlan:
-    """Return the plan of a rig, made once; see `DriverPlan.of`."""
+    """Return the cached plan of a rig; see `DriverPlan.of`."""
     kept = rig.__dict__
     if _KEPT not in kept:
         kept[_KEPT] = DriverPlan.of(rig)
@@ -316,9 +316,9 @@ def plan_of(rig: Rig) -> DriverPlan:
 
 
 def _by_control(rig: Rig, order: Sequence[str]) -> frozenset[str]:
-    """Return the targets, of all driven ones, that depend on controls of keys.
+    """Return the driven targets that depend on keyed controls.
 
-    Joints that they read have coordinates whatever those come from.
+    Joint coordinates that they read count as known.
     """
     drivers = {f"joint/{joint.name}": joint.driven for joint in rig.joints}
     drivers |= {f"shape/{shape.name}": shape.driven for shape in rig.shapes}
@@ -347,7 +347,7 @@ def _by_control(rig: Rig, order: Sequence[str]) -> frozenset[str]:
 
 
 def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return of each driven joint the joints that it reads."""
+    """Return the joints that each driven joint reads."""
     controls = {control.name: control for control in rig.controls}
     of: dict[str, dict[str, None]] = {}
     for target in order:

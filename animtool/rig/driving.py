@@ -1,4 +1,4 @@
-"""What the drivers of a rig come to.
+"""Evaluation of a rig's drivers.
 
 Drivers read coordinates of joints: the angle of a pin, the slide of a prismatic joint,
 and of a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
@@ -35,7 +35,7 @@ Read = Callable[[str], FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class DriverValues:
-    """What drivers come to ``(F,)``, or ``(1,)`` where nothing that one reads moves.
+    """Driver values ``(F,)``, or ``(1,)`` if constant.
 
     Values that are not finite are left as they are: the caller looks.
     """
@@ -52,7 +52,7 @@ def evaluate_drivers(
     controls: Mapping[str, FloatArray],
     kept: Collection[str] = (),
 ) -> DriverValues:
-    """Return the values of everything that is driven.
+    """Evaluate all drivers.
 
     Args:
         plan: Of the rig.
@@ -104,7 +104,7 @@ def evaluate_drivers(
 
 
 class _Named(dict[str, FloatArray]):
-    """Values by name, coordinates read when they are asked for."""
+    """Values by name; coordinates are read on demand."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class _Named(dict[str, FloatArray]):
 
 
 def _driven_by(rig: Rig, target: str, values: Mapping[str, FloatArray]) -> FloatArray:
-    """Return what controls add to a target."""
+    """Return the controls' contribution to a target."""
     total = np.zeros(1)
     for control in rig.controls:
         for drive in control.drives:
@@ -162,7 +162,7 @@ def driven_coordinates(
     coordinates: FloatArray,
     controls: Mapping[str, FloatArray] | None = None,
 ) -> FloatArray:
-    """Return coordinates ``(B, Q)`` whose driven joints are where drivers put them."""
+    """Return coordinates ``(B, Q)`` with driven joints set by their drivers."""
     rig, slices = plan.rig, coordinate_slices(plan.rig)
     out = coordinates.copy()
 

@@ -1,4 +1,4 @@
-"""Reading a rig file, ``*.rig.yaml``, and its bind pose."""
+"""Rig file reader, ``*.rig.yaml``, and bind poses."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def bind_of(
     units: FileUnits,
     inherited: Mapping[str, Pose],
 ) -> dict[str, Pose]:
-    """Return the bind pose where it is not the rest pose; faults are noted.
+    """Return the bind poses that differ from rest; record faults.
 
-    A joint that a mirror wrote has the reflection of the other's bind pose, unless
-    the file gives it one of its own.
+    A mirrored joint has the reflection of the other's bind pose, unless
+    the file states one.
     """
     joints = {joint.name: joint for joint in read.joints}
     bind = dict(inherited)
@@ -81,7 +81,7 @@ def _rest(joint: Joint) -> Pose:
 def _mirrored(
     joints: FileJoints, bind: Mapping[str, Pose], stated: set[str]
 ) -> dict[str, Pose]:
-    """Return the bind poses of joints that a mirror wrote, parents before children."""
+    """Return the bind poses of mirrored joints, parents before children."""
     poses: dict[str, Pose] = {}
     if not joints.mirrored - stated or not bind:
         return poses
@@ -108,7 +108,7 @@ MAX_SIDECARS = 8
 
 
 def load_rig(path: Path | str, above: tuple[Path, ...] = ()) -> Rig:
-    """Return the rig of a rig file, and of what its ``from`` leads to."""
+    """Load a rig file, and the file that its ``from`` names."""
     return rig_of_document(read_document(Path(path)), above)
 
 
@@ -180,7 +180,7 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
 def _with_shapes(
     inherited: tuple[Shape, ...], added: tuple[Shape, ...]
 ) -> tuple[Shape, ...]:
-    """Return all shapes; one that only gives an inherited one a driver is joined."""
+    """Merge shapes; an entry with only a driver is added to the inherited shape."""
     known = {shape.name for shape in inherited}
     drivers = {
         shape.name: shape.driven
@@ -199,7 +199,7 @@ def _with_shapes(
 def _base(
     document: Document, name: str, roots: tuple[Path, ...], above: tuple[Path, ...]
 ) -> Rig | None:
-    """Return the rig that a sidecar adds to."""
+    """Load the base rig of a sidecar."""
     path = referred(document, ("from",), name, roots)
     if path is None:
         return None
@@ -222,14 +222,14 @@ def _base(
 
 
 def _added(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
-    """Return what a sidecar says of joints: as roots, for the tree does not matter."""
+    """Return a sidecar's joints as roots, since it has no hierarchy."""
     cleared = {"mirror": None, "parent": None}
     alone = [entry.model_copy(update=cleared) for entry in model.joints]
     return joints_of(document, alone, units)
 
 
 def _alone(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
-    """Return the joints of a sidecar whose base cannot be read: there may be more."""
+    """Return a sidecar's joints without its base, marked incomplete."""
     document.partial |= {"joints", "meshes", "shapes", "controls"}
     joints = _added(document, model, units)
     return replace(joints, adrift=frozenset(joint.name for joint in joints.joints))
@@ -238,7 +238,7 @@ def _alone(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
 def _overlaid(
     document: Document, model: RigModel, base: Rig, units: FileUnits
 ) -> FileJoints:
-    """Return the joints of a base with the types and limits that a sidecar adds."""
+    """Return a base's joints with a sidecar's types and limits."""
     names = {joint.source_name or joint.name: joint.name for joint in base.joints}
     names |= {joint.name: joint.name for joint in base.joints}
     for i, entry in enumerate(model.joints):

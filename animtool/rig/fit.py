@@ -1,4 +1,4 @@
-"""How well the joints of a take fit a rig that its motion is written onto."""
+"""Fit score between a take's rest skeleton and a target rig."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ NAMED_ANGLE, NAMED_LENGTH = np.radians(5.0), 0.05
 
 @dataclass(frozen=True, eq=False)
 class RigFit:
-    """The rest skeleton of a take against that of a rig."""
+    """Comparison of the rest skeletons of a take and a rig."""
 
     # Share of the take's joints that the rig has. End joints that the rig lacks are not
     # counted.
@@ -55,7 +55,7 @@ class RigFit:
 
     @cached_property
     def parts(self) -> dict[str, float]:
-        """What the score is the least of, each from 0 to 1."""
+        """Components of the score, each from 0 to 1; the least counts."""
         return {
             "joints": max(self.take_fraction, self.rig_fraction),
             "rotations": max(0.0, 1.0 - self.rotation / ROTATION_SPAN),
@@ -81,14 +81,14 @@ class RigFit:
 
     @property
     def differing(self) -> list[int]:
-        """Joints of the rig whose rest differs visibly, the most different first."""
+        """Joints of the rig whose rest differs noticeably, worst first."""
         far = np.maximum(self.angles / NAMED_ANGLE, self.lengths / NAMED_LENGTH)
         order = np.argsort(-far, kind="stable")
         return [int(self.joints[i]) for i in order if far[i] > 1.0]
 
 
 def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) -> RigFit:
-    """Return how well a take's rest skeleton fits a rig: ``source`` ``(J,)``.
+    """Measure how well a take's rest skeleton fits a rig: ``source`` ``(J,)``.
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
@@ -128,12 +128,12 @@ def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) ->
 
 
 class _Posture:
-    """Two rest poses in model space, the one turned onto the other.
+    """Two rest poses in model space, one aligned to the other.
 
     Attributes:
         bones: Bones of both, from the parent to the joint ``(B, 3)`` [m].
         turned: Angle between the rotations of each joint [rad] ``(B,)``.
-        tilt: By how much up was turned [rad].
+        tilt: Angle between the up axes after alignment [rad].
     """
 
     def __init__(self, take: Rig, rig: Rig, there: IntArray, here: IntArray) -> None:
@@ -159,13 +159,13 @@ class _Posture:
 
 
 def _is_straight(bones: FloatArray) -> bool:
-    """Return whether all bones lie along one line, which leaves a twist open."""
+    """Return whether all bones are collinear, so that twist is undefined."""
     spreads = np.linalg.svd(bones, compute_uv=False)
     return bool(len(spreads) < 2 or spreads[1] <= STRAIGHT * spreads[0])
 
 
 def _take_fraction(take: Rig, used: IntArray) -> float:
-    """Return the share of a take's joints in use; end joints below one are free."""
+    """Return the used fraction of a take's joints; end joints below one are ignored."""
     has = np.zeros(len(take.joints), np.bool_)
     has[used] = True
     parents = take.parents
@@ -195,7 +195,7 @@ def check_fit(
     forced: bool,
     unmatched: list[Fault] | None = None,
 ) -> tuple[RigFit, list[Fault]]:
-    """Return how well a take fits a rig (else RIG040), and a warning where it shows.
+    """Check how well a take fits a rig (RIG040); return the fit and a warning.
 
     ``source`` is the joint of the take for each of the rig ``(J,)``, -1 for none.
     Forced, a warning takes the place of the error, which else includes ``unmatched``
@@ -235,10 +235,10 @@ def _fault(
 
 
 def _numbers(fit: RigFit) -> str:
-    """Return the parts of a score that can be seen."""
+    """Return the noticeable parts of a score."""
     names = {
-        "joints": f"{fit.take_fraction:.0%} of the take's, {fit.rig_fraction:.0%} of the "
-        "rig's",
+        "joints": f"{fit.take_fraction:.0%} of the take's, "
+        f"{fit.rig_fraction:.0%} of the rig's",
         "rotations": f"{math.degrees(fit.rotation):.1f} degrees apart",
         "lengths": f"{fit.length:.0%} apart",
         "size": f"{fit.size:.3g} times the rig's",
@@ -252,7 +252,7 @@ def _numbers(fit: RigFit) -> str:
 
 
 def _hint(fit: RigFit) -> str:
-    """Return what to do about the worst part of a score."""
+    """Return a hint for the worst part of a score."""
     parts = fit.parts
     worst = min(parts, key=lambda name: parts[name])
     advice = {
@@ -271,6 +271,6 @@ def _hint(fit: RigFit) -> str:
 
 
 def _is_unit_ratio(size: float) -> bool:
-    """Return whether one unit taken for another makes so much difference in size."""
+    """Return whether a size ratio equals the ratio of two length units."""
     ratio = max(size, 1.0 / size) if size > 0 else math.inf
     return any(abs(ratio / r - 1.0) < RATIO_TOLERANCE for r in UNIT_RATIOS)

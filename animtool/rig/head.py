@@ -1,4 +1,4 @@
-"""The joints of a head, and rotations of a face as theirs."""
+"""Head and eye joints, and face rotations in their frames."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _Z_UP = np.array([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
 
 
 def head_joints(rig: Rig) -> dict[str, int]:
-    """Return the joints of a head and of its eyes, those that there are, by part.
+    """Return the existing head and eye joints by part.
 
     >>> from animtool.rig.skeleton import Joint
     >>> head_joints(Rig("r", (Joint("mixamorig:Head", -1), Joint("LeftEye", 0))))
@@ -39,13 +39,13 @@ def head_joints(rig: Rig) -> dict[str, int]:
 
 
 def local_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
-    """Return what a joint's local rotation is when it turns from rest ``(F, 4)``.
+    """Convert face rotations to a joint's local rotations ``(F, 4)``.
 
     Joints above it are at rest.
 
     Args:
-        rig: Whose joint it is.
-        joint: Its index.
+        rig: Rig of the joint.
+        joint: Index of the joint.
         rotations: In the frame of a face, X to its left, Y up, Z ahead ``(F, 4)``.
     """
     if rig.up is UpAxis.Z:
@@ -62,7 +62,7 @@ def local_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
 
 
 def face_rotations(rig: Rig, joint: int, local: FloatArray) -> FloatArray:
-    """Return what `local_rotations` makes these local rotations of ``(F, 4)``."""
+    """Convert a joint's local rotations to face rotations ``(F, 4)``."""
     rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
     parent = rig.joints[joint].parent
     relative = multiply(local, conjugate(rig.rest_rotations[joint]))

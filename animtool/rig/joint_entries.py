@@ -35,7 +35,7 @@ OFF_MIDDLE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class FileUnits:
-    """What the numbers of a file count: metres a unit, radians a unit."""
+    """Length unit [m] and angle unit [rad] of a file."""
 
     length: float
     angle: float
@@ -47,7 +47,7 @@ class FileUnits:
 
 @dataclass(frozen=True, slots=True)
 class FileJoints:
-    """The joints of a file, and what its faults leave open about them."""
+    """The joints of a file, and which facts its faults leave unknown."""
 
     joints: tuple[Joint, ...]  # parents before children
     adrift: frozenset[str] = frozenset()  # names of those whose parent is not known
@@ -59,7 +59,7 @@ class FileJoints:
 
 @dataclass(slots=True)
 class _JointEntry:
-    """A joint to make: one that stands in the file, or the mirror image of one."""
+    """A joint to build: a file's entry or its mirror image."""
 
     index: int
     source: str
@@ -70,14 +70,14 @@ class _JointEntry:
 
 @dataclass(slots=True)
 class _Tree:
-    """Joints made so far, parents first; where they are once a mirror image asks."""
+    """Joints built so far, parents first, with world transforms on demand."""
 
     built: list[Joint] = field(default_factory=list)
     indices: dict[str, int] = field(default_factory=dict)
     world: list[Transform] = field(default_factory=list)
 
     def at(self, joint: int) -> Transform:
-        """Return where a joint is at rest, the world for none."""
+        """Return a joint's world transform at rest; identity for -1."""
         if joint < 0:
             return ORIGIN
         for transform in self.built[len(self.world) : joint + 1]:
@@ -91,7 +91,7 @@ class _Tree:
 def joints_of(
     document: Document, models: list[JointModel], units: FileUnits
 ) -> FileJoints:
-    """Return the joints of a file, parents before children; faults are noted."""
+    """Return the joints of a file, parents before children; record faults."""
     unnamed = document.unnamed("joints", "name", "mirror")
     entries = _entries(document, models, unnamed=unnamed)
     tree = _Tree()
@@ -168,7 +168,7 @@ def _entries(
 def _parents_first(
     document: Document, entries: dict[str, _JointEntry]
 ) -> Iterator[str]:
-    """Yield names in the file's order, but each behind its parent and its source."""
+    """Yield names in file order, each after its parent and mirror source."""
     done: set[str] = set()
     for start in entries:
         trail: list[str] = []
@@ -208,7 +208,7 @@ def _note_off_middle(
     parent_world: Transform,
     joints: list[Joint],
 ) -> None:
-    """Note a pair below one joint that is not between left and right."""
+    """Warn of a mirrored pair whose parent is off the middle plane."""
     away = float(parent_world[0][0])
     if abs(away) <= OFF_MIDDLE:
         return
@@ -300,7 +300,7 @@ def _with_drivers(
     read: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
-    """Return the joints with their drivers; what these read is looked at later."""
+    """Return the joints with their drivers; inputs are checked later."""
     joints = {joint.name: joint for joint in read.joints}
     both = (units.length, units.angle)
     partners = {joint.name: joint.mirror for joint in read.joints if joint.mirror}
@@ -330,7 +330,7 @@ def _with_mimics(
     read: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
-    """Return the joints with those that follow others, which must exist by now."""
+    """Return the joints with their mimics, whose leaders must exist."""
     joints = list(read.joints)
     by_name = {joint.name: i for i, joint in enumerate(joints)}
     scalar = (JointType.PIN, JointType.PRISMATIC)
@@ -366,7 +366,7 @@ def _with_mimics(
 def _refuse_chains(
     document: Document, entries: dict[str, _JointEntry], joints: list[Joint]
 ) -> None:
-    """Refuse a mimic of a mimic, and with it every circle of them."""
+    """Refuse a mimic of a mimic, and so every cycle."""
     following = {joint.name for joint in joints if joint.mimic}
     for joint in joints:
         if joint.mimic and joint.mimic.joint in following:
@@ -383,7 +383,7 @@ def _refuse_chains(
 def quaternion(
     document: Document, location: Location, values: list[float]
 ) -> tuple[float, float, float, float]:
-    """Return the rotation (x, y, z, w) of [w, x, y, z] in a file, at unit length."""
+    """Convert a file's [w, x, y, z] to a unit quaternion (x, y, z, w)."""
     w, x, y, z = values
     length = math.hypot(*values)
     if abs(length - 1.0) <= UNIT_LENGTH:
@@ -396,7 +396,7 @@ def quaternion(
 
 
 def unit_vector(document: Document, location: Location, values: list[float]) -> Vector:
-    """Return a direction at unit length."""
+    """Normalize a direction; record a fault for zero length."""
     length = math.hypot(*values)
     if abs(length - 1.0) <= UNIT_LENGTH:
         length = 1.0

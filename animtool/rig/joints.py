@@ -35,7 +35,7 @@ class LocalTransforms:
 
 
 def coordinate_slices(rig: Rig) -> list[slice]:
-    """Return where each joint's coordinates stand in a row of q."""
+    """Return the slice of each joint's coordinates in a row of q."""
     firsts = rig.joint_arrays.columns.tolist()
     return [
         slice(first, first + WIDTHS[joint.type])
@@ -68,10 +68,10 @@ def local_from_coordinates(rig: Rig, coordinates: ArrayLike) -> LocalTransforms:
 
 
 def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:
-    """Return the joint coordinates ``(F, Q)`` nearest to local transforms.
+    """Project local transforms to joint coordinates ``(F, Q)``.
 
-    What a joint cannot do is left out: a pin keeps the turn about its axis, a prismatic
-    joint the slide along it. Pin angles are continuous along F, over whole turns too.
+    Motion that a joint cannot have is dropped: a pin keeps the rotation about its axis,
+    a prismatic joint the slide along it. Pin angles are continuous along F.
     """
     joints = len(rig.joints)
     translations = as_floats(local.translations, ("F", joints, 3), "translations")
@@ -127,7 +127,7 @@ KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
 
 
 def nearest_part(text: str, parts: Iterable[str]) -> str | None:
-    """Return a hint that names the part that a joint's misspelt part is nearest to.
+    """Return a hint with the nearest part name of a joint.
 
     >>> nearest_part("elbow_l.angel", KEYED_PARTS)
     "did you mean '.angle'?"
@@ -140,7 +140,7 @@ def nearest_part(text: str, parts: Iterable[str]) -> str | None:
 
 
 def split_part(text: str, parts: Iterable[str]) -> tuple[str, str]:
-    """Return a joint's name and its part, the part empty where there is none.
+    """Split a target into joint name and part; the part may be empty.
 
     >>> split_part("arm.l.rotation.x", DRIVEN_PARTS)
     ('arm.l', 'rotation.x')

@@ -13,7 +13,7 @@ from animtool.rig.skeleton import Rig
 
 @dataclass(frozen=True, slots=True)
 class WorldTransforms:
-    """Where every joint is."""
+    """World transforms of every joint."""
 
     positions: FloatArray  # joint origins ``(F, J, 3)`` [m], world
     # Linear parts ``(F, J, 3, 3)``: rotations, times scale where there is any. Column c

@@ -1,4 +1,4 @@
-"""How far a joint may go."""
+"""Joint limits."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from animtool.maths import so3
 
 @dataclass(frozen=True, slots=True)
 class RangeLimit:
-    """Least and largest coordinate of a pin [rad] or prismatic joint [m]."""
+    """Range of a pin's angle [rad] or a prismatic joint's slide [m]."""
 
     low: float
     high: float
 
     def excess(self, coordinate: FloatArray) -> FloatArray:
-        """Return how far coordinates ``(F,)`` lie outside, signed; 0 within."""
+        """Return the signed excess of coordinates ``(F,)``; 0 within the range."""
         return coordinate - self.clamped(coordinate)
 
     def clamped(self, coordinate: FloatArray) -> FloatArray:
-        """Return coordinates ``(F,)`` brought inside."""
+        """Return coordinates ``(F,)`` clamped to the range."""
         return np.clip(coordinate, self.low, self.high)
 
 
@@ -46,11 +46,11 @@ class BallLimit:
         return _axes(self.twist_axis)
 
     def excess(self, rotations: FloatArray) -> FloatArray:
-        """Return the angle between rotations ``(F, 4)`` and the limits [rad]."""
+        """Return the angle by which rotations ``(F, 4)`` exceed the limits [rad]."""
         return so3.angle_between(rotations, self.clamped(rotations))
 
     def clamped(self, rotations: FloatArray) -> FloatArray:
-        """Return rotations ``(F, 4)`` with swing and twist brought inside.
+        """Return rotations ``(F, 4)`` with swing and twist clamped.
 
         The swing is shortened along its own direction until it lies on the ellipse.
         """

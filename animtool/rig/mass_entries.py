@@ -1,4 +1,4 @@
-"""What joints weigh, as a rig file says it."""
+"""Masses of joints in a rig file."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def read_masses(
     length: float,
     known: Callable[[Location, str], bool],
 ) -> tuple[Mass, ...]:
-    """Return the masses of a file and those that it inherits; faults are noted.
+    """Return a file's masses and inherited ones; record faults.
 
     Args:
-        document: The file.
+        document: Rig file.
         entries: Its masses.
-        inherited: Of the rig that it adds to.
-        length: Its unit of lengths [m].
-        known: Notes a joint that is none.
+        inherited: Masses of the base rig.
+        length: Length unit [m].
+        known: Records an unknown joint.
     """
     listed = {entry.joint for entry in entries}
     masses = [mass for mass in inherited if mass.joint not in listed]
@@ -54,7 +54,7 @@ def read_masses(
 
 
 def inertia_problem(inertia: Sequence[float]) -> str:
-    """Return why no body has moments of inertia; empty where one has.
+    """Return why moments of inertia are impossible; empty if valid.
 
     >>> moments_problem([1.0, 1.0, 2.0]), moments_problem([1.0, 1.0, 3.0])
     ('', 'of 1, 1, 3 kg m² one is above the sum of the others')

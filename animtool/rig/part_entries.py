@@ -1,4 +1,4 @@
-"""The rest of a rig file: meshes, shapes, controls, chains, attachments, colliders."""
+"""Rig file parts: meshes, shapes, controls, chains, attachments, colliders."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _LISTS = {"joint": "joints", "mesh": "meshes", "shape": "shapes", "control": "co
 
 @dataclass(slots=True)
 class PartReader:
-    """Makes the parts of a rig of its file; faults are noted in the document."""
+    """Builds the parts of a rig from its file; records faults in the document."""
 
     document: Document  # the file
     model: RigModel  # its content
@@ -68,7 +68,7 @@ class PartReader:
         self.joints = {joint.name: joint for joint in self.file_joints.joints}
 
     def meshes(self) -> tuple[Mesh, ...]:
-        """Return the meshes, their arrays looked at."""
+        """Return the meshes; check their arrays."""
         self._distinct("meshes", "mesh")
         return tuple(
             self._mesh(("meshes", i), mesh) for i, mesh in enumerate(self.model.meshes)
@@ -77,7 +77,7 @@ class PartReader:
     def shapes(
         self, meshes: Iterable[str], inherited: Iterable[str] = ()
     ) -> tuple[Shape, ...]:
-        """Return the blend shapes, their arrays looked at."""
+        """Return the blend shapes; check their arrays."""
         self._distinct("shapes", "shape")
         names = dict.fromkeys(
             [*inherited, *(shape.name for shape in self.model.shapes)]
@@ -136,7 +136,7 @@ class PartReader:
     def controls(
         self, shapes: Iterable[str], inherited: Sequence[Control] = ()
     ) -> tuple[Control, ...]:
-        """Return the controls, what they drive and read known, without circles."""
+        """Return the controls; check their targets and dependencies."""
         self._distinct("controls", "control")
         listed = {control.name: i for i, control in enumerate(self.model.controls)}
         known = dict.fromkeys(shapes)
@@ -160,7 +160,7 @@ class PartReader:
         return controls
 
     def _note_lost_drive(self, control: Control) -> None:
-        """Note a control that drives what a joint has no longer."""
+        """Record a drive whose joint has lost the part."""
         for drive in control.drives:
             name, part = split_part(drive.target.removeprefix("joint/"), DRIVEN_PARTS)
             if not part or name in self.file_joints.untyped:
@@ -201,7 +201,7 @@ class PartReader:
     def attach(
         self, meshes: Iterable[Mesh], inherited: Iterable[Attachment] = ()
     ) -> tuple[Attachment, ...]:
-        """Return the attachments, their arrays looked at."""
+        """Return the attachments; check their arrays."""
         self._distinct("attach", "attachment")
         counts = {mesh.name: self._count(mesh) for mesh in meshes}
         reader = AttachmentReader(
@@ -225,7 +225,7 @@ class PartReader:
         )
 
     def _count(self, mesh: Mesh) -> int | None:
-        """Return the number of points of a mesh; None where it cannot be read."""
+        """Return the point count of a mesh; None if it cannot be read."""
         if mesh.name in self.vertices:
             return self.vertices[mesh.name]
         return self.arrays.rows(mesh.points)
@@ -252,7 +252,7 @@ class PartReader:
         return tuple(colliders)
 
     def masses(self, inherited: Sequence[Mass] = ()) -> tuple[Mass, ...]:
-        """Return what joints weigh."""
+        """Return the masses."""
 
         def known(at: Location, name: str) -> bool:
             return self._known(at, name, self.joints, "joint")
@@ -377,7 +377,7 @@ class PartReader:
         return expression
 
     def _reads_misnamed(self, text: str) -> bool:
-        """Return whether a control is in it whose name has its own fault (RIG025)."""
+        """Return whether it reads a control whose name is faulty (RIG025)."""
         return any(
             re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text)
             for name in self.names
@@ -434,7 +434,7 @@ class PartReader:
         return False
 
     def _below(self, root: str, tip: str) -> bool:
-        """Return whether a joint is below another, or is it, or may be."""
+        """Return whether a joint is, or may be, another or its descendant."""
         joints = self.file_joints.joints
         index = next(i for i, joint in enumerate(joints) if joint.name == tip)
         while index >= 0 and joints[index].name != root:
@@ -445,7 +445,7 @@ class PartReader:
 
 
 def _name_problem(name: str) -> str:
-    """Return why an expression cannot read a name; empty where it can."""
+    """Return why an expression cannot use a name; empty if it can."""
     if not name.isidentifier():
         return "an expression would not read it as one name"
     if keyword.iskeyword(name):

@@ -1,4 +1,4 @@
-"""Where a skeleton stands, and how large it is there."""
+"""Placement of a skeleton on a stage: position, rotation, scale."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class Placement:
 
     @staticmethod
     def from_rotation(rotation: FloatArray) -> Placement:
-        """Return one that only turns, by a quaternion ``(4,)``."""
+        """Return a placement that only rotates, by a quaternion ``(4,)``."""
         return Placement(np.zeros((1, 3)), np.asarray(rotation)[None], np.ones(1))
 
     @property
     def moves(self) -> bool:
-        """Whether it changes over frames."""
+        """Whether it is animated."""
         return len(self.sizes) > 1
 
     @property
@@ -53,7 +53,7 @@ class Placement:
 
     @cached_property
     def is_none(self) -> bool:
-        """Whether everything stays where it is."""
+        """Whether it is the identity."""
         away = np.abs(self.translations).max(initial=0.0)
         turned = 1.0 - np.abs(self.rotations[:, 3]).min(initial=1.0)
         sized = np.abs(self.sizes - 1.0).max(initial=0.0)
@@ -61,7 +61,7 @@ class Placement:
         return bool(away <= SAME and turned <= SAME**2 and sized <= SAME)
 
     def points(self, points: FloatArray) -> FloatArray:
-        """Return points, placed; those of moving ones ``(F, N, 3)``."""
+        """Return transformed points; ``(F, N, 3)`` if animated."""
         sizes, rotations, translations = self._parts()
         # What is 1 or 0 leaves numbers to the last bit, and signs of zeros, alone.
         sized = points if (self.sizes == 1.0).all() else sizes * points
@@ -71,7 +71,7 @@ class Placement:
         return np.asarray(turned + translations)
 
     def rotated(self, rotations: FloatArray) -> FloatArray:
-        """Return rotations, turned; those of moving ones ``(F, N, 4)``."""
+        """Return transformed rotations; ``(F, N, 4)`` if animated."""
         return so3.multiply(self._parts()[1], rotations)
 
     def _parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -84,13 +84,13 @@ class Placement:
         )
 
     def inverse(self) -> Placement:
-        """Return what undoes it."""
+        """Return the inverse placement."""
         back = so3.conjugate(self.rotations)
         shifts = so3.rotate(back, self.translations) / self.sizes[:, None]
         return Placement(-shifts, back, 1.0 / self.sizes)
 
     def after(self, other: Placement) -> Placement:
-        """Return what another does, and then this one."""
+        """Return the composition: another placement, then this one."""
         moved = self.sizes[:, None] * other.translations
         return Placement(
             so3.rotate(self.rotations, moved) + self.translations,
@@ -99,11 +99,11 @@ class Placement:
         )
 
     def first(self) -> Placement:
-        """Return that of the first frame."""
+        """Return the placement of the first frame."""
         return Placement(self.translations[:1], self.rotations[:1], self.sizes[:1])
 
     def steady(self) -> Placement:
-        """Return it as one frame where all frames are the same."""
+        """Return a single frame if all frames are equal."""
         if not self.moves:
             return self
         spans = [
@@ -116,14 +116,14 @@ class Placement:
         return self.first() if same else self
 
     def described(self) -> str:
-        """Return where the first frame has things, in words with numbers."""
+        """Describe the first frame in words and numbers."""
         x, y, z = (round(v, 4) + 0.0 for v in self.translations[0].tolist())
         cosine = min(1.0, abs(float(self.rotations[0, 3])))
         angle = round(math.degrees(2 * math.acos(cosine)), 2)
         return f"at ({x:g}, {y:g}, {z:g}) m, rotated by {angle:g}°"
 
     def split(self, up: UpAxis) -> tuple[Placement, Placement]:
-        """Return where it stands and faces, and before that, what sizes and rights it.
+        """Split into heading and position, and a preceding scale and up-axis fix.
 
         The second holds the scale, and the turn that brings the axis of a skeleton that
         is nearest to up, such as Y under a stage of Z up, to up itself. The first holds
@@ -143,7 +143,7 @@ class Placement:
 
 
 def _shortest(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the shortest turn from one axis to another, opposite ones about X."""
+    """Return the shortest rotation between two axes; about X if opposite."""
     if (one == -other).all():
         return np.array([1.0, 0.0, 0.0, 0.0])
     return so3.between(one, other)

@@ -1,4 +1,4 @@
-"""Combined shapes, whose weights follow from others, and the names that ARKit uses.
+"""Combination shapes, and ARKit shape names.
 
 References:
     Apple, ARKit documentation, ``ARFaceAnchor.BlendShapeLocation``.
@@ -32,7 +32,7 @@ ARKIT_SHAPES: tuple[str, ...] = tuple(
 
 
 def _spelled(name: str) -> str:
-    """Return a name without case, underlines and what stands before it."""
+    """Normalize a name: no case, underscores or namespace."""
     return re.sub(r"[\s_-]", "", re.split(r"[.:|/]", name)[-1]).lower()
 
 
@@ -44,7 +44,7 @@ _NAMES = {_spelled(name): name for name in ARKIT_SHAPES} | {
 
 
 def arkit_name(name: str) -> str | None:
-    """Return ARKit's own spelling of a shape's name; None where it is none of these.
+    """Return ARKit's spelling of a shape name; None if it is not one.
 
     >>> arkit_name("blendShape1.eye_blink_L"), arkit_name("JawOpen"), arkit_name("grin")
     ('eyeBlinkLeft', 'jawOpen', None)
@@ -53,7 +53,7 @@ def arkit_name(name: str) -> str | None:
 
 
 class ShapeCycleError(ValueError):
-    """Shapes combine each other in a circle.
+    """Shapes combine each other in a cycle.
 
     Attributes:
         cycle: Their names, each combining the next, the first one again at the end.
@@ -65,7 +65,7 @@ class ShapeCycleError(ValueError):
 
 
 def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
-    """Return shapes, each behind those that it combines.
+    """Return shapes in dependency order.
 
     >>> smile, both = Shape("smile"), Shape("both", combine=("smile",))
     >>> [shape.name for shape in combination_order([both, smile])]
@@ -87,7 +87,7 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
 def combined_weights(
     shapes: Sequence[Shape], uncombined: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return weights of shapes [1], ``(F,)`` or ``(1,)``, combined ones added.
+    """Add combination products to shape weights [1], ``(F,)`` or ``(1,)``.
 
     >>> import numpy as np
     >>> shapes = [Shape("a"), Shape("b"), Shape("both", combine=("a", "b"))]
@@ -105,7 +105,7 @@ def combined_weights(
 def uncombined_weights(
     shapes: Sequence[Shape], total: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return of which weights `combined_weights` makes these [1], ``(F,)`` or ``(1,)``.
+    """Invert `combined_weights` [1], ``(F,)`` or ``(1,)``.
 
     >>> import numpy as np
     >>> shapes = [Shape("a"), Shape("both", combine=("a",))]

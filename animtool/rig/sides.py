@@ -1,4 +1,4 @@
-"""Left and right joints of a rig: paired by their names, and reflected."""
+"""Left and right joints of a rig: pairing by name, and reflection."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _SIDE_PATTERNS = tuple(
 
 @dataclass(frozen=True, slots=True)
 class SidePairs:
-    """The partners of joints, or of other named parts."""
+    """Partners of joints or other named parts."""
 
     # Index of each one's partner ``(J,)``, its own where it has none.
     partners: IntArray
@@ -67,7 +67,7 @@ def pair_sides(
     parents: Sequence[int] | IntArray | None = None,
     stated: Sequence[tuple[str, str]] = (),
 ) -> SidePairs:
-    """Return the left and right partners among names of J joints.
+    """Pair left and right names of J joints.
 
     A pair holds where both names exist, neither has another partner, and their parents
     are the same or partners (None: there is no hierarchy). Stated pairs hold whatever
@@ -99,7 +99,7 @@ def pair_sides(
 
 
 def stray_sides(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:
-    """Return pairs that a person may mean, of names that have no partner.
+    """Return likely pairs among unpaired names.
 
     >>> names = ["armLeft", "arm_right"]
     >>> stray_sides(names, pair_sides(names))
@@ -136,7 +136,7 @@ def _depths(parents: Sequence[int]) -> list[int]:
 def _candidates(
     names: Sequence[str], index: dict[str, int], depths: Sequence[int]
 ) -> Iterator[tuple[int, int, int, int]]:
-    """Yield depth, way, left and right of each pair that the names allow."""
+    """Yield depth, rank, left and right of each possible pair."""
     folded: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         folded.setdefault(name.casefold(), []).append(i)
@@ -149,7 +149,7 @@ def _candidates(
 
 
 def _others(name: str) -> Iterator[tuple[int, str]]:
-    """Yield what the right partner of a left one may be called, and how sure it is."""
+    """Yield rank and name of possible right partners of a left name."""
     for rank, pattern in enumerate(_SIDE_PATTERNS):
         marks = list(pattern.finditer(name))
         if len(marks) > 1:
@@ -192,7 +192,7 @@ def reflect_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def placed(parent_world: Transform, pose: Pose) -> Transform:
-    """Return the world transform of a local one below a parent."""
+    """Return the world transform of a local transform below a parent."""
     position, rotation = parent_world
     return (
         position + so3.rotate(rotation, pose.translation),
@@ -222,7 +222,7 @@ def mirrored_joint(
 ) -> Joint:
     """Return the joint named ``joint.mirror``, a joint's reflection at rest.
 
-    A pin's axis keeps its sense such that equal coordinates are mirror images: both
+    A pin's axis is reflected so that equal coordinates are mirror images: both
     elbows bend by positive angles, and limits carry over.
     """
     pose = mirrored_pose(Pose(joint.translation, joint.rotation), world, parent_world)
@@ -247,7 +247,7 @@ def mirrored_joint(
 
 
 def _turned(axis: Vector) -> Vector:
-    """Return the axis about which equal angles are mirror images."""
+    """Return the reflected axis about which equal angles are mirror images."""
     return _vector(-reflect_vector(np.array(axis)))
 
 

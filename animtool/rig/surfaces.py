@@ -1,4 +1,4 @@
-"""The arrays of a rig's meshes, shapes and strands: read when asked for, and stored."""
+"""Lazy arrays of a rig's meshes, shapes and strands."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from animtool.rig.skeleton import Rig
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceInbetween:
-    """What a shape adds at a weight between 0 and 1."""
+    """Deltas of a shape at a weight between 0 and 1."""
 
     at: float  # the weight
     deltas: FloatArray  # of the shape's vertices ``(N, 3)`` [m]
@@ -51,7 +51,7 @@ class SurfaceShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSkin:
-    """How a surface follows joints."""
+    """Skin binding of a surface."""
 
     method: str  # ``linear`` or ``dual_quaternion``
     joints: tuple[str, ...]  # names of the joints that the indices count
@@ -77,7 +77,7 @@ class Surface:
 
 
 def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
-    """Return the meshes of a rig, their arrays read."""
+    """Read the meshes of a rig."""
     try:
         with Archives() as archives:
             return tuple(_surface(rig, mesh, archives) for mesh in rig.meshes)
@@ -124,13 +124,13 @@ def _skin(skin: Skin, archives: Archives) -> SurfaceSkin:
 
 
 def _deforms(shape: Shape) -> bool:
-    """Return whether a shape moves points or turns normals, or its inbetweens do."""
+    """Return whether a shape or its inbetweens change points or normals."""
     parts = (shape.deltas, shape.normals, *shape.inbetweens)
     return any(part is not None for part in parts)
 
 
 def _shape(shape: Shape, points: int, unit: float, archives: Archives) -> SurfaceShape:
-    """Return a shape of a mesh; one that turns normals alone moves points by 0."""
+    """Read a shape of a mesh; deltas are 0 if it only changes normals."""
     vertices = None if shape.vertices is None else shape.vertices.load(archives)
     zeros = np.zeros((points if vertices is None else len(vertices), 3))
     deltas = zeros if shape.deltas is None else shape.deltas.load(archives)
@@ -161,7 +161,7 @@ class Strands:
 
 
 def strands_of(rig: Rig) -> tuple[Strands, ...]:
-    """Return the strands of a rig, their arrays read."""
+    """Read the strands of a rig."""
     strands = []
     for entry in rig.attach:
         if entry.points is None:
@@ -180,7 +180,7 @@ StoredArrays = dict[str, npt.NDArray[np.generic]]
 def with_file(rig: Rig, path: Path, *, moved: bool = False) -> tuple[Rig, StoredArrays]:
     """Return the rig with references to an npz file for its arrays, and the arrays.
 
-    With ``moved`` what it refers to is stored as well: its file goes to another folder.
+    With ``moved``, referenced arrays are stored too: the rig file changes folder.
     """
     store = _Store(path, moved)
     meshes = tuple(store.mesh(mesh) for mesh in rig.meshes)
@@ -206,7 +206,7 @@ class _Store:
     def ref(
         self, source: ArraySource | None, name: str, *, integers: bool = False
     ) -> ArraySource | None:
-        """Return a reference to an array, which is stored if no file has it."""
+        """Return a reference to an array; store it if no file has it."""
         if source is None or (isinstance(source, ArrayRef) and not self.moved):
             return source
         try:
@@ -269,7 +269,7 @@ class _Store:
 
 
 def _smallest(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
-    """Return the numbers in 32 bits where these hold them exactly."""
+    """Return the values in 32 bits if that is exact."""
     kind = np.int32 if integers else np.float32
     with np.errstate(over="ignore", invalid="ignore"):
         small = values.astype(kind)

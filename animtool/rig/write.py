@@ -1,4 +1,4 @@
-"""Writing a rig as a rig file, from which it comes back equal."""
+"""Rig file writer; files read back equal."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ ROUNDING = 1e-5
 def rig_text(rig: Rig) -> str:
     """Return a rig as the text of a rig file, in its own units.
 
-    A joint that is the mirror image of one before it is left to that one's ``mirror``.
+    A joint that mirrors an earlier one is written as that one's ``mirror``.
     References to arrays are as the rig's own file spelled them; an array in no file is
     a `TypeError`, see `animtool.rig.surfaces.with_file`.
 
@@ -281,7 +281,7 @@ class _WrittenUnits:
 
 
 def _mirrors_drivers(rig: Rig) -> bool:
-    """Return whether the drivers of both sides are mirror images, as joints are."""
+    """Return whether the drivers of both sides are mirror images."""
     if not rig.is_driven:
         return True
     joints = {joint.name: joint for joint in rig.joints}
@@ -304,7 +304,7 @@ def _without_mirrors(joints: Sequence[Joint]) -> list[Joint]:
 
 
 def _explicit_bind(rig: Rig) -> dict[str, Pose]:
-    """Return the bind poses that are not those of rest but for rounding."""
+    """Return the bind poses that differ from rest by more than rounding."""
     kept = {}
     for name, pose in rig.bind.items():
         joint = rig.joints[rig.index(name)]
@@ -316,7 +316,7 @@ def _explicit_bind(rig: Rig) -> dict[str, Pose]:
 
 
 def _stretch(pose: Pose) -> str | None:
-    """Return the stretch of a bind pose; None where it is none but for rounding."""
+    """Return the stretch of a bind pose; None if it is rounding."""
     if pose.stretch is None:
         return None
     off = [value - (i % 4 == 0) for i, value in enumerate(pose.stretch)]
@@ -324,7 +324,7 @@ def _stretch(pose: Pose) -> str | None:
 
 
 def _unbound(rig: Rig) -> dict[str, Pose]:
-    """Return the rest pose of joints whose mirror image alone has a bind pose."""
+    """Return the rest pose of joints of which only the mirror image has a bind pose."""
     return {
         joint.name: Pose(joint.translation, joint.rotation)
         for joint in rig.joints
@@ -386,7 +386,7 @@ def _mesh(mesh: Mesh) -> str:
 
 
 def _file(source: ArraySource | None) -> str | None:
-    """Return where an array is, as the rig's file spells it."""
+    """Return an array's path as spelled in the rig file."""
     if isinstance(source, LoadedArray):
         message = "the array is in no file; animtool.rig.surfaces writes it to one"
         raise TypeError(message)

@@ -1,4 +1,4 @@
-"""What a key reduction holds, and the clip that it makes."""
+"""Results of key reduction, and their conversion to a clip."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from animtool.rig.skeleton import Rig
 
 
 class ChannelKind(StrEnum):
-    """What a reduced channel drives."""
+    """Kinds of reduced channels."""
 
     TRANSLATION = "translation"
     ROTATION = "rotation"
@@ -33,7 +33,7 @@ class ChannelKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ReducedChannel:
-    """The keys of one joint's translation, rotation or scale, a weight or a control."""
+    """Keys of a joint's translation, rotation or scale, of a weight or a control."""
 
     target: str  # ``joint.kind``, ``weight[i]`` or ``control/name``
     kind: ChannelKind  # what it drives
@@ -50,7 +50,7 @@ class ReducedChannel:
 
 @dataclass(frozen=True, slots=True)
 class Reduction:
-    """Sparse keys of a take, and how far they are from it."""
+    """Sparse keys of a take and their error."""
 
     clock: Clock  # of the take, F frames
     rest: Motion  # one frame of what holds where there is no channel
@@ -67,17 +67,17 @@ class Reduction:
 
     @property
     def keys(self) -> int:
-        """Keys of all channels; the components of a channel share theirs."""
+        """Number of keys of all channels; components of a channel share keys."""
         return sum(len(channel.keys.frames) for channel in self.channels)
 
     @property
     def samples_per_key(self) -> float:
-        """Samples that a key stands for [1]."""
+        """Samples per key [1]."""
         return self.samples / max(1, self.keys)
 
 
 def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) -> Motion:
-    """Return the motion that the keys give: ``frames`` ``(N,)`` [frame]."""
+    """Evaluate the keys at ``frames`` ``(N,)`` [frame]."""
     at = np.asarray(
         np.arange(reduction.clock.count) if frames is None else frames, np.float64
     )
@@ -125,8 +125,8 @@ DIGITS = 10
 def clip_of_reduction(reduction: Reduction, rig: Rig, name: str) -> Clip:
     """Return a reduction as a clip, its numbers rounded in the units of the rig.
 
-    Keys are Hermite ones, their tangents slopes a frame: each segment is the cubic
-    that was fitted. Rotations are Euler angles, a pin's is one angle.
+    Keys are Hermite with slopes per frame: each segment is the fitted
+    cubic. Rotations are Euler angles; a pin has one angle.
     """
     clock = reduction.clock
     last = clock.start + (clock.count - 1) * clock.step
@@ -148,14 +148,14 @@ def _clip_channel(channel: ReducedChannel, rig: Rig, clock: Clock) -> ClipChanne
 def fitted_channel(
     target: str, keys: FittedKeys, clock: Clock, unit: float, euler: str = ""
 ) -> ClipChannel:
-    """Return fitted keys as a channel of Hermite ones.
+    """Return fitted keys as a channel of Hermite keys.
 
     Args:
         target: Of the channel.
         keys: In metres, degrees or [1]; frames from 0.
-        clock: What the frames are of.
-        unit: What a value of 1 means where it is written: [m], [rad] or [1].
-        euler: Order of the angles; empty for other values.
+        clock: Clock of the frames.
+        unit: Unit of written values [m], [rad] or [1].
+        euler: Euler order; empty for other values.
     """
     # What the keys count, in the unit that they are written in.
     rotates = bool(euler) or target.endswith(".angle")
@@ -192,7 +192,7 @@ def _target(channel: ReducedChannel, rig: Rig) -> str:
 
 
 def _rounded(values: ArrayLike, unit: float) -> FloatArray:
-    """Return values of a unit at few digits, in metres and radians."""
+    """Round values in a unit; return them in metres and radians."""
     flat = np.ravel(values).tolist()
     short = [float(f"{value + 0.0:.{DIGITS}g}") * unit for value in flat]
     return np.reshape(short, np.shape(values))

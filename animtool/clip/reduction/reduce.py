@@ -1,4 +1,4 @@
-"""Key reduction: a sampled take as sparse keys, within a tolerance in the world."""
+"""Key reduction of a sampled take within a world-space tolerance."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def reduce_motion(
     out, as joints and weights hold what they drive.
 
     Args:
-        take: With at least one frame.
+        take: At least one frame.
         tolerance: Largest error of any joint > 0 [m].
         shell: How far off the joint's origin to measure as well, > 0 [m].
         joint_tolerances: Other tolerances, by the names of joints or patterns of
@@ -91,7 +91,7 @@ def reduce_motion(
         gives the motion back where ``tracks`` is None.
 
     Raises:
-        OptionError: A joint is unknown or a tolerance not above 0 (CLIP020).
+        OptionError: Unknown joint or a tolerance not above 0 (CLIP020).
         ValueError: The take has no frame, or the base's joints or frames differ.
 
     References:
@@ -143,7 +143,7 @@ class _Reached:
 
 
 class _World:
-    """Where the points of a rig should be, and where keys put them."""
+    """World-space points of a rig: original and from keys."""
 
     def __init__(
         self,
@@ -163,7 +163,7 @@ class _World:
         self.pose = self.pose.copy()
 
     def first_tolerance(self, track: KeyTrack) -> float:
-        """Return a channel's tolerance by the levers of what hangs below it."""
+        """Return a channel's initial tolerance by the lever arms of its descendants."""
         below = np.flatnonzero(self.below[track.index])
         frames = np.linspace(0, len(self.truth.positions) - 1, 8).astype(np.int64)
         positions = self.truth.positions[frames]
@@ -178,21 +178,21 @@ class _World:
         return float(np.degrees(tolerance)) if rotates else tolerance
 
     def measure(self, budgets: list[Budget]) -> FloatArray:
-        """Return the error of every joint ``(F, J)`` [m] once these are in place."""
+        """Return the error of every joint ``(F, J)`` [m] with some tracks replaced."""
         for budget in budgets:
             self.pose.set(budget.track, budget.values)
         self.reduced_world = self.pose.world(self.reduced_world)
         return point_errors(self.points, self.truth, self.reduced_world)
 
     def arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
-        """Return how far the points of joints ``ends`` are off a joint [m]."""
+        """Return the distances of points of joints ``ends`` from a joint [m]."""
         positions = self.truth.positions
         offsets = positions[frames, ends] - positions[frames, joint]
         return np.asarray(np.linalg.norm(offsets, axis=-1) + self.reach[ends])
 
 
 def _search(world: _World, budgets: list[Budget]) -> _Reached:
-    """Return the keys after calibrating and tightening."""
+    """Calibrate and tighten channel tolerances; return the keys."""
     errors = world.measure(budgets)
     rounds = 1
     for _ in range(CALIBRATING if budgets else 0):
@@ -221,9 +221,9 @@ def _search(world: _World, budgets: list[Budget]) -> _Reached:
 
 
 def _beyond_limits(budget: Budget) -> IntArray:
-    """Return the frames behind which a ball's keys leave its limits between samples.
+    """Return the frames after which a ball's keys exceed its limits between samples.
 
-    Samples beyond the limits stay where they are, and so may what is between them.
+    Samples beyond the limits are kept, and so are values between them.
     """
     track = budget.track
     if not isinstance(track.limits, BallLimit) or len(track.samples) < 2:
@@ -243,7 +243,7 @@ def _beyond_limits(budget: Budget) -> IntArray:
 def _tighten(
     world: _World, budgets: list[Budget], errors: FloatArray, *, spread: bool
 ) -> list[Budget]:
-    """Tighten what has the largest parts in each error that is too large."""
+    """Tighten the channels that contribute most to each excessive error."""
     frames, ends = np.argwhere(errors > world.bounds).T.astype(np.int64)
     excess = errors[frames, ends] / world.bounds[ends]
     parts = np.zeros((len(budgets), len(frames)))
@@ -268,7 +268,7 @@ def _tighten(
 def _channels(
     rig: Rig, tracks: list[KeyTrack], budgets: list[Budget]
 ) -> tuple[ReducedChannel, ...]:
-    """Return a channel a track: one key where it does not move."""
+    """Return one channel per track, with one key if static."""
     keys = {(b.track.kind, b.track.index): b.keys for b in budgets}
     return tuple(
         _channel(
@@ -294,7 +294,7 @@ def _channel(rig: Rig, track: KeyTrack, keys: FittedKeys) -> ReducedChannel:
 
 
 def _descendants(rig: Rig) -> BoolArray:
-    """Return whether joint k is joint j or hangs below it ``(J, J)``, at [j, k]."""
+    """Return whether joint k is joint j or its descendant ``(J, J)``, at [j, k]."""
     below = np.eye(len(rig.joints), dtype=np.bool_)
     for joint, parent in enumerate(rig.parents):
         if parent >= 0:
@@ -303,7 +303,7 @@ def _descendants(rig: Rig) -> BoolArray:
 
 
 def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
-    """Return one frame of what needs no key."""
+    """Return one frame of the values without keys."""
     joints = len(rig.joints)
     constant = Channel.still
     return Motion(

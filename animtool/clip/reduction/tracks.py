@@ -1,4 +1,4 @@
-"""The local transforms of a rig over time, one channel at a time."""
+"""Tracks of a rig's local transforms, one channel each."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class KeyTrack:
 
     @property
     def within(self) -> tuple[float, float] | None:
-        """Least and largest of the samples' one component, in their unit."""
+        """Minimum and maximum of a scalar track."""
         if not isinstance(self.limits, RangeLimit) or self.samples.shape[1] != 1:
             return None
         low, high = self.limits.low, self.limits.high
@@ -75,7 +75,7 @@ class KeyTrack:
         return low, high
 
     def excess(self, values: FloatArray) -> FloatArray:
-        """Return how far values ``(F, D)`` of a ball are beyond its limits [rad]."""
+        """Return how far ball values ``(F, D)`` exceed the limits [rad]."""
         if not isinstance(self.limits, BallLimit) or self.order is None:
             return np.zeros(len(values))
         rotations = so3.multiply(so3.conjugate(np.array(self.rest)), self.local(values))
@@ -83,15 +83,15 @@ class KeyTrack:
 
     @property
     def moves(self) -> bool:
-        """Whether it has a sample a frame."""
+        """Whether it has one sample per frame."""
         return len(self.samples) > 1
 
 
 def euler_order(joint: Joint, rotations: FloatArray) -> str:
-    """Return the order in which a joint's rotations ``(F, 4)`` are best keyed.
+    """Return the Euler order farthest from gimbal lock for rotations ``(F, 4)``.
 
-    That of the joint's own BVH channels where its middle angle stays 10° off
-    gimbal lock, else the order whose middle angle stays farthest off it.
+    The joint's BVH channel order if its middle angle stays 10° from
+    gimbal lock, else the order whose middle angle stays farthest from it.
 
     >>> euler_order(Joint("a", -1), np.array([[0, 0.5**0.5, 0, 0.5**0.5]]))
     'XZY'
@@ -109,12 +109,12 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
 
 
 def tracks_of(rig: Rig, motion: Motion, rest: Motion) -> list[KeyTrack]:
-    """Return a track for whatever moves or is not at rest."""
+    """Return tracks of all channels that move or are not at rest."""
     return in_order(_tracks(rig, motion, rest))
 
 
 def in_order(tracks: Iterable[KeyTrack]) -> list[KeyTrack]:
-    """Return tracks joint by joint, the weights last."""
+    """Return tracks sorted by joint, weights last."""
     kinds = list(ChannelKind)
     return sorted(
         tracks,
@@ -159,7 +159,7 @@ def _moving_or_placed(
 
 
 def _off_lock(rotations: FloatArray, order: str) -> float:
-    """Return the least cosine of the middle angle, by the matrix entry that has it."""
+    """Return the least cosine of the middle Euler angle."""
     first, middle, last = euler.axes_of(order)
     product = rotations[:, first] * rotations[:, last]
     twist = rotations[:, middle] * rotations[:, 3]
@@ -170,7 +170,7 @@ def _off_lock(rotations: FloatArray, order: str) -> float:
 
 @dataclass(slots=True)
 class ReducedPose:
-    """What a rig does in every frame, on top of a base if there is one."""
+    """Local transforms of a rig in every frame, on top of an optional base."""
 
     rig: Rig  # J joints
     translations: FloatArray  # ``(F, J, 3)`` [m]
@@ -181,7 +181,7 @@ class ReducedPose:
     )
 
     def set(self, track: KeyTrack, values: FloatArray) -> None:
-        """Put the values ``(F, D)`` of a track in place."""
+        """Set the values ``(F, D)`` of a track."""
         j, base, local = track.index, self.base, track.local(values)
         if track.kind is ChannelKind.ROTATION:
             self.rotations[:, j] = (
@@ -196,12 +196,12 @@ class ReducedPose:
             self.scales[:, j] = local if below is None else scaled(below[:, j], local)
 
     def world(self, out: WorldTransforms | None = None) -> WorldTransforms:
-        """Return where every joint is, in ``out`` if it is given."""
+        """Return the world transforms, in ``out`` if given."""
         t, r, s = self.translations, self.rotations, self.scales
         return forward(self.rig, t, r, s, out=out)
 
     def copy(self) -> ReducedPose:
-        """Return one whose channels can change on their own."""
+        """Return an independent copy."""
         scales = None if self.scales is None else self.scales.copy()
         return ReducedPose(
             self.rig,
@@ -213,7 +213,7 @@ class ReducedPose:
 
 
 def pose_of(rig: Rig, motion: Motion, base: Motion | None) -> ReducedPose:
-    """Return the pose of a motion, added to its base by the additive convention."""
+    """Return the pose of a motion, added to its base if additive."""
     if base is None:
         return ReducedPose(rig, *motion.dense())
     below = pose_of(rig, base, None)
