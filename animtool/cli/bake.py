@@ -224,7 +224,7 @@ def _say_reports(
     from animtool.scene.bake.progress import Stats
 
     notices = [notice for report in reports for notice in report.notices]
-    # What the sources and passes say stands in every report.
+    # Notices of sources and passes are in every report.
     console.faults(dict.fromkeys(notices) if several else notices)
     stages = [] if scene is None else scene.meter.stages
     costs = Stats([*stages, *(report.cost for report in reports)])

@@ -313,7 +313,7 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     if params["output"] is not None:
         output = params["output"]
         if jobs:
-            # A path has no slash at its end, which says that it is a folder.
+            # Paths have lost the trailing slash that marks a folder.
             slash = "/" if output.endswith("/") else ""
             output = f"{here / output}{slash}"
         spec = replace(spec, output=output, roots=())
@@ -352,7 +352,7 @@ class _Repeat:
     def command(self, report: ItemReport) -> str:
         params, item = self._params, report.item
         inputs, output = list(self._inputs), params["output"]
-        # What came on stdin does not come again.
+        # Stdin cannot be read again.
         listed = "-" in inputs
         if listed:
             inputs = [str(item.file.path)]

@@ -13,7 +13,7 @@ from animtool.cli.options import FILE, RATE, TIMECODE_OPTIONS, stacked
 if TYPE_CHECKING:
     from animtool.batch.spec import BatchSpec
 
-# Of shots, by the names of `BatchSpec`.
+# Shot options by their names in `BatchSpec`.
 CUT_OPTIONS = ("handles", "fps", "cut_start", "first_timecode")
 
 cut_options = stacked(

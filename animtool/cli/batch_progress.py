@@ -133,7 +133,7 @@ def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
     from rich.live import Live
 
     shown, renderable = _table(console, lines=lines)
-    # Drawn a few times a second, whatever happens in between.
+    # Redrawn a few times a second at most.
     with Live(
         get_renderable=renderable, console=RichConsole(stderr=True), transient=True
     ):
@@ -292,7 +292,7 @@ SUMMARY = Template(
         "tables": scores_table,
     },
 )
-# Of a dry run: how many are to be made, and what, each with the reason.
+# Of a dry run: the number of items to build, and each with its reason.
 DRY = replace(
     SUMMARY,
     printers={**SUMMARY.printers, "counts": lambda one: _counts(one, "to build")},

@@ -71,7 +71,7 @@ def _names(argument: Argument) -> tuple[str, ...]:
     )
     if source_name is None:
         return (field,)
-    # What is called so without `source.` is of the output; of a path either is meant.
+    # Without `source.` the name is the output's; for a path, either is meant.
     return (source_name,) if field == "fps" else (source_name, field)
 
 
@@ -92,10 +92,10 @@ _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
 class Console:
     """Output streams of a command."""
 
-    verbosity: int = 0  # -1 errors only, 0 the usual, 1 notes and timings too
+    verbosity: int = 0  # -1 errors only, 0 default, 1 with notes and timings
     json_log: bool = False  # write each line on stderr as a JSON object
     debug: bool = False  # let a Python traceback through
-    calling: Calling = as_flag  # what the command calls arguments
+    calling: Calling = as_flag  # the command's spelling of arguments
 
     def result(self, *lines: str) -> None:
         """Write result lines to stdout, control characters escaped."""
@@ -200,7 +200,7 @@ class Console:
         task = bar.add_task(escaped(label), total=1.0)
 
         def show(fraction: float) -> None:
-            # Started late: what fails at once shows no bar.
+            # Started late: commands that fail at once show no bar.
             if not bar.live.is_started:
                 bar.start()
             bar.update(task, completed=fraction)

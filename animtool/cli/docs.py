@@ -12,7 +12,7 @@ from animtool.cli.help import command
 from animtool.cli.options import common_options, format_option
 from animtool.core.pages import KINDS, PageEntry, all_pages, find_page, page_markdown
 
-# Pages that are made of the records of commands and codes.
+# Generated pages.
 COMMANDS_PAGE = PageEntry("reference/commands", "Commands")
 CODES_PAGE = PageEntry("reference/codes", "Codes")
 _CODE = re.compile(r"[A-Za-z]{2,8}[0-9]{3}")

@@ -50,7 +50,7 @@ _GROUPS: dict[str, str] = {
     ),
 }
 _GROUP_OF = {word: name for name, words in _GROUPS.items() for word in words.split()}
-# Where a command means another thing by an option.
+# Groups of options that differ in one command.
 _ELSEWHERE = {
     "bake": {"prim-path": "Output"},
     "ik": {"prim-path": "Output", "pose": "Time"},
@@ -59,7 +59,7 @@ _ELSEWHERE = {
     "preview": {"camera": "Picture"},
     "job": {"chunk": "Run"},
 }
-# The options that most calls of a command need.
+# The most common options of each command.
 _COMMON = {
     "bake": "output rig rig-layer fps range plan",
     "batch": "output scene set jobs dry-run items",
@@ -178,7 +178,7 @@ def _first(text: str) -> str:
 def _section(
     formatter: click.HelpFormatter, title: str, records: list[tuple[str, str]]
 ) -> None:
-    # Click takes colours out where no terminal listens.
+    # Click strips colors without a terminal.
     plain = bool(os.environ.get("NO_COLOR"))
     with formatter.section(title if plain else click.style(title, bold=True)):
         formatter.write_dl(records)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from animtool.usd.caches.info import PointPrim
 
 
-# Of a set with many prims, those that have a line each.
+# Prims of a set to list one by one.
 MAX_PRIMS = 20
 _WORDS = {"BasisCurves": "curves", "PointInstancer": "copies"}
 _PRIM = (
@@ -208,7 +208,7 @@ def _met(system: SystemDescription) -> str:
     return listed([*system.meets, *(["the character"] if system.character else [])])
 
 
-# How these lines print values, beside `animtool.report.text.PRINTED`.
+# Formatters in addition to `animtool.report.text.PRINTED`.
 PRINTERS: dict[str, Callable[..., str]] = {
     "range": _range,
     "pieces": _pieces,

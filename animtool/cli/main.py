@@ -39,7 +39,7 @@ from animtool.core.process.supervisor import (
 )
 from animtool.core.quantities import escaped
 
-# What loaders and libraries say where the system gives them no memory.
+# Messages of loaders and libraries without memory.
 _SAID = (
     "failed to map segment",
     "Cannot allocate memory",
@@ -184,7 +184,7 @@ SECTIONS = {
     "Many": ("batch", "job"),
     "Setup": ("docs", "plugins", "completion"),
 }
-# What other tools call the work of a command.
+# Names in other tools of our commands.
 OTHER_NAMES = {
     "view": "preview",
     "render": "preview",
@@ -240,7 +240,7 @@ def cli() -> None:
     """
 
 
-# A child does the work of a command, in case USD crashes; these read none.
+# A child process runs commands, in case USD crashes; these read no USD.
 WITHOUT_USD = {"completion", "docs", "explain", "migrate", "plugins", "schema"}
 SUPERVISED = COMMANDS.keys() - WITHOUT_USD
 HELP = {"-h", "--help"}
@@ -305,7 +305,7 @@ def _run(arguments: Sequence[str], console: Console) -> int:
     except SystemExit:
         if (sys.stdout, sys.stderr) == streams:
             raise
-        # Click wraps both and ends with 1 where nobody reads stdout any more.
+        # Click wraps both and exits with 1 if stdout is closed.
         sys.stdout, sys.stderr = streams
         code = _report(console, BrokenPipeError())
     except (Exception, click.Abort) as error:
@@ -375,7 +375,7 @@ def _logs_json(arguments: Sequence[str]) -> bool:
     return "--log-format json" in asked or (is_default and "--log-format" not in asked)
 
 
-# What users of other commands and tools call an option, and ours.
+# Options of other commands and tools, and ours.
 OTHER_OPTIONS = {
     "--frames": ("--range",),
     "--frame-range": ("--range",),
@@ -413,7 +413,7 @@ def _usage(console: Console, error: click.ClickException) -> None:
     if console.json_log:
         console.error(text)
         return
-    # All but this repeat what was written on the command line.
+    # All others repeat the command line.
     if not isinstance(error, click.MissingParameter):
         text = escaped(text)
     click.UsageError(text, getattr(error, "ctx", None)).show(file=sys.stderr)

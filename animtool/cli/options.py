@@ -62,7 +62,7 @@ def _tolerance(text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    # Nothing is within a tolerance that is no number.
+    # NaN is no tolerance.
     if not value >= 0:
         raise ValueError(f"{text!r} is not a tolerance: use a number from 0 up")
     return value
@@ -134,8 +134,8 @@ def _processes(text: str) -> int:
     return int(text)
 
 
-# What a file cannot be read for is said by whatever reads it.
-# A file that is looked for later, with a fault of its own.
+# Unreadable files are reported by their reader.
+# Existence is checked later, with a coded fault.
 FILE = click.Path(path_type=Path, dir_okay=False)
 INPUT = click.Path(path_type=Path, readable=False)
 OUTPUT = click.Path(path_type=Path, allow_dash=True, readable=False)
@@ -311,7 +311,7 @@ def declared(
         shown = shown or initial
     default = default if option.written is None else option.written
     if option.kind == "processes":
-        default = None  # a command takes what fits; a script has to ask for it
+        default = None  # commands choose the number; scripts must set it
     return click.option(
         *filter(None, (option.short, flag)),
         param,

@@ -47,7 +47,7 @@ take_output_option = click.option(
 split_option = click.option(
     "--split", is_flag=True, help="Write USD in three files, as bake does."
 )
-# How commands write the take that they make.
+# Output options of commands that write a take.
 written_options = stacked(
     split_option,
     rig_layer_options,

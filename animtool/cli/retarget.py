@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 MAX_RUNS = 6
-# What rounding leaves of lengths and angles [m, rad].
+# Rounding noise of lengths and angles [m, rad].
 NEGLIGIBLE = 1e-9
 
 

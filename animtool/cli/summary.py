@@ -177,7 +177,7 @@ def _simulated(meshes: list[MeshReport]) -> str:
     return f"{counted(len(meshes), 'system')} of {meshes[0].of}, simulated"
 
 
-# What is counted of a kind of system.
+# Counted elements by kind of system.
 _NOUNS = {"rigid": ("body", "bodies"), "crowds": ("agent",)}
 
 

@@ -173,7 +173,7 @@ def _say(
     else:
         from animtool.core.files.output import write_parts
 
-        # Names of files may hold bytes that are no text.
+        # File names may contain bytes that are not text.
         write_parts(choices.output_file, [text.encode("utf-8", "replace")])
     if choices.output_file is not None or choices.report_format != "text":
         console.say(summary(report))

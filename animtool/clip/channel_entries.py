@@ -21,14 +21,14 @@ from animtool.rig.joint_entries import UNIT_LENGTH
 
 _ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
 _SCALAR = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
-# Whose segments have handles.
+# Interpolations with handles.
 _HANDLED = {Interp.BEZIER, Interp.HERMITE}
-# Components of a value; of a rotation, those of Euler angles.
+# Number of components; of a rotation, its Euler angles.
 _WIDTHS = {
     **dict.fromkeys(("control", "shape", "angle", "slide"), 1),
     **dict.fromkeys(("translation", "rotation", "scale"), 3),
 }
-# Shorter, a quaternion is a slip and not a rotation.
+# Shorter quaternions are mistakes, not rotations.
 SHORTEST = 1e-9
 
 

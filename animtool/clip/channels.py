@@ -217,7 +217,7 @@ def _channel_curves(
     )
 
 
-# Rotations worked out at once: enough to make few calls, few enough to take 1 MB.
+# Rotations per batch: few calls, at most 1 MB.
 ROTATIONS_AT_ONCE = 2**15
 
 

@@ -26,7 +26,7 @@ from animtool.motion.motion import Motion
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 
-# Of a channel that does not say.
+# Default of a channel.
 DEFAULT_TANGENT = Tangent.AUTO_CLAMPED
 
 
@@ -159,7 +159,7 @@ def _rate(fps: FractionLike | None, default: Fraction) -> Fraction:
 
 def _step(step: Fraction | float) -> Fraction:
     try:
-        # The decimal that a person meant, not the float nearest to it.
+        # The decimal as written, not the nearest float.
         each = Fraction(str(step))
     except ValueError:
         each = Fraction(0)

@@ -22,13 +22,13 @@ from animtool.rig.driver_plan import plan_of
 from animtool.rig.shapes import uncombined_weights
 from animtool.rig.skeleton import Rig
 
-# Of the tolerance of the whole, what the keys of controls may use up [1].
+# Fraction of the tolerance for control keys [1].
 CONTROL_FRACTION = 0.5
-# Frames at which it is tried how far a control moves things.
+# Frames at which a control's effect is probed.
 TRIED_FRAMES = 8
-# Times that the keys of controls are made finer before every frame gets one.
+# Refinements of control keys before every frame is keyed.
 FITS = 12
-# Control values that differ by less are the same but for rounding, relative.
+# Relative difference of control values that is rounding.
 ROUNDING = 1e-11
 
 

@@ -17,7 +17,7 @@ from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Whole turns that the first angle of a pin may be off what is read of its rotation.
+# Revolutions to try for a pin's first angle.
 MAX_REVOLUTIONS = 3
 _COORDINATE = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
 _TURNING = {JointType.FREE, JointType.BALL}
@@ -52,7 +52,7 @@ class JointMotion:
     shift: FloatArray  # ``(n, 3)`` [m]
     # Of a pin [rad], continuous, or of a prismatic joint [m] ``(n,)``, else 0.
     coordinate: FloatArray
-    # Largest part of the turn that the joint's type does not have [rad].
+    # Largest rotation that the joint's type does not allow [rad].
     rotation_error: float
     shift_error: float  # likewise of the shift [m]
     rotation_rests: bool  # the local rotation is that of rest, to the last digit

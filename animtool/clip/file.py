@@ -26,7 +26,7 @@ from animtool.documents.references import missing_hint, referred
 from animtool.rig.joints import split_part
 from animtool.rig.skeleton import Rig
 
-# Motion, and what takes its place: one of them may hold a joint.
+# Motion parts and the local parts that replace them; a joint has one of them.
 _REPLACED = {
     "translation": "local_translation",
     "slide": "local_translation",

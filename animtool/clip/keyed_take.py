@@ -45,13 +45,13 @@ from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import JointType, Rig
 
-# What samples in float32 leave between joints and what drives them [rad], [m], [1].
+# Rounding of float32 samples between joints and drivers [rad], [m], [1].
 SAME_ANGLE, SAME_LENGTH, SAME_WEIGHT = 2e-6, 1e-6, 1e-6
-# Of a tolerance, what such a difference may use up [1].
+# Fraction of a tolerance for such rounding [1].
 SAME_FRACTION = 0.05
-# Numbers of ten digits may leave a tolerance that was just held [1].
+# Rounding to ten digits may exceed a tolerance by this [1].
 ROUNDING = 1e-6
-# Times that all keys are made finer, by this factor, until the tolerance is held.
+# Refinements of all keys, and their factor, until within the tolerance.
 TRIES = 4
 FINER = 0.5
 

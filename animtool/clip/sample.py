@@ -20,7 +20,7 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.shapes import combined_weights
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Beyond a limit by less is rounding [rad], [m], [1].
+# Excess below this is rounding [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-9
 
 
@@ -254,7 +254,7 @@ def _replace(parts: Mapping[str, Parts]) -> list[ClipNotice]:
     return notices
 
 
-# What the keys that hold a joint as a whole take the place of.
+# Parts that local keys replace.
 _ADDED = {
     "local_translation": ("+slide", *(f"+translation.{axis}" for axis in "xyz")),
     "local_rotation": ("+angle", *(f"+rotation.{axis}" for axis in "xyz")),

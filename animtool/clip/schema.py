@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     Parametrized = str
     Order = str
 else:
-    # A tangent that is free has a handle in place of a rule.
+    # A free tangent has a handle.
     Tangent = Literal[tuple(str(one) for one in tangents.Tangent if one != "free")]
     Interp = Literal[tuple(map(str, curves.Interp))]
     Extrapolated = Literal[tuple(map(str, curves.Extrapolation))]

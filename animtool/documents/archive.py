@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from zipfile import ZipInfo
 
 MAGIC = b"\x93NUMPY"
-# What numpy.load itself takes.
+# The same limits as numpy.load.
 MAX_HEAD_BYTES = 10_000
 MAX_DIMENSIONS = 8
-# Bytes of the number that says how long the head is, by the format's version.
+# Size of the header-length field by format version [byte].
 _WIDTHS = {(1, 0): 2, (2, 0): 4, (3, 0): 4}
 _ENTRY = re.compile(
     r"""\s*(?P<quote>['"])(?P<key>descr|fortran_order|shape)(?P=quote)\s*:\s*
@@ -40,7 +40,7 @@ _ENTRY = re.compile(
       | \((?P<shape>[\dL,\ ]*)\) )\s*(?:,|$)""",
     re.ASCII | re.VERBOSE,
 )
-# An object, or a structure, which is a list.
+# Object and structured types are refused.
 _OBJECTS = re.compile(r"""['"]descr['"]\s*:\s*['"]\|?O\d*['"]""")
 _STRUCTURE = re.compile(r"""['"]descr['"]\s*:\s*\[""")
 
@@ -123,7 +123,7 @@ def _parsed(text: str, where: str, begin: int) -> StoredArray:
 
 
 def _shape(text: str, where: str) -> tuple[int, ...]:
-    # Python 2 wrote whole numbers with an L.
+    # Python 2 wrote integers with a trailing L.
     parts = [part.strip().removesuffix("L") for part in text.split(",")]
     if parts[-1] == "":
         parts.pop()
@@ -141,7 +141,7 @@ ARRAY_LIMIT = "ANIMTOOL_MAX_ARRAY_MB"
 # What stays small may be all zeros.
 MAX_RATIO = 100
 SMALL_BYTES = 64_000_000
-# The list of what an archive holds: some hundred thousand arrays.
+# Limit of an archive's directory: some hundred thousand arrays.
 MAX_LIST_BYTES = 8_000_000
 MAX_SHOWN = 12
 _METHODS = (0, 8)  # stored and deflated
@@ -228,7 +228,7 @@ class Archive:
             self._file.check()
             if head.dtype.kind not in kinds:
                 raise ArrayError(f"{where} contains {head.dtype}, not numbers")
-            # A dimension of 0 hides another that no array has.
+            # A dimension of 0 hides impossible other ones.
             most = max(info.file_size, SMALL_BYTES)
             empty = not head.count and math.prod(max(n, 1) for n in head.shape) > most
             if head.begin + head.size > info.file_size or empty:
@@ -261,7 +261,7 @@ class Archive:
 
     def _values(self, key: str, head: StoredArray) -> npt.NDArray[Any]:
         info = self._member(key)
-        # Numbers of any width are worked with as float64.
+        # Computation is in float64, whatever is stored.
         self._check_size(key, info, max(info.file_size, 8 * head.count))
         with self._zip.open(info) as file:
             file.read(head.begin)

@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.documents.archive import Archive, reading
 
-# Files held open at once: systems allow a few hundred.
+# Files open at once: systems allow a few hundred.
 MAX_OPEN = 16
 
 
@@ -122,7 +122,7 @@ class Archives:
         archive = self._open.pop(path, None) or Archive(path)
         if len(self._open) >= MAX_OPEN:
             self._open.pop(next(iter(self._open))).close()
-        # The one asked for last stands last.
+        # Least recently used first.
         self._open[path] = archive
         return archive
 

@@ -28,18 +28,18 @@ from animtool.documents.placeholders import (
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
 
-# Faulty values that something stands in for, before the rest is not looked at.
+# Faulty values to replace before checking stops.
 MAX_MENDED = 200
 
 Model = TypeVar("Model", bound=BaseModel)
 Record = TypeVar("Record")
-Located = list[tuple[Location, Fault]]  # faults, each with its place in a value
+Located = list[tuple[Location, Fault]]  # faults with their locations in a value
 
 
 class FileModel(BaseModel):
     """Base model of a mapping: strict types, no unknown keys, finite numbers."""
 
-    # Models within others are built with them, not once more by themselves.
+    # Nested models are built with their parents, not again alone.
     model_config = ConfigDict(
         extra="forbid", strict=True, allow_inf_nan=False, defer_build=True
     )
@@ -148,9 +148,9 @@ def _note_renamed(document: Document, location: Location, name: str) -> None:
 class _Faults:
     """Faults of a value, recorded and replaced by placeholders in the value."""
 
-    document: Document  # where they are noted
-    model: type[BaseModel]  # what the value should be
-    value: Any  # the document's value with what was mended before
+    document: Document  # where faults are recorded
+    model: type[BaseModel]  # model of the value
+    value: Any  # the document's value, with placeholders
 
     def mend(self, error: ValidationError) -> None:
         """Record the faults of a validation attempt and replace the faulty values."""
@@ -166,7 +166,7 @@ class _Faults:
         for location, missing in by_kind.pop("missing", ()):
             self._missing_key(location, missing)
         for key in [key for keys in by_kind.values() for key in keys]:
-            # Of a type that may be several, the one that comes farthest was meant.
+            # Of a union, the member whose faults lie deepest was meant.
             if key[0] not in inner:
                 self._wrong_value(key[0], merged[key])
         if len(errors) > MAX_MENDED:
@@ -194,7 +194,7 @@ class _Faults:
         self.document.add("DOC020", location, message, hint)
         meant = meant or similar(str(key), names)
         if meant and meant not in node:
-            # Names in it may be referred to; but whether it was meant is not known.
+            # Its names may be referenced, but whether it was meant is unknown.
             node[meant] = left
             self.document.spellings[*around, meant] = str(key)
             self.document.guesses.add((*around, meant))
@@ -305,7 +305,7 @@ def _either(texts: Iterable[str]) -> str:
     return "; or ".join((first, *others))
 
 
-# Faults of values that are none of a few.
+# Faults of values outside an enumeration.
 _CHOICES = {"literal_error", "enum", "union_tag_invalid"}
 
 
@@ -377,7 +377,7 @@ def _are(count: int) -> str:
     return f"{count} is" if count == 1 else f"{count} are"
 
 
-# A bound at least this large is none of the key's own.
+# Larger bounds are general limits, not the key's.
 LARGE = 1e9
 # A bound at most this small is how "above 0" is checked.
 SMALL = 1e-30
@@ -402,7 +402,7 @@ _KINDS = {
 }
 
 
-# Those of values that hold others.
+# Types of containers.
 _STRUCTURES = {"a list", "a mapping of keys"}
 
 

@@ -29,18 +29,18 @@ class Document:
     # 1-based line and column of every node, keys included, in the order of the file,
     # and by their numbers in these what is written without quotes.
     marks: Callable[[], Marks] = field(repr=False)
-    # What is wrong with its content, as `add` found.
+    # Faults recorded by `add`.
     faults: list[Fault] = field(default_factory=list)
-    # What is odd about it, as `note` and `warn` found.
+    # Notices recorded by `note` and `warn`.
     notices: list[Fault] = field(default_factory=list)
     # Where a value is faulty and something else stands in for it, so that the rest can
     # be checked.
     doubts: set[Location] = field(default_factory=set)
-    # Values under a key that is nearly the one that they are read as.
+    # Values whose key was guessed from a misspelling.
     guesses: set[Location] = field(default_factory=set)
-    # Keys of lists that have more entries in another file, which cannot be read.
+    # Keys of lists with more entries in another, unreadable file.
     partial: set[str] = field(default_factory=set)
-    # The key as written, of a value that is read under another key.
+    # The written key of each renamed value.
     spellings: dict[Location, str] = field(default_factory=dict)
     _marks: Marks | None = field(default=None, init=False, repr=False)
     _starts: dict[tuple[int, str | int], int] = field(

@@ -22,7 +22,7 @@ from animtool.core.record import dataclass
 from animtool.documents.document import Location, document_of, spelled
 from animtool.documents.yaml_values import compose
 
-# Escapes and ends of lines that YAML takes for others than JSON does, all of a length.
+# Escapes and line ends that YAML and JSON interpret differently, all of one length.
 _JSON_ONLY = re.compile("\\\\u[dD][89a-fA-F][0-9a-fA-F]{2}|[\x85\u2028\u2029]")
 
 
@@ -86,7 +86,7 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
     value = copy.deepcopy(document_of(text, path).value)
     for edit in edits:
         _apply(value, edit)
-    # What is read decides, whatever the layout was.
+    # Accepted only if it parses to the expected values.
     if _reads_as(after, path, value):
         return after
     locations = ", ".join(spelled(edit.location) for edit in edits)

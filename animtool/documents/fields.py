@@ -33,9 +33,9 @@ MAX_NUMBER = 1e18
 MIN_POSITIVE = 1e-36
 # A year at 30 frames a second; time codes there are still apart by 1e-7.
 MAX_FRAME = 1e9
-# Whole numbers up to here are the same as floats.
+# Integers up to here are exact in float64.
 MAX_INTEGER = 2**53
-# Whole numbers among options, where a seed has 64 bits.
+# Integers among options; seeds have 64 bits.
 MAX_SEED = 2**64
 
 Real = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
@@ -44,7 +44,7 @@ Frame = Annotated[float, Field(ge=-MAX_FRAME, le=MAX_FRAME)]
 IntegerFrame = Annotated[int, Field(ge=-int(MAX_FRAME), le=int(MAX_FRAME))]
 Positive = Annotated[Real, Gt(0), Ge(MIN_POSITIVE)]
 NotNegative = Annotated[Real, Ge(0)]
-# Of bodies of a system.
+# Number of a system's bodies.
 Count = Annotated[Integer, Ge(1), Le(2 * 10**6)]
 # On one line: control characters are in no text that is read. No path is longer.
 Name = Annotated[str, Field(min_length=1, max_length=4096, pattern=r"^[^\n\t]*$")]
@@ -83,7 +83,7 @@ def check_numbers(value: Any) -> Any:
 
 
 def _digits(number: int) -> str:
-    # The text of a very long number in decimals takes as long as the square of it.
+    # Formatting a very long integer takes quadratic time.
     return f"{number:#x}"[:20] + "…"
 
 
@@ -130,7 +130,7 @@ _TYPES: dict[Any, Any] = {
     Sequence[float] | None: Vector | None,
     Sequence[tuple[float, int]]: list[Pair],
 }
-# As a file writes a kind of option; what is not given is None, if nothing else is said.
+# Type of a key by kind of option; None is the default of optional ones.
 _WRITTEN: dict[Kind, Any] = {
     "switch": bool,
     "answer": bool | None,

@@ -19,7 +19,7 @@ from animtool.documents.placeholders import (
 )
 from animtool.documents.yaml_text import flow_text
 
-# A longer example is no help on one line.
+# Longer examples do not fit on one line.
 MAX_FORM = 100
 _PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*[-xX:,]\s*(-?\d+(?:\.\d+)?)")
 _TWO = 2
@@ -59,7 +59,7 @@ def form_hint(
     if forms is not None and isinstance(name, str) and name in forms.options:
         example = {name: forms.options[name]}
     elif isinstance(entry, str) and _takes_file(annotation_of(info)):
-        # Of a list, the entry.
+        # For a list, its entry.
         several = rest or not models_of(annotation_of(info))
         example = [{"file": entry}] if several else {"file": entry}
     if not isinstance(example, list | tuple | dict):

@@ -45,11 +45,11 @@ class Migration:
 
     path: Path  # the file
     kind: str  # ``rig``, ``clip`` or ``scene``
-    version: int  # that it is written in
-    newest: int  # that it becomes
+    version: int  # version that it is written in
+    newest: int  # version that it becomes
     before: str  # its text
     after: str  # its new text; the same where it is of the newest version
-    notices: tuple[Fault, ...] = ()  # comments that are not kept
+    notices: tuple[Fault, ...] = ()  # comments that are lost
     written: bool = False  # whether the file is replaced
     json_keys: ClassVar[str] = (
         "path kind from=version to=newest needed written difference notices"
@@ -166,7 +166,7 @@ def migrate(
     """
     plans = _plans(paths, table)
     refuse_warnings([note for p in plans for note in p.notices], strict=strict)
-    # A file and a link to it are one.
+    # A file and links to it count once.
     by_path = {plan.path.resolve(): plan for plan in reversed(plans) if plan.needed}
     needed = list(reversed(by_path.values()))
     if check or not needed:

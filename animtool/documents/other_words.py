@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-# Directions by the names of axes.
+# Directions by axis name.
 AXES = {
     f"{sign}{name}": str([(-1 if sign else 1) * (i == k) for i in range(3)])
     for k, name in enumerate("XYZ")
     for sign in ("", "-")
 }
-# What other tools call values and keys of ours.
+# Names in other tools of our values and keys.
 OTHER_VALUES = {
     "hinge": "pin",
     "revolute": "pin",

@@ -23,15 +23,15 @@ from animtool.documents.placeholders import (
 )
 from animtool.documents.yaml_values import plain_scalar
 
-# Where a document gives variables their usual values.
+# Key of the variables' default values.
 DEFAULTS = "variables"
-# Where a document says where its result goes.
+# Key of a document's output.
 OUTPUT = "output"
-# First and last key of where it names files to write.
+# First and last key of output paths.
 WRITTEN = frozenset({(OUTPUT, "file"), ("passes", "save")})
-# Of a text: no path and no number is as long.
+# Longest text [character]: longer than any path or number.
 LONGEST = 10_000
-# Two dollars stand for one, and what follows is text.
+# `$$` is an escaped dollar.
 _USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 
 
@@ -39,7 +39,7 @@ _USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 class SceneValues:
     """Values of a scene's variables that another file sets."""
 
-    # By name; they come before those of the scene.
+    # By name; they override the scene's.
     values: Mapping[str, str] = field(default_factory=dict)
     # Those that are a part of one name, where they name a file to write.
     parts: frozenset[str] = frozenset()
@@ -88,9 +88,9 @@ def resolve_variables(
     return Variables(stated | used, stated - used, resolver.effective())
 
 
-# As JSON Schema says it: a text that becomes a value of another type.
+# JSON Schema of a variable: text that becomes another type.
 _TEXT = {"type": "string", "pattern": rf"\$\{{{VARIABLE_NAME}\}}"}
-# What says of a value what it is, and not what it is for.
+# Schema keywords of a value's type, not of its meaning.
 _FACTS = frozenset(
     {"type", "enum", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"}
 )

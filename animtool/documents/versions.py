@@ -10,7 +10,7 @@ from animtool.core.errors import excerpt
 from animtool.core.names import KINDS
 from animtool.documents.document import Document, Location, kind_named
 
-# A step takes the values of a whole file and returns those of the next version.
+# A step converts a file's values to the next version.
 Step = Callable[[dict[str, Any]], dict[str, Any]]
 Steps = Mapping[int, Step]
 
@@ -27,7 +27,7 @@ RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
         ("systems", None, "particles", "most"): "max_particles",
     },
 }
-# Old names that mean something else now, but where a value is of this type.
+# Reused names: an old name only if its value has this type.
 _OF_TYPE: dict[tuple[str | None, ...], type] = {
     ("passes", None, "simulate", "colliders"): bool,
 }

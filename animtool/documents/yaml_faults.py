@@ -58,7 +58,7 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
     """
     lines = text.splitlines() or [""]
     here = lines[min(line, len(lines)) - 1]
-    # A tab before the place that the scanner names: it often stops a line later.
+    # A tab before the scanner's position, which is often a line later.
     for number in (line, line - 1):
         source_line = lines[number - 1] if 1 <= number <= len(lines) else ""
         indent = source_line[: len(source_line) - len(source_line.lstrip())]

@@ -22,26 +22,26 @@ from animtool.core.record import dataclass
 from animtool.documents.json_values import plain_json
 from animtool.documents.yaml_faults import yaml_fault
 
-# A person nests five or six.
+# Hand-written files nest five or six deep.
 DEEPEST = 50
 # Ends of lines and what separates values, of which nearly each value has one: a rig of
 # 10,000 joints has 0.2 million, a clip of 100,000 keys 0.6. Reading takes about 1 s of
 # CPU for each 100,000.
 MAX_MARKS = 2_000_000
 _MARKS = ("\n", ",", ":", "[", "{", "- ", "? ")
-# Faults that are collected before the rest is not looked at.
+# Faults to collect before parsing stops.
 MAX_FAULTS = 200
 # Python refuses to read more digits, and no float has as many.
 MAX_DIGITS = 400
 LONGEST_HINT = 200
 LONGEST_NAME = 40
 LONGEST_KEY = 1000
-# The key whose list is taken for a mapping from times to values.
+# The key whose list is sometimes written as a mapping of times to values.
 TIMED = "keys"
 # How the names of files end that hold such text; others are likely of another kind.
 SUFFIXES = (".yaml", ".yml", ".json")
 
-# Groups say what kind of number it is: no group, a whole one.
+# Groups tell the kind of number; none is an integer.
 _NUMBER = re.compile(
     r"[-+]?(?:[0-9]+(\.[0-9]*)?|(\.[0-9]+))([eE][-+]?[0-9]+)?"
     r"|0o(?P<octal>[0-7]+)|0x(?P<hexadecimal>[0-9a-fA-F]+)"
@@ -70,9 +70,9 @@ _UNMASK = str.maketrans({mask: brace for brace, mask in _MASK.items()})
 class Marks(NamedTuple):
     """Source positions and unquoted text of values."""
 
-    # Line and column of every node, in the order of the text.
+    # Line and column of every node, in text order.
     positions: list[tuple[int, int]]
-    # Of scalars without quotes, what is written, by number of the node.
+    # Source text of unquoted scalars, by node index.
     plain: dict[int, str]
 
 
@@ -284,7 +284,7 @@ class _YamlReader:
     def _scalar(self, event: Any, position: tuple[int, int]) -> Any:
         text: str = event.value
         if not event.implicit[0]:
-            # Only escapes within quotes can stand for one.
+            # Only quoted escapes can produce one.
             if problem := unreadable(text):
                 message = f"a text contains the control character {problem!r}"
                 self.fault("DOC023", message, position, "remove it")
@@ -300,18 +300,18 @@ class _YamlReader:
 class _Open:
     """A mapping or list that is still open."""
 
-    value: Any  # what there is of it
-    key: str | None = None  # of a mapping, the one whose value comes next
+    value: Any  # content so far
+    key: str | None = None  # of a mapping, the key whose value is next
     keys: dict[str, int] = field(default_factory=dict)  # line of each key
-    flow: bool = False  # whether it stands between brackets
+    flow: bool = False  # whether it is in flow style
     timed: bool = False  # whether it is what the key of a list of times holds
     # Of that one, the numbers that are keys, and where each is.
     times: list[tuple[float, tuple[int, int]]] = field(default_factory=list)
     # What commas may have cut a text into: a value with an open bracket, and the keys
     # behind it.
     pieces: list[str] = field(default_factory=list)
-    brackets: int = 0  # how many are open in the pieces
-    spot: tuple[int, int] = (1, 1)  # where the first of them is
+    brackets: int = 0  # open brackets in the pieces
+    spot: tuple[int, int] = (1, 1)  # position of the first piece
     faults: int = 0  # how many there were before
 
     def put(
@@ -378,7 +378,7 @@ class _Open:
             self.pieces = [plain] if self.brackets > 0 else []
             self.spot, self.faults = position, len(reader.faults)
         elif self.brackets <= 0:
-            # What is wrong with the keys is that they are none.
+            # Replaces the faults of these keys.
             del reader.faults[self.faults :]
             message = f"{excerpt(self.pieces[0])} ends at a comma"
             hint = f'quote all of it: "{", ".join(self.pieces)}"'

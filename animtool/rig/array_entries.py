@@ -33,7 +33,7 @@ _COUNTING = frozenset({"faces", "indices", "pins", "vertices"})
 _KEYS = {"strands": "points"}
 # What fills a triangle among quadrangles, and so on.
 NO_CORNER = -1
-# Stands for an array whose file is refused: nothing leads to that.
+# Placeholder of a refused array.
 NO_ARRAY = LoadedArray(np.zeros(0))
 
 
@@ -166,7 +166,7 @@ _ATTACH_KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     AttachKind.CLOTH: (("mesh",), ("pins",)),
     AttachKind.STRANDS: (("joint", "points"), ()),
 }
-# A name this near to that of a known kind is a slip, and no kind of somebody's own.
+# A kind this similar to a known one is a misspelling, not a custom kind.
 SLIP = 0.8
 
 
@@ -175,11 +175,11 @@ class AttachmentReader:
     """Builds attachments; records faults in the document."""
 
     document: Document  # the file
-    arrays: ArrayReader  # looks at the arrays that the file refers to
+    arrays: ArrayReader  # checks the arrays that the file refers to
     # Number of points of each mesh; None where it is not known.
     vertices: Mapping[str, int | None]
-    check_joint: Check  # notes a name that is no joint
-    check_mesh: Check  # notes a name that is no mesh
+    check_joint: Check  # records an unknown joint
+    check_mesh: Check  # records an unknown mesh
 
     def attachment(self, at: Location, entry: AttachModel) -> Attachment:
         """Return an attachment; record its faults in the document."""

@@ -13,15 +13,15 @@ from animtool.rig.controls import Control, evaluate_controls
 # Sweeps over the controls, each followed by Newton steps on all of them.
 SWEEPS = 4
 NEWTON_STEPS = 12
-# Points of a control's range besides the corners of its curves.
+# Grid points of a control's range besides its curves' corners.
 GRID = 9
-# Step of the difference quotients, in parts of a control's range.
+# Finite-difference step, as a fraction of a control's range.
 DIFFERENCE = 1e-7
-# A residual below this part of its tolerance is left as it is.
+# Residuals below this fraction of the tolerance are converged.
 CONVERGED = 1e-6
-# A residual without a value, in tolerances; its square is finite.
+# Stands for non-finite residuals, in tolerances; its square is finite.
 HUGE = 1e30
-# Angles of several that are each tried as the one whose whole turns are right.
+# Angles tried as the reference for revolutions.
 MAX_ANCHORS = 3
 # Frames solved at once: their arrays of slopes stay below some 20 MB.
 FRAMES_AT_ONCE = 1024
@@ -307,7 +307,7 @@ class _Problem:
         left = corners[:-1] + along[..., None] * segments
         costs = np.einsum("kft,kft->kf", left, left)
         now = rest[name]
-        # Of equally good segments the one that the control is on already.
+        # Of equally good segments, the current one.
         middle = (grid[:-1] + grid[1:])[:, None] / 2
         far = np.abs(middle - now) / max(float(np.ptp(grid)), 1e-300)
         best = np.argmin(costs * (1 + 1e-12 * far) + 1e-30 * far, axis=0)

@@ -92,9 +92,9 @@ class DriverCheck:
     document: Document
     model: RigModel
     rig: Rig
-    # Where more joints or controls may be, of names that are not known.
+    # Whether unknown joints or controls may exist.
     unnamed: Mapping[str, bool]
-    # Joints whose type is not known.
+    # Joints of unknown type.
     untyped: frozenset[str]
 
     def run(self) -> None:
@@ -110,7 +110,7 @@ class DriverCheck:
             order = driving_order(self.rig)
         except DriverCycleError as error:
             driven = {target for target, _ in _drivers(self.rig)}
-            # A circle of drives alone is named as such (RIG014).
+            # Cycles of drives alone are RIG014.
             driven_in_cycle = [name for name in error.cycle if name in driven]
             local = [
                 name

@@ -29,7 +29,7 @@ from animtool.rig.limits import BallLimit
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
-# A twist axis this near to a main axis leaves the swing no part about it [1].
+# A twist axis this close to a main axis removes that swing component [1].
 ALONG = 1e-9
 # Where a rig keeps its plan.
 _KEPT = "_driver_plan"

@@ -64,7 +64,7 @@ class Driver:
         """
         in_units = {name: values[name] / self.unit_of(name) for name in self.names}
         if self.expression is not None:
-            # One that reads nothing is a number.
+            # A constant expression.
             return np.atleast_1d(self.expression.evaluate(in_units)) * self.unit
         return (
             curve_values(self.curve, in_units[self.by], smooth=self.smooth) * self.unit
@@ -137,7 +137,7 @@ def curve_values(points: Points, x: FloatArray, *, smooth: bool = False) -> Floa
         return np.asarray(np.interp(x, table[:, 0], table[:, 1]))
     from animtool.maths.curves import cubic_curves, evaluate
 
-    # Beyond the ends it is held; what is no number stays none.
+    # Constant beyond the ends; NaN stays NaN.
     inside = np.clip(x, table[0, 0], table[-1, 0])
     lost = np.isnan(inside)
     thirds = np.diff(table[:, 0]) / 3

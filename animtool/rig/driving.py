@@ -27,7 +27,7 @@ from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
-# A range of twist wider than a turn less this has no middle [rad].
+# A twist range within this of a full revolution has no middle [rad].
 GAP = 1e-6
 # From the name of a coordinate to its values ``(F,)`` or ``(1,)`` [rad], [m].
 Read = Callable[[str], FloatArray]

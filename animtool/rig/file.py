@@ -103,7 +103,7 @@ def _mirrored(
     return poses
 
 
-# A sidecar of a sidecar is odd; this many of them are no studio's rig.
+# Limit of sidecars of sidecars.
 MAX_SIDECARS = 8
 
 

@@ -16,19 +16,19 @@ from animtool.maths.faces import rigid_motion
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
-# Below, motion of one rig is wrong on the other; at or above, it is only coarser.
+# Below, motion is wrong on the other rig; above, only less exact.
 FITS = 0.7
-# At or above, no difference between the rigs can be seen.
+# At or above, the rigs are visually identical.
 NOTICEABLE = 0.98
 # Rotations this far apart, as a root mean square, score 0 [rad].
 ROTATION_SPAN = np.radians(45.0)
 # Rest poses are the same pose where bones point within this, root mean square [rad].
 SAME_POSE = np.radians(3.0)
-# Bones shorter than this share of the mean bone have no direction.
+# Bones shorter than this fraction of the mean have no direction.
 SHORTEST = 1e-3
-# Bones lie along one line where they leave it by less than this share.
+# Bones are collinear within this fraction.
 STRAIGHT = 0.05
-# A joint is named where it differs by more [rad], [1].
+# Joints that differ by more are named [rad], [1].
 NAMED_ANGLE, NAMED_LENGTH = np.radians(5.0), 0.05
 
 
@@ -181,7 +181,7 @@ def _between(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.arctan2(across, (a * b).sum(axis=1)))
 
 
-# What a length unit that is off makes of the size, and the units of such a file.
+# Size ratios of mistaken length units.
 UNIT_RATIOS = (100.0, 1000.0, 10.0, 2.54, 39.37)
 RATIO_TOLERANCE = 0.15
 

@@ -18,7 +18,7 @@ _NAMES = {
     LEFT_EYE: ("eyel", "lefteye", "leye", "eyeleft", "eyeballl", "eyeballleft"),
     RIGHT_EYE: ("eyer", "righteye", "reye", "eyeright", "eyeballr", "eyeballright"),
 }
-# From Y up, where a face looks along +Z, to Z up, where it looks along -Y.
+# From Y up (face along +Z) to Z up (face along -Y).
 _Z_UP = np.array([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
 
 

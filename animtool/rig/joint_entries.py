@@ -25,11 +25,11 @@ from animtool.rig.parts import Vector
 from animtool.rig.sides import ORIGIN, Transform, mirrored_joint, placed
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
 
-# Shorter, an axis or quaternion is a slip and not a direction.
+# Shorter axes and quaternions are mistakes, not directions.
 SHORTEST = 1e-9
 # Within rounding of unit length: kept as written, so that it is written as read.
 UNIT_LENGTH = 1e-15
-# Nearer to the middle plane, a joint is on it but for the rounding of a file [m].
+# Joints this close to the middle plane are on it [m].
 OFF_MIDDLE = 1e-6
 
 
@@ -173,7 +173,7 @@ def _parents_first(
     for start in entries:
         trail: list[str] = []
         name: str | None = start
-        # In order, and to be found at once.
+        # An ordered set.
         pending = {start: None}
         while pending:
             name = next(reversed(pending))

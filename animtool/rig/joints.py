@@ -57,7 +57,7 @@ def local_from_coordinates(rig: Rig, coordinates: ArrayLike) -> LocalTransforms:
     >>> local.rotations[0, 0].round(12).tolist()
     [0.0, 1.0, 0.0, 0.0]
     """
-    # Rigs are also read by what needs no kernels.
+    # Imported here: reading rigs needs no kernels.
     from animtool import _kernels
 
     q = as_floats(coordinates, ("F", rig.coordinates), "coordinates")

@@ -58,7 +58,7 @@ class BallLimit:
         swing, twist = swing_twist(rotations, self.twist_axis)
         outside = np.zeros(len(twist), np.bool_)
         if self.twist is not None:
-            # The turn nearest to the middle: a range may reach past half a turn.
+            # The revolution nearest to the middle: ranges may exceed half a revolution.
             middle = (self.twist[0] + self.twist[1]) / 2
             revolutions = 2 * np.pi * np.round((twist - middle) / (2 * np.pi))
             turned = twist - revolutions
@@ -84,7 +84,7 @@ class BallLimit:
         return clamped
 
 
-# A cone of no width is a line that rounding always misses [rad].
+# Least cone width; rounding always misses a zero one [rad].
 SMALLEST_CONE = 1e-12
 # Rotations that differ by less are the same but for rounding [rad].
 LIMIT_TOLERANCE = 1e-9

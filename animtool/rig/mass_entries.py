@@ -9,7 +9,7 @@ from animtool.rig.joint_entries import quaternion
 from animtool.rig.parts import Mass
 from animtool.rig.schema import MassModel
 
-# What moments may break the triangle inequality by, of their sum: rounding of files.
+# Rounding tolerance of the triangle inequality, as a fraction of the sum.
 ROUNDING = 1e-3
 
 

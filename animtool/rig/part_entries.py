@@ -54,9 +54,9 @@ class PartReader:
 
     document: Document  # the file
     model: RigModel  # its content
-    units: FileUnits  # what its numbers count
+    units: FileUnits  # units of its numbers
     file_joints: FileJoints  # the rig's joints
-    arrays: ArrayReader  # looks at the arrays that the file refers to
+    arrays: ArrayReader  # checks the arrays that the file refers to
     # Number of points of each mesh, as far as known.
     vertices: dict[str, int] = field(default_factory=dict)
     joints: dict[str, Joint] = field(init=False)  # the rig's joints, by name

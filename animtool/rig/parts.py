@@ -155,7 +155,7 @@ class IkChain:
     # Where its middle points, in the frame of the root joint's parent; None leaves it
     # open.
     pole_dir: Vector | None = None
-    stretch: float = 0.0  # share of its length that it may grow by
+    stretch: float = 0.0  # fraction of its length that it may stretch
 
 
 class AttachKind(StrEnum):

@@ -41,7 +41,7 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
     size = placement.size
     stands = rig.stands
     if stands is not None:
-        # Where it stood before, seen from where it is now.
+        # Old placement relative to the new one.
         rigid = replace(placement, sizes=np.ones(1))
         moved = replace(stands, translations=stands.translations * size)
         stands = rigid.after(moved).after(rigid.inverse())

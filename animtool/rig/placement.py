@@ -57,13 +57,13 @@ class Placement:
         away = np.abs(self.translations).max(initial=0.0)
         turned = 1.0 - np.abs(self.rotations[:, 3]).min(initial=1.0)
         sized = np.abs(self.sizes - 1.0).max(initial=0.0)
-        # Of a turn by a small angle, w is off by an eighth of its square.
+        # For a small angle, w differs from 1 by an eighth of its square.
         return bool(away <= SAME and turned <= SAME**2 and sized <= SAME)
 
     def points(self, points: FloatArray) -> FloatArray:
         """Return transformed points; ``(F, N, 3)`` if animated."""
         sizes, rotations, translations = self._parts()
-        # What is 1 or 0 leaves numbers to the last bit, and signs of zeros, alone.
+        # Skipping identities keeps values bit-exact, signs of zeros included.
         sized = points if (self.sizes == 1.0).all() else sizes * points
         turned = so3.rotate(rotations, sized)
         if not self.translations.any():

@@ -79,8 +79,8 @@ class ShapeLinks:
     """Links between source and target shapes."""
 
     links: tuple[ShapeLink, ...]
-    lost: tuple[str, ...]  # shapes of the source that move nothing
-    resting: tuple[str, ...]  # shapes of the target that nothing moves
+    lost: tuple[str, ...]  # unlinked source shapes
+    resting: tuple[str, ...]  # unlinked target shapes
 
     def apply(self, weights: FloatArray, count: int) -> FloatArray:
         """Convert source weights to target weights ``(F, count)``."""

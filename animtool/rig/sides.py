@@ -36,8 +36,8 @@ _LETTER = (
 )
 _LOOKS_LEFT = re.compile(f"{_LEFT}|左|" + _LETTER.format("l", "L"))
 _LOOKS_RIGHT = re.compile(f"{_RIGHT}|右|" + _LETTER.format("r", "R"))
-# How a name says that it is left, the surest way first. The last ones are letters of
-# other words in most names: a partner of the other name must exist anyway.
+# Patterns of left names, most reliable first. The last ones also match
+# unrelated letters, but a partner of the other name must exist anyway.
 _SIDE_PATTERNS = tuple(
     re.compile(pattern)
     for pattern in (
@@ -55,10 +55,10 @@ _SIDE_PATTERNS = tuple(
 class SidePairs:
     """Partners of joints or other named parts."""
 
-    # Index of each one's partner ``(J,)``, its own where it has none.
+    # Index of each partner ``(J,)``; of itself without one.
     partners: IntArray
     left: tuple[int, ...]  # of the pairs that the names gave, indices of the left ones
-    # Those whose names look left or right and that have no partner.
+    # Left or right names without a partner.
     strays: tuple[int, ...]
 
 
@@ -211,7 +211,7 @@ def mirrored_pose(pose: Pose, world: Transform, parent_world: Transform) -> Pose
         np.abs(so3.rotate(back, offset) - local).max() > SAME_POSITION
         or so3.angle_between(facing, facing_local) > SAME_POSITION
     ):
-        # Parents that are no mirror images of each other themselves.
+        # The parents are not mirror images of each other.
         local, facing_local = so3.rotate(back, offset) + 0.0, facing + 0.0
     a, b, c, d = facing_local.tolist()
     return Pose(_vector(local), (a, b, c, d))

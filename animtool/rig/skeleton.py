@@ -35,10 +35,10 @@ from animtool.rig.placement import Placement
 if TYPE_CHECKING:
     from animtool.rig.drivers import Driver
 
-# Letters of the paths of all joints: a chain has the square of its joints.
+# Limit of all joint paths [character]: chains grow quadratically.
 MAX_PATHS = 500_000_000
 
-# As BVH calls the numbers of a joint.
+# BVH channel names.
 ChannelName: TypeAlias = Literal[
     "Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation"
 ]

@@ -89,7 +89,7 @@ class _WrittenUnits:
         self.name = unit_name(rig.meters_per_unit)
         self.meters = rig.meters_per_unit
         if " " in self.name:
-            # A unit that the format has no name for.
+            # The format has no name for this unit.
             self.name, self.meters = "m", 1.0
         self.radians = 1.0 if rig.radians_per_unit == 1.0 else math.radians(1.0)
         self.angle_name = "rad" if self.radians == 1.0 else "deg"
@@ -231,7 +231,7 @@ class _WrittenUnits:
         unit = (
             self.meters if drive.of_length else self.radians if drive.of_angle else 1.0
         )
-        # But for rounding of units that are the same.
+        # Equal units but for rounding.
         by = drive.unit / unit
         by = 1.0 if math.isclose(by, 1.0, rel_tol=1e-12) else by
         curve = flow([str(_numbers((x, y * by))) for x, y in drive.curve])

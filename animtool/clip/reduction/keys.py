@@ -36,7 +36,7 @@ class ReducedChannel:
     """Keys of a joint's translation, rotation or scale, of a weight or a control."""
 
     target: str  # ``joint.kind``, ``weight[i]`` or ``control/name``
-    kind: ChannelKind  # what it drives
+    kind: ChannelKind  # kind of its target
     index: int  # of the joint in its rig, of the weight, or of the control
     joint: str | None  # name of the joint; None for a weight or a control
     order: str | None  # of the Euler angles, left to right; None for all but rotations
@@ -53,7 +53,7 @@ class Reduction:
     """Sparse keys of a take and their error."""
 
     clock: Clock  # of the take, F frames
-    rest: Motion  # one frame of what holds where there is no channel
+    rest: Motion  # one frame of the values without channels
     # In the order translation, rotation, scale of each joint, then the weights. What
     # stays at rest has none, what only stays has one key.
     channels: tuple[ReducedChannel, ...]
@@ -61,9 +61,9 @@ class Reduction:
     error: float  # largest distance of a point from where it was [m]
     joint: str  # name of the joint that the point belongs to
     frame: int  # where that is [frame]
-    held: bool  # whether every joint keeps its own tolerance
+    held: bool  # whether every joint is within its tolerance
     weight_error: float  # largest error of a weight [1]
-    rounds: int  # how many times the world error was measured
+    rounds: int  # number of world-error measurements
 
     @property
     def keys(self) -> int:
@@ -118,7 +118,7 @@ def _channel(
     return Channel(constant, np.array([c.index for c in moves], np.int64), values)
 
 
-# Significant digits: beside the tolerance of any reduction, rounding is nothing.
+# Significant digits: rounding is far below any tolerance.
 DIGITS = 10
 
 
@@ -157,7 +157,7 @@ def fitted_channel(
         unit: Unit of written values [m], [rad] or [1].
         euler: Euler order; empty for other values.
     """
-    # What the keys count, in the unit that they are written in.
+    # Unit of the fitted keys in the unit of the file.
     rotates = bool(euler) or target.endswith(".angle")
     factor = (math.radians(1.0) if rotates else 1.0) / unit
     times = float(clock.start) + keys.frames.astype(np.float64) * float(clock.step)

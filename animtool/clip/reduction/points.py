@@ -20,7 +20,7 @@ from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-# How far off a joint skin and props are that turn with it, as ACL assumes [m].
+# Distance of skin and props from their joint, as ACL assumes [m].
 SHELL = 0.03
 
 
@@ -109,12 +109,12 @@ class Budget:
 
     track: KeyTrack  # samples of one channel
     tolerance: float  # for the Euclidean error, in the unit of the samples
-    fraction: FloatArray  # of the tolerance that each frame has ``(F,)`` [1]
+    fraction: FloatArray  # fraction of the tolerance at each frame ``(F,)`` [1]
     keys: FittedKeys  # fitted to the samples
     # Of these keys at every frame ``(F,)``, in the unit of the samples.
     errors: FloatArray
     values: FloatArray  # of these keys at every frame ``(F, D)``
-    # Frames from which a straight segment leads to the next.
+    # Frames that start a straight segment.
     straight: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @staticmethod

@@ -37,7 +37,7 @@ SPLITTING = 8
 # Keys of balls keep their limits to within this between samples [rad], measured so many
 # times a frame.
 LIMIT_SLACK, BETWEEN = 1e-4, 4
-# Frames that may be beyond the tolerance when calibrated [1].
+# Fraction of frames beyond the tolerance after calibration [1].
 QUANTILE = 0.95
 
 

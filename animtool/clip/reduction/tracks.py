@@ -16,14 +16,14 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, Rig
 
-# Parts of a joint that hold it as a whole, in its parent's space.
+# Parts that replace a joint's full local transform.
 PARTS = {
     ChannelKind.TRANSLATION: "local_translation",
     ChannelKind.ROTATION: "local_rotation",
     ChannelKind.SCALE: "scale",
 }
 
-# Of the middle angle's cosine: some 80 degrees.
+# Least cosine of the middle angle: some 80 degrees.
 NEAR_LOCK = 0.17
 
 
@@ -31,7 +31,7 @@ NEAR_LOCK = 0.17
 class KeyTrack:
     """Samples of one channel."""
 
-    kind: ChannelKind  # what it drives
+    kind: ChannelKind  # kind of its target
     index: int  # of the joint in its rig, or of the weight
     order: str | None  # of the Euler angles; None for all but rotations
     # ``(F, D)``, or ``(1, D)`` for a channel that does not move: angles [deg], lengths
@@ -104,7 +104,7 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
     if bvh_order in euler.ORDERS and _off_lock(rotations, bvh_order) >= NEAR_LOCK:
         return bvh_order
     off = {order: _off_lock(rotations, order) for order in euler.ORDERS}
-    # Rounded, so that a tie does not hang on the last digit.
+    # Rounded, so that ties do not depend on the last digit.
     return max(euler.ORDERS, key=lambda order: round(off[order], 6))
 
 
