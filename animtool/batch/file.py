@@ -243,7 +243,9 @@ def rows_of_document(
         columns = reader.columns(variants)
         # Of faulty values not all are there.
         table = None if len(document.faults) > before else reader.combined(columns)
-    return None if len(document.faults) > before or document.doubtful(AT) else table
+    return (
+        None if len(document.faults) > before or document.is_placeholder(AT) else table
+    )
 
 
 class _Reader:

@@ -25,12 +25,12 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import (
-    all_named,
+    atomic_command,
     check_plot,
     goes_to_stdout,
     plot_option,
+    print_tradeoffs,
     refuse_alone,
-    say_tradeoffs,
     skipped,
     writing_options,
 )
@@ -202,12 +202,12 @@ def _bake(
         return
     label = files[0].name if len(files) == 1 else f"{len(files)} takes"
     shown = console.progress(f"bake {label}", stdout=to_stdout)
-    with all_named(), shown as progress:
+    with atomic_command(), shown as progress:
         reports = bake_outline(outline, progress=progress)
-    _say_reports(console, reports, scene, params, several=several)
+    _print_reports(console, reports, scene, params, several=several)
 
 
-def _say_reports(
+def _print_reports(
     console: Console,
     reports: Sequence[BakeReport | ConvertReport],
     scene: Scene | None,
@@ -270,4 +270,4 @@ def _measure(
             raise click.UsageError("--table measures joints, not --deform.")
         else:
             report = take_tradeoffs(source, options, progress=progress)
-    say_tradeoffs(console, report, params["report_format"], plot)
+    print_tradeoffs(console, report, params["report_format"], plot)

@@ -281,7 +281,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
         console.say("finished items are recorded; run the same command again to resume")
         raise
     unshown = [notice for notice in report.notices if notice not in listener.shown]
-    _tell(console, report, params, _Repeat(inputs, params), unshown)
+    _print_results(console, report, params, _Repeat(inputs, params), unshown)
     if params["junit"] is not None:
         from animtool.batch.report import junit_report
         from animtool.core.files.output import check_outputs, write_parts
@@ -373,7 +373,7 @@ class _Repeat:
         return shlex.join(words + ([] if listed else ["--items", str(item.number)]))
 
 
-def _tell(
+def _print_results(
     console: Console,
     report: BatchReport,
     params: dict[str, Any],
@@ -398,7 +398,7 @@ def _tell(
     elif params["dry_run"]:
         console.result(*PLANNED.text(report))
     console.faults(notices)
-    _tell_notices(console, report)
+    _print_notices(console, report)
     console.lines((DRY if params["dry_run"] else SUMMARY).text(report))
     for entry in report.failed:
         console.error(f"{entry.item.label} failed")
@@ -406,7 +406,7 @@ def _tell(
         console.say(f"  again: {repeat.command(entry)}")
 
 
-def _tell_notices(console: Console, report: BatchReport) -> None:
+def _print_notices(console: Console, report: BatchReport) -> None:
     """Print the warnings of items, each once with the items that have it."""
     for notice, entries in report.notices_of_items().items():
         paths = {entry.item.file.path.absolute() for entry in entries}

@@ -18,7 +18,7 @@ from animtool.cli.options import (
     stage_option,
     strict_option,
 )
-from animtool.cli.outputs import all_named, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skipped, writing_options
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.errors import counted
 from animtool.core.names import is_named
@@ -120,7 +120,7 @@ def convert(
         prim_path=params["prim_path"],
         placement=params["placement"],
     )
-    with all_named(), console.progress(f"convert {source.name}") as progress:
+    with atomic_command(), console.progress(f"convert {source.name}") as progress:
         report = run_convert(
             source,
             output,
@@ -220,7 +220,7 @@ def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -
         if params[name]:
             option = f"--{name.replace('_', '-')}"
             raise click.UsageError(f"{option} applies to motion, not to a rig.")
-    with all_named():
+    with atomic_command():
         report = convert_rig(
             source,
             output,

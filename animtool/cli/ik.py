@@ -28,12 +28,12 @@ from animtool.cli.options import (
     stacked,
 )
 from animtool.cli.outputs import (
-    all_named,
+    atomic_command,
     check_plot,
     goes_to_stdout,
     plot_option,
+    print_tradeoffs,
     refuse_alone,
-    say_tradeoffs,
     skipped,
     split_option,
     writing_options,
@@ -210,7 +210,7 @@ def ik(console: Console, /, **params: Any) -> None:
     from animtool.scene.solves.ik import MissedGoalsError, run_ik
 
     label = f"ik {params['targets'].name}"
-    with all_named(), console.progress(label, stdout=to_stdout) as progress:
+    with atomic_command(), console.progress(label, stdout=to_stdout) as progress:
         try:
             report = run_ik(_job(params), progress=progress)
         except MissedGoalsError as error:
@@ -288,7 +288,7 @@ def _table(console: Console, params: dict[str, Any]) -> None:
     check_plot(params["plot"], inputs, overwrite=params["overwrite"])
     with console.progress(f"measure {params['targets'].name}") as progress:
         report = ik_tradeoffs(_job(params), progress=progress)
-    say_tradeoffs(console, report, params["report_format"], params["plot"])
+    print_tradeoffs(console, report, params["report_format"], params["plot"])
 
 
 def _job(params: dict[str, Any]) -> Any:

@@ -16,7 +16,7 @@ from animtool.cli.options import (
     stacked,
     strict_option,
 )
-from animtool.cli.outputs import all_named, writing_options
+from animtool.cli.outputs import atomic_command, writing_options
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.core.values import VERSION
@@ -108,7 +108,7 @@ def run_on_markers(
     marker_writer(output)
     files = [file_of(path) for path in sources]
     check_outputs([output], files, overwrite=params["overwrite"])
-    with all_named(), console.progress(f"{command} {sources[0].name}"):
+    with atomic_command(), console.progress(f"{command} {sources[0].name}"):
         read = [read_marker_file(path, params) for path in sources]
         markers, report = work(*read)
         notices = [n for one in (*read, report) for n in one.notices]

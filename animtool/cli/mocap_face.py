@@ -22,7 +22,7 @@ from animtool.cli.options import (
     source_options_record,
     strict_option,
 )
-from animtool.cli.outputs import all_named, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skipped, writing_options
 from animtool.core.quantities import length_text
 from animtool.report.text import SECONDS, Template
 
@@ -100,7 +100,7 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
     )
     if skipped(console, "mocap face", params, job.output, lambda: job.target.files):
         return
-    with all_named(), console.progress(f"face {landmarks.name}") as progress:
+    with atomic_command(), console.progress(f"face {landmarks.name}") as progress:
         result = run_face(job, progress=progress)
     console.faults(result.notices)
     console.report(params["report_format"], result, _template(result))

@@ -18,7 +18,7 @@ from animtool.cli.options import (
     source_options,
     strict_option,
 )
-from animtool.cli.outputs import all_named, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skipped, writing_options
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.report.text import Table, Template
 
@@ -93,7 +93,7 @@ def triangulate(
     up = UpAxis(params["up"].upper()) if params["up"] else None
     cameras = load_all_cameras(calibrations, unit=unit, up=up)
     name = observations.name
-    with all_named(), console.progress(f"triangulate {name}") as progress:
+    with atomic_command(), console.progress(f"triangulate {name}") as progress:
         if observations.is_dir():
             observed = read_keypoints(
                 observations, cameras, fps=params["source_fps"], people=params["people"]

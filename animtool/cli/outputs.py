@@ -73,7 +73,7 @@ def written_options_record(
 
 
 @contextmanager
-def all_named() -> Iterator[None]:
+def atomic_command() -> Iterator[None]:
     """Rename a command's outputs into place at its end, with signals deferred.
 
     What is left is to tell what was written: a command that ends with 130 or 143 has
@@ -142,7 +142,7 @@ def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) ->
     check_drawable(plot)
 
 
-def say_tradeoffs(
+def print_tradeoffs(
     console: Console, report: Tradeoffs, form: str, plot: Path | None = None
 ) -> None:
     """Print tables of time against error, and plot them if requested."""

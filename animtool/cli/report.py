@@ -25,7 +25,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.cli.outputs import say_tradeoffs
+from animtool.cli.outputs import print_tradeoffs
 from animtool.core.errors import counted
 from animtool.scene.bake.options import BakeOptions
 
@@ -90,7 +90,7 @@ def report(
         raise click.UsageError(f"The page is HTML: name it {output.stem}.html.")
     with tempfile.TemporaryDirectory() as folder:
         tradeoffs = _measured(console, source, output, params, Path(folder))
-        say_tradeoffs(console, tradeoffs, params["report_format"])
+        print_tradeoffs(console, tradeoffs, params["report_format"])
         if output is None:
             return
         from animtool.preview.tradeoff_page import write_tradeoff_page

@@ -80,7 +80,7 @@ CONVERTED = Template(
 )
 
 
-def _thinned(indent: str) -> tuple[Line, ...]:
+def _reduction_lines(indent: str) -> tuple[Line, ...]:
     """Return the lines of optional bake steps."""
     return (
         _scores(indent),
@@ -222,7 +222,7 @@ BAKED = Template(
         "{worst.written.rounding.error:length 2}[{?worst.written.rounding.error} "
         f"([{{?library}}take {{worst.written.name:repr}}, ]"
         f"{_WHERE.replace('@', 'worst.')})]]",
-        Each("only:posed", _thinned("  ")),
+        Each("only:posed", _reduction_lines("  ")),
         Each(
             "library",
             (
@@ -230,7 +230,7 @@ BAKED = Template(
                 f"{{written.span.ends}} at {{fps:rate}}{_from('')}",
                 "    error of {self:rounded}: {written.rounding.error:length 2}"
                 f"[{{?written.rounding.error}} ({_WHERE.replace('@', '')})]",
-                *_thinned("    "),
+                *_reduction_lines("    "),
             ),
         ),
     ),

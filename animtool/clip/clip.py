@@ -208,8 +208,8 @@ def _units(clip: Clip, rig: Rig) -> ClipUnits:
     lengths = _numbers_in(clip, ClipUnits(math.nan, 1.0))
     angles = _numbers_in(clip, ClipUnits(1.0, math.nan))
     return ClipUnits(
-        rig_units.length if _come_back(lengths, rig_units.length) else 1.0,
-        rig_units.angle if _come_back(angles, rig_units.angle) else 1.0,
+        rig_units.length if _round_trips(lengths, rig_units.length) else 1.0,
+        rig_units.angle if _round_trips(angles, rig_units.angle) else 1.0,
     )
 
 
@@ -222,7 +222,7 @@ def _numbers_in(clip: Clip, marked: ClipUnits) -> Iterator[float]:
             yield from channel.outs[:, 1:].ravel().tolist()
 
 
-def _come_back(values: Iterable[float], unit: float) -> bool:
+def _round_trips(values: Iterable[float], unit: float) -> bool:
     return all(float(scaled(value, unit)) * unit == value for value in values)
 
 

@@ -72,7 +72,9 @@ def solved_controls(
     solved = solve_controls(controls, goals, tolerances, start, keyed=keyed)
     return SolvedControls(
         {
-            control.name: _settled(solved.values[control.name], control.default)
+            control.name: _without_rounding(
+                solved.values[control.name], control.default
+            )
             for control in controls
         },
         solved.kept,
@@ -103,7 +105,7 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
     ]
 
 
-def _settled(values: FloatArray, default: float) -> FloatArray:
+def _without_rounding(values: FloatArray, default: float) -> FloatArray:
     """Remove rounding noise: snap values to the default or to a constant."""
     small = ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
     values = np.where(np.abs(values - default) <= small, default, values)

@@ -128,7 +128,7 @@ def _on_nearest_revolution(
         if follower.mimic is not None and follower.mimic.joint == joint.name
     ]
 
-    def oddness(revolutions: int) -> tuple[bool, float, int]:
+    def misfit_cost(revolutions: int) -> tuple[bool, float, int]:
         angle = joint_motion.coordinate + 2 * np.pi * revolutions
         astray = False
         for motion, mimic, kind in led:
@@ -142,7 +142,7 @@ def _on_nearest_revolution(
             excess = float(np.abs(joint.limits.excess(angle)).max(initial=0.0))
         return astray, round(excess, 9), abs(revolutions)
 
-    revolutions = min(range(-MAX_REVOLUTIONS, MAX_REVOLUTIONS + 1), key=oddness)
+    revolutions = min(range(-MAX_REVOLUTIONS, MAX_REVOLUTIONS + 1), key=misfit_cost)
     return replace(
         joint_motion, coordinate=joint_motion.coordinate + 2 * np.pi * revolutions
     )

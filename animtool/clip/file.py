@@ -223,7 +223,7 @@ class _ClipReader:
     def _channel(self, at: Location, model: ChannelModel) -> ClipChannel | None:
         self.curves.check(at, model)
         kind = self._kind((*at, "target"), model.target)
-        if kind is None or self.document.doubtful((*at, "target")):
+        if kind is None or self.document.is_placeholder((*at, "target")):
             return None
         unit = self.units.of(model.target, model.euler or "")
         return self.curves.channel(at, model, model.target, kind, unit)

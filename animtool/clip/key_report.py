@@ -106,7 +106,7 @@ def key_notices(
         *_released(solved),
         *_on_top(rig, tracks, driven),
         *_off_type(rig, joints, tracks),
-        *_astray(rig, tracks),
+        *_unreachable_notes(rig, tracks),
     ]
     return tuple(
         Fault(code, message, severity=Severity.NOTE, hint=hint)
@@ -182,7 +182,7 @@ def _off_type(
         yield "CLIP117", message, hint
 
 
-def _astray(rig: Rig, tracks: Sequence[KeyTrack]) -> Iterator[_Note]:
+def _unreachable_notes(rig: Rig, tracks: Sequence[KeyTrack]) -> Iterator[_Note]:
     keyed = {t.index for t in tracks if t.part not in {"", "scale"}}
     for j in sorted(keyed):
         joint = rig.joints[j]

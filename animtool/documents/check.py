@@ -23,8 +23,8 @@ from animtool.documents.placeholders import (
     fields_at,
     fields_of,
     models_of,
+    placeholder_of,
     replaced,
-    stand_in,
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
 
@@ -205,7 +205,7 @@ class _Faults:
             return
         if not self._of_another_kind(location):
             self.document.add("DOC021", around, f"key {key!r} is missing")
-        self._stand_in(location)
+        self._put_placeholder(location)
 
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
         texts = dict.fromkeys(_words(fault) for fault in faults)
@@ -225,7 +225,7 @@ class _Faults:
                 or self._form_hint(location, faults)
             )
             self.document.add("DOC022", location, _either(texts), hint)
-        self._stand_in(location)
+        self._put_placeholder(location)
 
     def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
         """Return a hint with the right form where a mapping or list is expected."""
@@ -250,7 +250,7 @@ class _Faults:
                     return True
         return False
 
-    def _stand_in(self, location: Location) -> None:
+    def _put_placeholder(self, location: Location) -> None:
         """Replace a value by a placeholder; if that failed before, its parent."""
         while location in self.document.doubts:
             location = location[:-1]
@@ -258,7 +258,7 @@ class _Faults:
             self.document.check()
         annotation = annotation_at(self.model, self.value, location)
         self.document.doubts.add(location)
-        replaced(self.value, location, stand_in(annotation))
+        replaced(self.value, location, placeholder_of(annotation))
 
 
 def _by_location(
@@ -284,7 +284,7 @@ def _within(value: Any, fault: Any) -> Location:
     return tuple(steps)
 
 
-def _lacking(last: int | str, value: Any) -> str:
+def _missing_message(last: int | str, value: Any) -> str:
     """Return a message for a missing key or list item."""
     if isinstance(last, str):
         return f"key {last!r} is missing"
@@ -318,7 +318,7 @@ def _words(fault: Any) -> str:
         noun = "letter" if isinstance(value, str) else "item"
         return f"{counted(len(value), noun)} where {_are(length)} needed"
     if kind == "missing":
-        return _lacking(fault["loc"][-1], value)
+        return _missing_message(fault["loc"][-1], value)
     if kind == "union_tag_not_found":
         return f"key {context['discriminator']} is missing"
     if kind in _CHOICES:

@@ -89,7 +89,7 @@ class Document:
         for depth, step in enumerate(location, 1):
             yield self.spellings.get(location[:depth], step)
 
-    def doubtful(self, location: Location) -> bool:
+    def is_placeholder(self, location: Location) -> bool:
         """Return whether a value or an ancestor is a placeholder.
 
         It replaced a faulty value, or its key was guessed.
@@ -99,7 +99,7 @@ class Document:
             location[:depth] in unknown for depth in range(1, len(location) + 1)
         )
 
-    def unnamed(self, key: str, *parts: str) -> bool:
+    def has_unnamed(self, key: str, *parts: str) -> bool:
         """Return whether a list has an entry whose name is unknown.
 
         References to that entry cannot be told from broken ones.
@@ -126,7 +126,7 @@ class Document:
         """
         last: int | None = None
         for i, value in enumerate(values):
-            if self.doubtful((*location, i, key)):
+            if self.is_placeholder((*location, i, key)):
                 continue
             if last is not None and not value > values[last]:
                 yield i, last
@@ -140,7 +140,7 @@ class Document:
         Raises:
             FormatError: Too many faults; checking stops.
         """
-        if not self.doubtful(location):
+        if not self.is_placeholder(location):
             self.faults.append(self.fault(code, location, message, hint))
             if len(self.faults) >= MAX_COLLECTED:
                 self.check()
@@ -165,7 +165,7 @@ class Document:
         message: str,
         hint: str | None,
     ) -> None:
-        if not self.doubtful(location):
+        if not self.is_placeholder(location):
             fault = self.fault(code, location, message, hint)
             self.notices.append(replace(fault, severity=severity))
 

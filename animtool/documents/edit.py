@@ -188,7 +188,7 @@ class _Page:
         if node.flow_style:
             return end, end, f", {entry}"
         indent = " " * node.value[0][0].start_mark.column
-        behind = self._behind(end)
+        behind = self._line_after(end)
         if self.text[behind - 1] == "\n":
             return behind, behind, f"{indent}{entry}{self.newline}"
         return behind, behind, f"{self.newline}{indent}{entry}"
@@ -202,24 +202,24 @@ class _Page:
         start, end = first.start_mark.index, _end(last)
         if node.flow_style:
             if index + 1 < len(spans):
-                end = self._over(end, spans[index + 1][0].start_mark.index)
+                end = self._across_comma(end, spans[index + 1][0].start_mark.index)
             elif index:
                 start = _end(spans[index - 1][1])
-                self._over(start, first.start_mark.index)
+                self._across_comma(start, first.start_mark.index)
             return start, end, ""
         line = self.text.rfind("\n", 0, start) + 1
         if self.text[line:start].strip() not in {"", "-"}:
             raise EditError("its line contains something else")
-        return line, self._behind(end), ""
+        return line, self._line_after(end), ""
 
-    def _behind(self, end: int) -> int:
+    def _line_after(self, end: int) -> int:
         """Return the start of the next line, after a trailing comment."""
         if end and self.text[end - 1] == "\n":
             return end
         newline = self.text.find("\n", end)
         return len(self.text) if newline < 0 else newline + 1
 
-    def _over(self, end: int, start: int) -> int:
+    def _across_comma(self, end: int, start: int) -> int:
         """Return the end of a range that may contain only a comma."""
         if self.text[end:start].strip() != ",":
             raise EditError("a comment separates it from the next")

@@ -221,14 +221,14 @@ def record_of(record: type[RecordT], model: FileModel, **others: Any) -> RecordT
         if each.name in others or each.name not in type(model).model_fields:
             continue
         value = getattr(model, each.name)
-        if value is None and _endless(each.default):
+        if value is None and _is_infinite(each.default):
             continue
         read = keys[each.name].read if each.name in keys else None
         arguments[each.name] = value if read is None else read(value)
     return record(**arguments)
 
 
-def _endless(default: Any) -> bool:
+def _is_infinite(default: Any) -> bool:
     return isinstance(default, float) and math.isinf(default)
 
 
@@ -252,7 +252,7 @@ def _typed(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
     type_, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     type_ = Literal[key.choices] if key.choices else _TYPES.get(type_, type_)
     (default,) = (each.default for each in fields(record) if each.name == name)
-    if _endless(default):
+    if _is_infinite(default):
         type_, default = type_ | None, None
     elif default == ():
         default = []

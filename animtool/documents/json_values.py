@@ -14,7 +14,7 @@ _OTHERWISE = re.compile(
 )
 
 
-class _OtherwiseError(ValueError):
+class _NotPlainJsonError(ValueError):
     """JSON that YAML would parse differently."""
 
 
@@ -37,10 +37,10 @@ def plain_json(text: str, deepest: int, longest_key: int) -> Any:
     def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         values = dict(pairs)
         if len(values) != len(pairs):
-            raise _OtherwiseError
+            raise _NotPlainJsonError
         for key in values:
             if len(key) > longest_key:
-                raise _OtherwiseError
+                raise _NotPlainJsonError
         return values
 
     try:
@@ -51,7 +51,7 @@ def plain_json(text: str, deepest: int, longest_key: int) -> Any:
 
 
 def _refuse(name: str) -> NoReturn:
-    raise _OtherwiseError(name)
+    raise _NotPlainJsonError(name)
 
 
 def _depth(value: Any) -> int:

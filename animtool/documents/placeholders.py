@@ -72,7 +72,7 @@ def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
     return [one for one in models if _named(one, node)] or models
 
 
-def stand_in(annotation: Any) -> Any:
+def placeholder_of(annotation: Any) -> Any:
     """Return the simplest valid value of a type.
 
     >>> stand_in(float | None), stand_in(list[int]), stand_in(Literal["m", "cm"])
@@ -89,13 +89,13 @@ def stand_in(annotation: Any) -> Any:
         return _empty(min(models, key=lambda model: len(model.model_fields)))
     plain = _alternatives(annotation)[0]
     if get_origin(plain) is Annotated:
-        return stand_in(plain)
+        return placeholder_of(plain)
     if get_origin(plain) is Literal:
         return get_args(plain)[0]
     if get_origin(plain) is list:
-        return [stand_in(get_args(plain)[0])] * shortest
+        return [placeholder_of(get_args(plain)[0])] * shortest
     if get_origin(plain) is dict:
-        return {UNKNOWN: stand_in(get_args(plain)[1])} if shortest else {}
+        return {UNKNOWN: placeholder_of(get_args(plain)[1])} if shortest else {}
     return {str: UNKNOWN, float: most, int: 1, bool: False}.get(plain)
 
 
@@ -122,7 +122,7 @@ def replaced(value: Any, location: Location, new: Any) -> None:
 
 def _empty(model: type[BaseModel]) -> dict[str, Any]:
     return {
-        key: stand_in(annotation_of(field))
+        key: placeholder_of(annotation_of(field))
         for key, field in fields_of(model).items()
         if field.is_required()
     }

@@ -17,8 +17,8 @@ from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.documents.placeholders import (
     annotation_at,
+    placeholder_of,
     replaced,
-    stand_in,
     takes_no_text,
 )
 from animtool.documents.yaml_values import plain_scalar
@@ -205,7 +205,7 @@ class _Resolver:
                 resolved = None
         if resolved is None:
             annotation = annotation_at(self.model, self.document.value, location)
-            value = stand_in(annotation)
+            value = placeholder_of(annotation)
             self.document.doubts.add(location)
         replaced(self.document.value, location, value)
 

@@ -251,7 +251,7 @@ class ValueReader:
         self, at: Location, model: list[float] | str | ValueModel | None, key: str
     ) -> Value | None:
         """Return a value; None where there is none, or a faulty one."""
-        if model is None or self.document.doubtful(at):
+        if model is None or self.document.is_placeholder(at):
             return None
         if isinstance(model, str):
             return self._rows(at, model, key)

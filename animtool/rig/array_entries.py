@@ -207,7 +207,7 @@ class AttachmentReader:
 
     def _fitting_keys(self, at: Location, entry: AttachModel) -> None:
         """Record the missing and unsupported keys of an attachment's kind."""
-        if self.document.doubtful((*at, "kind")):
+        if self.document.is_placeholder((*at, "kind")):
             return
         wants, takes = _ATTACH_KEYS.get(
             entry.kind, _ATTACH_KEYS[AttachKind.SPRING_CHAIN]
@@ -222,7 +222,7 @@ class AttachmentReader:
                 message = f"unknown kind of attachment {entry.kind!r}"
                 self.document.warn("RIG102", (*at, "kind"), message, hint)
         for key in wants:
-            sure = not self.document.doubtful((*at, key))
+            sure = not self.document.is_placeholder((*at, key))
             if key not in present and sure and "attach" not in self.document.partial:
                 message = f"an attachment of kind {entry.kind!r} has no {key}"
                 self.document.add("RIG031", at, message, hint)

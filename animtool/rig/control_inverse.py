@@ -124,7 +124,7 @@ def _solved_group(
         broken = problem.unexplained(values)
         loose = {name for name in free if problem.targets[name] & broken}
         if not loose:
-            values, released = _readmitted(problem, values, released)
+            values, released = _solved_again(problem, values, released)
             return _simplest(problem, values, start), released
         released |= loose
         free = [name for name in free if name not in loose]
@@ -132,7 +132,7 @@ def _solved_group(
         values = problem.solve(values, free)
 
 
-def _readmitted(
+def _solved_again(
     problem: _Problem, values: dict[str, FloatArray], released: set[str]
 ) -> tuple[dict[str, FloatArray], set[str]]:
     """Solve again the controls that were released because of others."""

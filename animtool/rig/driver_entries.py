@@ -93,7 +93,7 @@ class DriverCheck:
     model: RigModel
     rig: Rig
     # Whether unknown joints or controls may exist.
-    unnamed: Mapping[str, bool]
+    has_unnamed: Mapping[str, bool]
     # Joints of unknown type.
     untyped: frozenset[str]
 
@@ -122,14 +122,14 @@ class DriverCheck:
                     "RIG032", self._at((local or driven_in_cycle)[0]), str(error)
                 )
             return
-        for target, message, hint in _rivals(self.rig, order):
+        for target, message, hint in _conflicts(self.rig, order):
             self._note("RIG034", self._at(target), message, hint)
 
     def _reads(self, at: Location, name: str) -> bool:
         """Record a name that a driver cannot read; return whether it was recorded."""
         fault = coordinate_fault(self.rig, name)
         joint, _ = split_coordinate(name)
-        open_names = self.unnamed["joints" if joint else "controls"]
+        open_names = self.has_unnamed["joints" if joint else "controls"]
         missing = joint not in self.rig.names if joint else True
         known = not (joint in self.untyped or (missing and open_names))
         if fault is not None and known:
@@ -168,7 +168,7 @@ def _drivers(rig: Rig) -> Iterator[tuple[str, Driver]]:
                 yield f"{kind}/{part.name}", part.driven
 
 
-def _rivals(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
+def _conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
     """Yield driven targets with another source of motion, with message and hint.
 
     ``order``: all that is driven.

@@ -48,7 +48,7 @@ def bind_of(
     for name, model in models.items():
         if name not in joints:
             message = f"unknown joint {name!r}"
-            if not read.unnamed:
+            if not read.has_unnamed:
                 hint = nearest(name, list(joints))
                 document.add("RIG008", ("bind", name), message, hint)
             continue
@@ -132,7 +132,7 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
             else _overlaid(document, model, base, units)
         )
     inherited = Rig("", ()) if base is None else base
-    if not (joints.joints or joints.unnamed or model.shapes or inherited.shapes):
+    if not (joints.joints or joints.has_unnamed or model.shapes or inherited.shapes):
         message = "the rig has no joints and no shapes"
         document.add("RIG004", ("joints",), message)
     with Archives() as archives:
@@ -168,11 +168,11 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         rides=inherited.rides,
     )
     if rig.is_driven:
-        unnamed = {
-            "joints": joints.unnamed or bool(joints.adrift),
-            "controls": bool(document.unnamed("controls")),
+        has_unnamed = {
+            "joints": joints.has_unnamed or bool(joints.adrift),
+            "controls": bool(document.has_unnamed("controls")),
         }
-        DriverCheck(document, model, rig, unnamed, joints.untyped).run()
+        DriverCheck(document, model, rig, has_unnamed, joints.untyped).run()
     document.check()
     return rig
 
@@ -272,7 +272,7 @@ def _overlaid(
         for joint in base.joints
     )
     untyped = frozenset(names.get(name, name) for name in sidecar.untyped)
-    return FileJoints(joints, untyped=untyped, unnamed=sidecar.unnamed)
+    return FileJoints(joints, untyped=untyped, has_unnamed=sidecar.has_unnamed)
 
 
 def _renamed_driver(driver: Driver | None, names: dict[str, str]) -> Driver | None:

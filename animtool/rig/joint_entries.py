@@ -54,7 +54,7 @@ class FileJoints:
     # Names of those that another's ``mirror`` wrote.
     mirrored: frozenset[str] = frozenset()
     untyped: frozenset[str] = frozenset()  # names of those whose type is not known
-    unnamed: bool = False  # whether there are more, of names that are not known
+    has_unnamed: bool = False  # whether there are more, of names that are not known
 
 
 @dataclass(slots=True)
@@ -92,8 +92,8 @@ def joints_of(
     document: Document, models: list[JointModel], units: FileUnits
 ) -> FileJoints:
     """Return the joints of a file, parents before children; record faults."""
-    unnamed = document.unnamed("joints", "name", "mirror")
-    entries = _entries(document, models, unnamed=unnamed)
+    has_unnamed = document.has_unnamed("joints", "name", "mirror")
+    entries = _entries(document, models, has_unnamed=has_unnamed)
     tree = _Tree()
     for name in _parents_first(document, entries):
         entry = entries[name]
@@ -116,16 +116,16 @@ def joints_of(
         frozenset(
             name
             for name, entry in entries.items()
-            if document.doubtful(("joints", entry.index, "type"))
+            if document.is_placeholder(("joints", entry.index, "type"))
         ),
-        unnamed,
+        has_unnamed,
     )
     joints = _with_mimics(document, models, entries, joints, units)
     return _with_drivers(document, models, entries, joints, units)
 
 
 def _entries(
-    document: Document, models: list[JointModel], *, unnamed: bool
+    document: Document, models: list[JointModel], *, has_unnamed: bool
 ) -> dict[str, _JointEntry]:
     entries: dict[str, _JointEntry] = {}
     mirrors = {m.name: m.mirror for m in models if m.mirror is not None}
@@ -158,7 +158,7 @@ def _entries(
         if entry.parent is not None and entry.parent not in entries:
             message = f"unknown parent {entry.parent!r}"
             location = ("joints", entry.index, "parent")
-            if not entry.mirrored and not unnamed:
+            if not entry.mirrored and not has_unnamed:
                 hint = nearest(entry.parent, list(entries))
                 document.add("RIG002", location, message, hint)
             entry.parent, entry.adrift = None, True
@@ -344,7 +344,7 @@ def _with_mimics(
         leader = by_name.get(mimic.joint)
         if leader is None:
             message = f"unknown joint {mimic.joint!r}"
-            if not read.unnamed:
+            if not read.has_unnamed:
                 document.add("RIG008", at, message, nearest(mimic.joint, list(by_name)))
             continue
         if mimic.joint in read.untyped:

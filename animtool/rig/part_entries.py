@@ -283,7 +283,7 @@ class PartReader:
         for k, name in enumerate(skin.joints):
             self._known((*at, "joints", k), name, self.joints, "joint")
         joints = None
-        if not self.document.doubtful((*at, "joints")):
+        if not self.document.is_placeholder((*at, "joints")):
             joints = len(skin.joints)
         indices = self.arrays.array(
             (*at, "indices"), skin.indices, "indices", (vertices, None), joints
@@ -310,7 +310,7 @@ class PartReader:
             hint = "rename it: letters, digits and underscores"
             self.document.add("RIG025", (*at, "name"), message, hint)
         low, high = model.range or (None, None)
-        sure = not self.document.doubtful((*at, "range"))
+        sure = not self.document.is_placeholder((*at, "range"))
         if low is not None and high is not None and sure:
             if low > high:
                 message = f"the range from {low:g} to {high:g} is reversed"
@@ -427,8 +427,8 @@ class PartReader:
     ) -> bool:
         if name in names:
             return True
-        unnamed = self.document.unnamed(_LISTS[kind])
-        if not (self.file_joints.unnamed if kind == "joint" else unnamed):
+        has_unnamed = self.document.has_unnamed(_LISTS[kind])
+        if not (self.file_joints.has_unnamed if kind == "joint" else has_unnamed):
             code = "RIG008" if kind == "joint" else "RIG012"
             self.document.add(code, at, f"{name!r} is no {kind}", nearest(name, names))
         return False

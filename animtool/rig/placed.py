@@ -197,7 +197,7 @@ def at_origin(rig: Rig) -> Rig:
     return replace(placed_rig(rig, rig.stands.inverse()), stands=None)
 
 
-def standing_notice(
+def placement_notice(
     rig: Rig,
     where: str,
     *,

@@ -98,7 +98,7 @@ def pair_sides(
     return SidePairs(partners, tuple(sorted(partner_of)), tuple(strays))
 
 
-def stray_sides(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:
+def unpaired_sides(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:
     """Return likely pairs among unpaired names.
 
     >>> names = ["armLeft", "arm_right"]
