@@ -122,7 +122,7 @@ class Document:
         Args:
             location: Of the list.
             values: Of its entries.
-            key: Under which an entry has its value; doubtful ones are left out.
+            key: Under which an entry has its value; placeholders are left out.
         """
         last: int | None = None
         for i, value in enumerate(values):

@@ -75,8 +75,8 @@ def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
 def placeholder_of(annotation: Any) -> Any:
     """Return the simplest valid value of a type.
 
-    >>> stand_in(float | None), stand_in(list[int]), stand_in(Literal["m", "cm"])
-    (1.0, [], 'm')
+    >>> placeholder_of(float | None), placeholder_of(Literal["m", "cm"])
+    (1.0, 'm')
     """
     shortest, most = 0, 1.0
     if get_origin(annotation) is Annotated:

@@ -56,7 +56,7 @@ def read_masses(
 def inertia_problem(inertia: Sequence[float]) -> str:
     """Return why moments of inertia are impossible; empty if valid.
 
-    >>> moments_problem([1.0, 1.0, 2.0]), moments_problem([1.0, 1.0, 3.0])
+    >>> inertia_problem([1.0, 1.0, 2.0]), inertia_problem([1.0, 1.0, 3.0])
     ('', 'of 1, 1, 3 kg m² one is above the sum of the others')
     """
     least, middle, most = sorted(inertia)

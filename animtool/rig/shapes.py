@@ -109,7 +109,8 @@ def uncombined_weights(
 
     >>> import numpy as np
     >>> shapes = [Shape("a"), Shape("both", combine=("a",))]
-    >>> own_weights(shapes, {"a": np.array([0.5]), "both": np.array([0.75])})["both"]
+    >>> total = {"a": np.array([0.5]), "both": np.array([0.75])}
+    >>> uncombined_weights(shapes, total)["both"]
     array([0.25])
     """
     return {

@@ -102,7 +102,7 @@ def unpaired_sides(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, st
     """Return likely pairs among unpaired names.
 
     >>> names = ["armLeft", "arm_right"]
-    >>> stray_sides(names, pair_sides(names))
+    >>> unpaired_sides(names, pair_sides(names))
     [('armLeft', 'arm_right')]
     """
     left = [names[i] for i in pairs.strays if _LOOKS_LEFT.search(names[i])]
