@@ -19,7 +19,7 @@ from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.gltf.binding import Binder
 from animtool.formats.gltf.characters import CharacterNodes
 from animtool.formats.gltf.rig import joint_names
-from animtool.rig.parts import LoadedArray, Inbetween, Mesh, Shape, Skin, Subdivision
+from animtool.rig.parts import Inbetween, LoadedArray, Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Joint, Rig
 
 MAX_NAMED = 6

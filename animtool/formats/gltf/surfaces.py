@@ -189,7 +189,9 @@ def _wide(values: FloatArray | IntArray, width: int) -> FloatArray:
     return padded
 
 
-def _targets(gltf: Gltf, node: int) -> tuple[list[LoadedArray], list[LoadedArray | None]]:
+def _targets(
+    gltf: Gltf, node: int
+) -> tuple[list[LoadedArray], list[LoadedArray | None]]:
     """Return point and normal offsets of each morph target."""
     parts = _shared(gltf, node)
     deltas: list[LoadedArray] = []
