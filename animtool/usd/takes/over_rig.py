@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 from animtool.motion.reorient import at_stage_origin
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_world
-from animtool.rig.placed import placed_rig, standing_notice
+from animtool.rig.placed import placed_rig, placement_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import PrimLocation
@@ -85,11 +85,11 @@ def over_rig(
         # Without a rest pose it is in the space of its rig, which this is.
         stream = at_stage_origin(stream) if choice == DROP else stream
         kept = choice != DROP
-        notices += standing_notice(rig, where, kept=kept, over=rig_placement.stands)
+        notices += placement_notice(rig, where, kept=kept, over=rig_placement.stands)
         return OverRig(stream, _NONE, None, notices)
     somewhere = rig_placement.rides or not stands.is_none
     kept = choice == KEEP or (choice is None and (stream.rig.rides or not somewhere))
-    notices += standing_notice(rig, where, kept=kept, over=rig_placement.stands)
+    notices += placement_notice(rig, where, kept=kept, over=rig_placement.stands)
     if not kept:
         back = rig_placement.sized.inverse()
         to_rig = None if back.is_none else lambda _: back

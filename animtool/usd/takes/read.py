@@ -22,7 +22,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import at_stage_origin, placed_motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
-from animtool.rig.placed import standing_notice
+from animtool.rig.placed import placement_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import (
@@ -221,7 +221,7 @@ def _dropped(
     raw = stream.rig
     kept = rest_rig(raw, placement)
     left = replace(kept, rides=placement.rides)
-    stream.notices += standing_notice(left, path, kept=False, stays=raw.rides)
+    stream.notices += placement_notice(left, path, kept=False, stays=raw.rides)
     stream.rig = rest_rig(raw, placement, DROP)
     stands = stream.rig.stands
     stream = at_stage_origin(stream)
