@@ -1,4 +1,4 @@
-"""What ``animtool preview`` does with a page: write it, serve it, or describe it."""
+"""Preview pages: write, serve or describe them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def plan(
     *,
     as_json: bool,
 ) -> None:
-    """Print what a page would show and where it would be."""
+    """Print the plan of a page."""
     if output is not None:
         picture_kind(output)
         check_outputs([output], files, overwrite=True)
@@ -65,7 +65,7 @@ def write(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write a page, and open it where somebody would see it."""
+    """Write a page, and open it if a browser is available."""
     opens = shows.opened
     if opens is None:
         opens = output is None and has_browser()
@@ -105,11 +105,11 @@ def watch(
         def failed(error: AnimtoolError) -> None:
             console.faults(error.faults)
 
-        def made(page: PreviewPage) -> None:
+        def report_built(page: PreviewPage) -> None:
             console.faults(page.notices)
             console.say(f"reloaded: page {watched.version}")
 
         try:
-            follow(watched, failed, made, threading.Event().wait)
+            follow(watched, failed, report_built, threading.Event().wait)
         finally:
             server.shutdown()

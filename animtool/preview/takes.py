@@ -17,7 +17,7 @@ from animtool.motion.take import TakeStream
 from animtool.preview.draft import PageDraft, number
 from animtool.preview.streams import Quantized, plain, quantized_range, quantized_units
 from animtool.retarget.anatomy import anatomy
-from animtool.retarget.person import Person
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
@@ -282,24 +282,24 @@ def _measure(
 Legs = dict[str, tuple[int, int, int, int]]
 
 
-def _legs(draft: PageDraft, rig: Rig) -> tuple[Person | None, Legs]:
+def _legs(draft: PageDraft, rig: Rig) -> tuple[RoledSkeleton | None, Legs]:
     """Return a rig with roles and its legs; None if it has none."""
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
     if key not in draft.known:
         draft.known[key] = _find_legs(rig)
-    legs: tuple[Person | None, Legs] = draft.known[key]
+    legs: tuple[RoledSkeleton | None, Legs] = draft.known[key]
     return legs
 
 
-def _find_legs(rig: Rig) -> tuple[Person | None, Legs]:
-    person = Person.of(rig, anatomy(rig).roles)
+def _find_legs(rig: Rig) -> tuple[RoledSkeleton | None, Legs]:
+    person = RoledSkeleton.of(rig, anatomy(rig).roles)
     legs = {side: leg for side in "lr" if (leg := person.leg(side)) is not None}
     return (person if legs else None), legs
 
 
 def _contacts(
-    person: Person,
+    person: RoledSkeleton,
     legs: Legs,
     feet: dict[int, FloatArray],
     rate: float,

@@ -49,7 +49,7 @@ class MarkersDescription:
 def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
     """Return the summary of a marker file."""
     labelled = np.array([not name.startswith("*") for name in markers.names], bool)
-    visible = markers.seen
+    visible = markers.visible
     missing = np.pad(~visible[:, labelled], ((1, 1), (0, 0))).astype(np.int8)
     steps = np.diff(missing, axis=0)
     starts = np.argwhere(steps.T == 1)[:, 1]

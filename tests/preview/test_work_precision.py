@@ -22,7 +22,7 @@ from animtool.preview.work_precision import (
     panels_of,
 )
 from animtool.sim.trials.measuring import Reference, TrialRow, TrialTable
-from animtool.sim.trials.trial import CostMeasure, Distances, ErrorMeasure, Setting
+from animtool.sim.trials.trial import CostMeasure, ErrorMeasure, PointDistances, Setting
 
 PANEL = Panel(
     "comets, particles",
@@ -171,7 +171,9 @@ def test_a_folder_that_is_not_there_is_an_output_error(tmp_path: Path) -> None:
 
 def simulated(reference: Reference | None) -> Panel:
     rows = [
-        TrialRow(Setting(name, ()), seconds, error=error and Distances(9.0, error, 8.0))
+        TrialRow(
+            Setting(name, ()), seconds, error=error and PointDistances(9.0, error, 8.0)
+        )
         for name, seconds, error in (
             ("rk4", 0.1, 1e-3), ("euler", 0.2, 1e-1), ("rk4", 0.3, 1e-5), ("x", 9, None)
         )
@@ -198,7 +200,7 @@ def test_a_simulation_has_a_curve_for_each_method() -> None:
 
 
 def test_the_reference_is_the_floor_and_a_sensitive_motion_is_remarked() -> None:
-    finest = Setting("rk4", ()), Distances(1.0, 1e-7, 2.0), 4.0
+    finest = Setting("rk4", ()), PointDistances(1.0, 1e-7, 2.0), 4.0
     calm = simulated(Reference(*finest, sensitive=False))
     assert (calm.floor, calm.remark) == (1e-7, "")
     assert "sensitive" in simulated(Reference(*finest, sensitive=True)).remark
@@ -206,8 +208,12 @@ def test_the_reference_is_the_floor_and_a_sensitive_motion_is_remarked() -> None
 
 def test_what_is_written_is_drawn_by_its_bytes_and_its_largest_error() -> None:
     rows = [
-        TrialRow(Setting("rate", ()), 5.0, 9, error=Distances(0.2, 0.1, 0.1), bytes=70),
-        TrialRow(Setting("rate", ()), 1.0, 8, error=Distances(0.4, 0.1, 0.1), bytes=60),
+        TrialRow(
+            Setting("rate", ()), 5.0, 9, error=PointDistances(0.2, 0.1, 0.1), bytes=70
+        ),
+        TrialRow(
+            Setting("rate", ()), 1.0, 8, error=PointDistances(0.4, 0.1, 0.1), bytes=60
+        ),
     ]
     rows[1] = replace(rows[1], recommended=True)
     part = TrialTable("walk", "samples", 1.0, 3, 4, 1.0, None, rows)

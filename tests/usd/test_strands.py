@@ -22,7 +22,7 @@ from animtool.motion.reorient import reorient
 from animtool.motion.take import TakeStream
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import bind_world, forward
-from animtool.rig.parts import ArraySource, Attachment, HeldArray
+from animtool.rig.parts import ArraySource, Attachment, LoadedArray
 from animtool.rig.skeleton import Rig
 from animtool.usd.rigs.layer import write_rig_layer
 from animtool.usd.rigs.stored import read_rig_with_data
@@ -36,7 +36,9 @@ def haired_rig() -> Rig:
     attach = (
         Attachment("hair", "strands", ("hand",), points=held(rng.random((5, 4, 3)))),
         Attachment("tail", "spring_chain", ("arm.l", "hand")),
-        Attachment("cloak", "cloth", mesh="body", pins=HeldArray(np.array([7.0, 2.0]))),
+        Attachment(
+            "cloak", "cloth", mesh="body", pins=LoadedArray(np.array([7.0, 2.0]))
+        ),
         Attachment("bare", "cloth", mesh="Skel"),
         Attachment("a b", "strands", ("arm.l",), points=held(rng.random((1, 2, 3)))),
         Attachment("jelly", "soft", ("root",)),

@@ -1,4 +1,4 @@
-// Values as float32: how far that moved points, and signs of quaternions.
+// Rounds points to float32 and measures the error; continues signs of quaternions.
 #include <algorithm>
 #include <cmath>
 #include <limits>

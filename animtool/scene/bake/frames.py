@@ -24,7 +24,7 @@ from animtool.edit.resample import (
     sample,
 )
 from animtool.edit.straight import straight_notices
-from animtool.edit.travel import Places
+from animtool.edit.travel import FramePositions
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
@@ -104,7 +104,7 @@ def _straight_notices(
 ) -> list[Fault]:
     """Say by how much straight lines may be off, unless a pass of the take did."""
     said = {notice.code for notice in plan.stream.notices}
-    places = Places(times.frames, times.fractions)
+    places = FramePositions(times.frames, times.fractions)
     return [
         replace(notice, path=str(plan.source))
         for notice in straight_notices(between, places)

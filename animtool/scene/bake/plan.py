@@ -24,9 +24,9 @@ from animtool.core.similar import distinct
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
-from animtool.motion.reorient import off_its_place, reorient
+from animtool.motion.reorient import at_stage_origin, reorient
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.placed import standing_notice
+from animtool.rig.placed import placement_notice
 from animtool.scene.bake.files import FilePlan
 from animtool.scene.bake.first_frame import frame_start
 from animtool.scene.bake.frames import TakePlan
@@ -308,9 +308,9 @@ def plan_takes(
     else:
         kept = options.placement != "drop"
         for source, one in zip(sources, streams, strict=True):
-            notices += standing_notice(one.rig, str(source), kept=kept)
+            notices += placement_notice(one.rig, str(source), kept=kept)
         if not kept:
-            streams = [off_its_place(stream) for stream in streams]
+            streams = [at_stage_origin(stream) for stream in streams]
         up = options.to_up or streams[0].rig.up
         streams = [reorient(stream, up) for stream in streams]
     if options.root_motion and not streams[0].rig.joints:

@@ -13,7 +13,7 @@ from pxr import UsdPhysics
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import excerpt
 from animtool.maths import so3
-from animtool.motion.physics import STILL, JointDrive, PhysicsJoint
+from animtool.motion.physics import IDENTITY_POSE, JointDrive, PhysicsJoint
 from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.physics.stage import (
     AXES,
@@ -67,7 +67,7 @@ def read_joint(
     for side in (0, 1):
         at = source.numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)
         rotation = source.numbers(prim.GetAttribute(f"physics:localRot{side}"), 4)
-        local = STILL.copy()
+        local = IDENTITY_POSE.copy()
         local[:3] = 0.0 if at is None else at * source.unit
         local[3:] = so3.IDENTITY if rotation is None or not rotation.any() else rotation
         local[3:] = so3.multiply(so3.normalize(local[3:]), lean)

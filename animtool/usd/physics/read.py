@@ -310,7 +310,7 @@ def _mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:
         values["centre"] = centre_local * scale * source.unit
     inertia = source.numbers(api.GetDiagonalInertiaAttr(), 3, 0.0)
     if inertia is not None and inertia.any():
-        values["moments"] = inertia * source.kilograms * source.unit**2
+        values["inertia"] = inertia * source.kilograms * source.unit**2
         axes = source.numbers(api.GetPrincipalAxesAttr(), 4)
         if axes is not None and axes.any():
             values["axes"] = so3.normalize(axes)

@@ -126,8 +126,8 @@ class PhysicsWriter:
             self._author_vector(
                 spec, "physics:centerOfMass", body.centre, _TYPES.Point3f
             )
-        if body.moments is not None:
-            inertia = Gf.Vec3f(*(body.moments / self._unit**2).tolist())
+        if body.inertia is not None:
+            inertia = Gf.Vec3f(*(body.inertia / self._unit**2).tolist())
             attribute(spec, "physics:diagonalInertia", _TYPES.Float3, inertia)
             attribute(spec, "physics:principalAxes", _TYPES.Quatf, quatf(body.axes))
         for k, shape in enumerate(body.shapes):
@@ -234,7 +234,7 @@ class PhysicsWriter:
             scale, gain = math.degrees(1.0), force * math.radians(1.0)
             axes = {"angular": drive.target}
             if kind == "ball":
-                rotation = so3.log(drive.turn).tolist()
+                rotation = so3.log(drive.rotation).tolist()
                 axes = dict(zip(("rotX", "rotY", "rotZ"), rotation, strict=True))
         for axis, target in axes.items():
             name = f"drive:{axis}:physics"

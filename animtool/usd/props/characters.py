@@ -92,7 +92,7 @@ class Characters:
         for name in ("points", "headings", "roots", "near", "clocks", "visible"):
             self._rows.setdefault(name, []).append(getattr(frame, name))
         self._rotations.append(
-            [rotations.astype(np.float32) for rotations in frame.turns]
+            [rotations.astype(np.float32) for rotations in frame.rotations]
         )
 
     def finish(self, layer: Any) -> None:
@@ -266,7 +266,7 @@ class _Group:
         # On uneven ground legs differ.
         cast = track.cast
         for i in np.flatnonzero(static).tolist():
-            (at,) = _standing_values(cast, cast.turns, track.clocks[:1, i])
+            (at,) = _standing_values(cast, cast.rotations, track.clocks[:1, i])
             near = np.abs((at * track.rotations[0, i]).sum(axis=-1)) > 1 - 1e-6
             static[i] = bool(near.all())
         return np.asarray(static & (static.sum() > 1))
@@ -380,11 +380,13 @@ class _Group:
         spec = self._animation(path, np.arange(len(cast.moves)))
         spec.SetInfo("customData", {"animtool": {"thinned": True, "shared": True}})
         # Standing characters start at most one period before the first frame.
-        last = codes[-1] - codes[0] + cast.period * fps if len(cast.turns) > 1 else 0.0
+        last = (
+            codes[-1] - codes[0] + cast.period * fps if len(cast.rotations) > 1 else 0.0
+        )
         rows = np.arange(int(np.ceil(last)) + 1)
         clocks = rows / fps
         rotations = _continuous(
-            _standing_values(cast, cast.turns, clocks).astype(np.float32)
+            _standing_values(cast, cast.rotations, clocks).astype(np.float32)
         )
         arrays = [
             Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one)) for one in rotations

@@ -61,7 +61,7 @@ class PropPlacements:
                 known = self._with_rig(known, codes)
             up_rotation = up_from_up(self.target.up, self.up)
             if up_rotation is not None:
-                known = placed(known, Placement.turn(np.array(up_rotation)))
+                known = placed(known, Placement.from_rotation(np.array(up_rotation)))
             above = space_above(self.target, path, codes, inside=False)
         if above is not None:
             above[:, :3, 3] *= self.unit(path)

@@ -21,8 +21,8 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.transforms import (
     Attribute,
+    PropReference,
     PropRequest,
-    Reference,
     Track,
     Transforms,
 )
@@ -162,18 +162,18 @@ def _type_name(prim: Any, request: PropRequest) -> str:
     return type_name
 
 
-def _reference(request: PropRequest, stage: Any) -> Reference | None:
+def _reference(request: PropRequest, stage: Any) -> PropReference | None:
     if request.reference is None:
         return None
     if request.reference == request.file:
         unit = UsdGeom.GetStageMetersPerUnit(stage)
-        return Reference(str(request.file.resolve()), request.prim, unit)
+        return PropReference(str(request.file.resolve()), request.prim, unit)
     other = open_stage(request.reference)
     if not other.GetDefaultPrim():
         message = f"{request.reference.name} has no default prim to reference"
         raise OptionError(Fault("SCN048", message))
     unit = UsdGeom.GetStageMetersPerUnit(other)
-    return Reference(str(request.reference.resolve()), "", unit)
+    return PropReference(str(request.reference.resolve()), "", unit)
 
 
 def _attributes(prim: Any, request: PropRequest) -> list[Any]:
@@ -314,7 +314,7 @@ class _Sampler:
         )
         if not self.moves:
             return _lasting(transforms, len(times))
-        return replace(transforms, held=self._outside_samples(codes))
+        return replace(transforms, clamped=self._outside_samples(codes))
 
     def _outside_samples(self, codes: FloatArray) -> BoolArray | None:
         low, high = map(float, _span(self.stage, self.keys))

@@ -21,7 +21,7 @@ from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.motion.frames import MeshFrame, TransformsFrame
 from animtool.motion.motion import Motion
-from animtool.motion.transforms import Reference, Track, Transforms
+from animtool.motion.transforms import PropReference, Track, Transforms
 from animtool.usd.caches.writer import (
     ATTRIBUTES,
     AttributeKind,
@@ -133,8 +133,8 @@ def author_props(
             _author_reference(spec, track.reference, output)
         known = placements.located(track, path, codes, track.at(times[:, i]))
         _author_track(spec, track, codes, known, placements.unit(path))
-        if known.held is not None and known.held.any():
-            notices.append(_constant_notice(track, path, codes, known.held))
+        if known.clamped is not None and known.clamped.any():
+            notices.append(_constant_notice(track, path, codes, known.clamped))
     return paths, notices
 
 
@@ -168,7 +168,7 @@ def _author_above(layer: Any, path: str, placements: PropPlacements) -> None:
             prim(layer, spec, "Xform")
 
 
-def _author_reference(spec: Any, reference: Reference, output: Path | None) -> None:
+def _author_reference(spec: Any, reference: PropReference, output: Path | None) -> None:
     folder = Path() if output is None else output.parent
     name = asset_path(Path(reference.file), folder)
     prim_path = Sdf.Path(reference.prim) if reference.prim else Sdf.Path()
@@ -285,7 +285,7 @@ class XformsForm(FrameForm[TransformsFrame]):
         return {
             f"{part}.{name}": ATTRIBUTES[name]
             for i, part in enumerate(part_names(frame.names).names)
-            if i not in frame.still
+            if i not in frame.static
             for name in _OPERATIONS
         }
 
@@ -304,7 +304,7 @@ class XformsForm(FrameForm[TransformsFrame]):
         for i, part in enumerate(writer.parts):
             body = layer.GetPrimAtPath(f"{spec.path}/{part}")
             names = list(_OPERATIONS)
-            if i in frame.still:
+            if i in frame.static:
                 placed = _placed(frame, i, writer.unit)
                 author_values(body, dict(zip(names, placed, strict=True)))
             if not (frame.scales[i] == 1.0).all():
@@ -332,7 +332,7 @@ class XformsForm(FrameForm[TransformsFrame]):
         return {
             f"{part}.{name}": value
             for i, part in enumerate(writer.parts)
-            if i not in frame.still
+            if i not in frame.static
             for name, value in zip(
                 _OPERATIONS, _placed(frame, i, writer.unit), strict=True
             )

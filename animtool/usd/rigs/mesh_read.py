@@ -16,8 +16,8 @@ from animtool.core.units import UpAxis
 from animtool.rig.parts import (
     AttachKind,
     Attachment,
-    HeldArray,
     Inbetween,
+    LoadedArray,
     Mesh,
     Shape,
     Skin,
@@ -144,9 +144,9 @@ def _mesh(
         notices.append(at.fault("USD116", message, severity=Severity.NOTE))
     return Mesh(
         name,
-        HeldArray(points),
-        HeldArray(_faces(mesh, len(points), at)),
-        None if normals is None else HeldArray(normals),
+        LoadedArray(points),
+        LoadedArray(_faces(mesh, len(points), at)),
+        None if normals is None else LoadedArray(normals),
         bind,
         _skin(query, len(points), rig, at) if query.HasJointInfluences() else None,
         _subdivision(mesh, normals is not None),
@@ -206,8 +206,8 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: PrimLocation) -> Skin:
     return Skin(
         _METHODS.get(method, "linear"),
         names,
-        HeldArray(np.broadcast_to(indices.reshape(rows, width), shape).copy()),
-        HeldArray(np.broadcast_to(weights.reshape(rows, width), shape).copy()),
+        LoadedArray(np.broadcast_to(indices.reshape(rows, width), shape).copy()),
+        LoadedArray(np.broadcast_to(weights.reshape(rows, width), shape).copy()),
     )
 
 
@@ -255,7 +255,7 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     if len(vertices) and not 0 <= vertices.min() <= vertices.max() < points:
         at.fail("USD241", f"a pointIndex is not in 0 to {points - 1}")
 
-    def rows_of(attr: Any) -> HeldArray | None:
+    def rows_of(attr: Any) -> LoadedArray | None:
         if not attr or not attr.HasAuthoredValue():
             return None
         values = floats(attr, 3, at, "USD243")
@@ -264,13 +264,13 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
                 "USD242" if attr.GetName().endswith("normalOffsets") else "USD240",
                 f"{attr.GetName()} has {counted(len(values), 'row')}, not {rows}",
             )
-        return HeldArray(values)
+        return LoadedArray(values)
 
     between = []
     for step in steps:
         weight, normals = step.GetWeight(), rows_of(step.GetNormalOffsetsAttr())
         if normals is not None and not len(array_value(step.GetAttr())):
-            offsets: HeldArray | None = HeldArray(np.zeros((rows, 3)))
+            offsets: LoadedArray | None = LoadedArray(np.zeros((rows, 3)))
         else:
             offsets = rows_of(step.GetAttr())
         if weight is None or offsets is None or not np.isfinite(weight):
@@ -280,10 +280,10 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     return Shape(
         name,
         mesh,
-        HeldArray(deltas),
+        LoadedArray(deltas),
         rows_of(shape.GetNormalOffsetsAttr()),
         tuple(sorted(between, key=lambda step: step.at)),
-        vertices=HeldArray(vertices.astype(np.float64)) if len(vertices) else None,
+        vertices=LoadedArray(vertices.astype(np.float64)) if len(vertices) else None,
     )
 
 
@@ -309,7 +309,7 @@ def bound_strands(
         points = _points(UsdGeom.BasisCurves(source), query, at)
         if joint is not None and points is not None:
             name = unique_name(prim_name(source), used)
-            kind, array = AttachKind.STRANDS.value, HeldArray(points)
+            kind, array = AttachKind.STRANDS.value, LoadedArray(points)
             strands.append((Attachment(name, kind, (joint,), points=array), source))
     return strands
 

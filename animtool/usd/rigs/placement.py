@@ -219,7 +219,7 @@ class _StageUnits:
 def _snapped(placement: Placement) -> Placement:
     """Return a placement snapped to the identity within rounding."""
     if not placement.moves and placement.is_none:
-        return Placement.turn(so3.IDENTITY)
+        return Placement.from_rotation(so3.IDENTITY)
     near = np.abs(placement.sizes - 1.0) <= EVEN / 10
     sizes = np.where(near, 1.0, placement.sizes)
     first = sizes[0]
@@ -282,7 +282,9 @@ def unit_mismatch_notice(placement: SkeletonPlacement, where: str) -> list[Fault
     return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
 
 
-NOWHERE = SkeletonPlacement(Placement.turn(so3.IDENTITY), Placement.turn(so3.IDENTITY))
+NOWHERE = SkeletonPlacement(
+    Placement.from_rotation(so3.IDENTITY), Placement.from_rotation(so3.IDENTITY)
+)
 
 
 def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) -> Rig:

@@ -48,7 +48,7 @@ def rest_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
     others = (rig,) if resting is None else (rig, resting)
     if all(one.stands is None and not one.rides for one in others):
         return {}
-    stands = rig.stands or Placement.turn(so3.IDENTITY)
+    stands = rig.stands or Placement.from_rotation(so3.IDENTITY)
     record: dict[str, Any] = {
         "translate": Gf.Vec3d(*stands.translations[0].tolist()),
         "rotate": quaternion(stands.rotations[0]),

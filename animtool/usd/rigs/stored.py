@@ -17,7 +17,7 @@ from animtool.maths import so3
 from animtool.rig.controls import Control
 from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.file import rig_of_document
-from animtool.rig.parts import AttachKind, Attachment, HeldArray, Mesh, Shape
+from animtool.rig.parts import AttachKind, Attachment, LoadedArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.usd.layers.faults import PrimLocation, matrix_array
 from animtool.usd.layers.sdf import usd_errors
@@ -63,7 +63,7 @@ def joined_attachments(
             )
             attachments.append(
                 replace(
-                    entry, pins=None if pin_values is None else HeldArray(pin_values)
+                    entry, pins=None if pin_values is None else LoadedArray(pin_values)
                 )
             )
         elif entry.kind in {AttachKind.STRANDS, AttachKind.CLOTH}:

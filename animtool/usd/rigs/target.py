@@ -20,7 +20,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import placed_motion
-from animtool.rig.fit import Fit, check_fit
+from animtool.rig.fit import RigFit, check_fit
 from animtool.rig.placed import at_origin, placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.shapes import arkit_name
@@ -258,7 +258,7 @@ class RigJointMap:
     notices: list[Fault]
     shapes: tuple[str, ...] = ()  # names of the take's shapes as the target has them
     # How well the take's rest skeleton fits; None where there are no joints.
-    fit: Fit | None = None
+    fit: RigFit | None = None
     # From where the take is to the numbers of the rig, at time codes ``(F,)``; None is
     # the same.
     to_rig: Callable[[FloatArray], Placement] | None = None
@@ -353,7 +353,7 @@ def map_joints(
         notices.append(naming("USD111", message, resting, where, hint, kind))
     shapes, shape_faults = match_shapes(target, [shape.name for shape in take.shapes])
     source_index = np.array(source, np.int64)
-    fit: Fit | None = None
+    fit: RigFit | None = None
     differences: list[Fault] = []
     if take.joints and skeleton.rig.joints:
         rig = skeleton.rig if over is None else placed_rig(skeleton.rig, over.sized)

@@ -10,10 +10,10 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.motion.reorient import off_its_place
+from animtool.motion.reorient import at_stage_origin
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_world
-from animtool.rig.placed import placed_rig, standing_notice
+from animtool.rig.placed import placed_rig, placement_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import PrimLocation
@@ -83,17 +83,17 @@ def over_rig(
         alone, choice = False, choice or KEEP
     if rig_placement.uneven or alone or not placed:
         # Without a rest pose it is in the space of its rig, which this is.
-        stream = off_its_place(stream) if choice == DROP else stream
+        stream = at_stage_origin(stream) if choice == DROP else stream
         kept = choice != DROP
-        notices += standing_notice(rig, where, kept=kept, over=rig_placement.stands)
+        notices += placement_notice(rig, where, kept=kept, over=rig_placement.stands)
         return OverRig(stream, _NONE, None, notices)
     somewhere = rig_placement.rides or not stands.is_none
     kept = choice == KEEP or (choice is None and (stream.rig.rides or not somewhere))
-    notices += standing_notice(rig, where, kept=kept, over=rig_placement.stands)
+    notices += placement_notice(rig, where, kept=kept, over=rig_placement.stands)
     if not kept:
         back = rig_placement.sized.inverse()
         to_rig = None if back.is_none else lambda _: back
-        return OverRig(off_its_place(stream), rig_placement.sized, to_rig, notices)
+        return OverRig(at_stage_origin(stream), rig_placement.sized, to_rig, notices)
     if not rig_placement.rides:
         back = rig_placement.fixed.inverse()
         return OverRig(stream, rig_placement.sized, lambda _: back, notices)

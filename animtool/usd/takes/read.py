@@ -19,10 +19,10 @@ from animtool.core.rates import rate_from_float
 from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import off_its_place, placed_motion
+from animtool.motion.reorient import at_stage_origin, placed_motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
-from animtool.rig.placed import standing_notice
+from animtool.rig.placed import placement_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import (
@@ -221,10 +221,10 @@ def _dropped(
     raw = stream.rig
     kept = rest_rig(raw, placement)
     left = replace(kept, rides=placement.rides)
-    stream.notices += standing_notice(left, path, kept=False, stays=raw.rides)
+    stream.notices += placement_notice(left, path, kept=False, stays=raw.rides)
     stream.rig = rest_rig(raw, placement, DROP)
     stands = stream.rig.stands
-    stream = off_its_place(stream)
+    stream = at_stage_origin(stream)
     stream.rig = replace(stream.rig, rides=False)
     if left.stands is not None or left.rides:
         stream.dropped = _dropped_placement(placement, stands, prim, raw)

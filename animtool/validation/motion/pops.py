@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, listed
 from animtool.core.record import dataclass
-from animtool.maths.pops import shift_pops, turn_pops
+from animtool.maths.pops import rotation_pops, translation_pops
 from animtool.validation.motion.body import carriers
 from animtool.validation.motion.subject import MotionSubject
 
@@ -99,7 +99,7 @@ def _reported(
 
 
 def _rotation_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
-    flags, amounts = turn_pops(
+    flags, amounts = rotation_pops(
         subject.rotation_steps[:, columns], subject.interval, _ignored(subject)
     )
     return _Pops(subject.turning[columns], flags, amounts, "rad")
@@ -107,7 +107,7 @@ def _rotation_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
 
 def _shift_pops(subject: MotionSubject, columns: IntArray, least: float) -> _Pops:
     size = subject.size
-    flags, amounts = shift_pops(
+    flags, amounts = translation_pops(
         subject.shifts[:, columns],
         subject.interval,
         _ignored(subject),

@@ -277,7 +277,7 @@ def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     if axis is None:
         return
     where = "upside down" if axis.axis is None else f"along {axis.axis}"
-    percent_of_frames = 100.0 * axis.share
+    percent_of_frames = 100.0 * axis.fraction
     message = (
         f"the body is {where} in {percent_of_frames:.0f}% of the frames; up is {rig.up}"
     )

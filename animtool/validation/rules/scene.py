@@ -235,7 +235,7 @@ def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
     times = take.motion.track_times.dense()[..., 0]
     indices = {prop.path: i for i, prop in enumerate(subject.scene.props)}
     for column, track in enumerate(take.tracks):
-        outside = track.at(times[:, column]).held
+        outside = track.at(times[:, column]).clamped
         if outside is None or not outside.all():
             continue
         first, last = times[[0, -1], column]

@@ -21,7 +21,7 @@ from animtool.documents.document import Document, Location, read_document
 from animtool.ik.file import targets_of_document
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import Keyed, Rows, Span, Still, Value
+from animtool.ik.values import ArrayRows, Constant, Keyed, Span, Value
 from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, rest_size
 from animtool.rig.limits import RangeLimit
@@ -108,7 +108,7 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
             message = (
                 f"targets another {listed(parts)} of {two.name!r} than the goal on "
             )
-            message += f"line {one.place[0]}: both are missed"
+            message += f"line {one.location[0]}: both are missed"
             hint = "remove one, give it another priority, or other frames: during"
         yield subject.fault("TGT202", ("goals", i, "effector"), message, hint)
 
@@ -124,13 +124,13 @@ def _equal(
     one: Mapping[str, Value | None], two: Mapping[str, Value | None], part: str
 ) -> bool:
     match one[part], two[part]:
-        case Still(value=a), Still(value=b):
+        case Constant(value=a), Constant(value=b):
             return a == b
         case Keyed(channel=c), Keyed(channel=d):
             return np.array_equal(c.times, d.times) and np.array_equal(
                 c.values, d.values
             )
-        case Rows(values=e), Rows(values=f):
+        case ArrayRows(values=e), ArrayRows(values=f):
             return np.array_equal(e, f)
         case a, b:
             return a is None and b is None
@@ -141,7 +141,7 @@ def weightless(subject: TargetsSubject) -> Iterator[Fault]:
     for i, goal in enumerate(subject.targets.goals):
         for part, weight in goal.weights.items():
             match weight:
-                case Still(value=(0.0,)):
+                case Constant(value=(0.0,)):
                     pass
                 case Keyed(channel=channel) if not channel.values.any():
                     pass
@@ -303,7 +303,7 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
         positions = [
             e
             for e, track in enumerate(asked.tracks.goals)
-            if isinstance(track.values["position"], Still | Keyed | Rows)
+            if isinstance(track.values["position"], Constant | Keyed | ArrayRows)
         ]
         points = [asked.points(e)[0][asked.points(e)[1]] for e in positions]
         cloud = np.concatenate(points) if points else np.zeros((0, 3))

@@ -32,7 +32,7 @@ FRAMES_COMPARED = 64
 def gaps(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield labelled markers missing from many frames (MKR201)."""
     markers = subject.markers
-    shares = 1.0 - markers.seen.mean(axis=0)
+    shares = 1.0 - markers.visible.mean(axis=0)
     often = [
         f"{name} {percent(fraction)}"
         for name, fraction in zip(markers.names, shares.tolist(), strict=True)
@@ -65,7 +65,7 @@ def spikes(subject: MarkersSubject) -> Iterator[Fault]:
 
 def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield a fault if many points have no label (MKR203)."""
-    names, visible = subject.markers.names, subject.markers.seen
+    names, visible = subject.markers.names, subject.markers.visible
     nameless = np.array([name.startswith("*") for name in names], np.bool_)
     total = int(visible.sum())
     fraction = float(visible[:, nameless].sum()) / total if total else 0.0
@@ -77,7 +77,7 @@ def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:
 
 def sizes(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield a fault if markers are too far apart or too close (MKR204)."""
-    extents = _extents(subject.markers.positions, subject.markers.seen)
+    extents = _extents(subject.markers.positions, subject.markers.visible)
     if not len(extents):
         return
     median = float(np.median(extents))
@@ -135,7 +135,7 @@ def same_points(subject: MarkersSubject) -> Iterator[Fault]:
 def unseen(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield markers without any frame (MKR206)."""
     markers = subject.markers
-    counts = markers.seen.sum(axis=0).tolist()
+    counts = markers.visible.sum(axis=0).tolist()
     never = [
         name
         for name, count in zip(markers.names, counts, strict=True)

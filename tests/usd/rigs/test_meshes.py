@@ -17,7 +17,7 @@ from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, bind_world, forward
-from animtool.rig.parts import HeldArray, Mesh
+from animtool.rig.parts import LoadedArray, Mesh
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.scene.bake.bake import bake
@@ -187,7 +187,7 @@ def test_an_open_mesh_is_visible_from_inside(tmp_path: Path) -> None:
     rig = shaped_rig()
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3.0]])
     one, other = (
-        Mesh(name, held(np.vstack([np.zeros(3), np.eye(3)])), HeldArray(some))
+        Mesh(name, held(np.vstack([np.zeros(3), np.eye(3)])), LoadedArray(some))
         for name, some in (("whole", faces), ("open", faces[:3]))
     )
     write_rig_layer(replace(rig, meshes=(one, other), shapes=()), tmp_path / "x.usda")
