@@ -166,7 +166,7 @@ def _entries(
     return entries
 
 
-def _warn_of_spaces(document: Document, entries: Mapping[str, _Entry]) -> None:
+def _warn_of_spaces(document: Document, entries: Mapping[str, _JointEntry]) -> None:
     """Warn once of joint names that contain white space (RIG107)."""
     spaced = [name for name in entries if any(map(str.isspace, name))]
     if not spaced:

@@ -99,8 +99,7 @@ it was, times ``unit``, and where.)");
   m.def("continue_signs", &continue_signs, Unlocked(), "rotations"_a, "previous"_a,
         R"(Float32 quaternions ``(F, J, 4)`` with signs continuous over frames.
 
-The first frame continues ``previous`` ``(J, 4)``. Returns ``(continued, finite)``:
-None where every sign continues as it is, and whether all numbers are finite.)");
+The first frame continues ``previous`` ``(J, 4)``. None where all continue as they are.)");
 }
 
 }  // namespace animtool

@@ -88,7 +88,11 @@ RoundedPoints round_points(In<double, 3> points, double unit) {
   return {std::move(rounded), std::sqrt(largest) * unit, at / row, at % row};
 }
 
-ContinuedSigns continue_signs(In<float, 3> rotations, In<float, 2> previous) {
+// By whether a product is negative: without a branch, which nothing could predict.
+constexpr float SIGN[] = {1.0f, -1.0f};
+
+std::optional<Out<float, 3>> continue_signs(In<float, 3> rotations,
+                                            In<float, 2> previous) {
   const std::size_t frames = rotations.shape(0), joints = rotations.shape(1);
   check::shape("rotations", rotations, {check::ANY, check::ANY, 4});
   check::shape("previous", previous, {joints, 4});
@@ -97,27 +101,27 @@ ContinuedSigns continue_signs(In<float, 3> rotations, In<float, 2> previous) {
   const float* q = rotations.data();
   const float* before = previous.data();
   std::vector<float> signs(joints, 1.0f);
-  bool finite = true;
   for (std::size_t f = 0; f < frames; ++f, before = q, q += row) {
-    bool turned = false;
+    bool negated = false;
     for (std::size_t j = 0; j < joints; ++j) {
       double product = 0;
       for (std::size_t k = 4 * j; k < 4 * j + 4; ++k) {
         product += static_cast<double>(q[k]) * before[k];
-        finite &= std::abs(q[k]) <= std::numeric_limits<float>::max();
       }
-      signs[j] = product < 0 ? -signs[j] : signs[j];
-      turned |= signs[j] < 0;
+      signs[j] *= SIGN[product < 0];
+      negated |= signs[j] < 0;
     }
-    if (turned && !continued) {
+    if (negated && !continued) {
       continued.emplace(frames, joints, 4);
       std::copy_n(rotations.data(), f * row, continued->get());
     }
     if (!continued) continue;
     float* out = continued->get() + f * row;
-    for (std::size_t k = 0; k < row; ++k) out[k] = q[k] * signs[k / 4];
+    for (std::size_t j = 0; j < joints; ++j) {
+      for (std::size_t k = 4 * j; k < 4 * j + 4; ++k) out[k] = q[k] * signs[j];
+    }
   }
-  return {std::move(continued), finite};
+  return continued;
 }
 
 }  // namespace animtool

@@ -247,7 +247,7 @@ def test_a_method_that_takes_too_long_is_tried_no_finer() -> None:
 def test_time_marks_nothing_that_costs_bytes() -> None:
     known = Known(converging)
 
-    def run(seconds: float) -> Callable[[Setting], Outcome]:
+    def run(seconds: float) -> Callable[[Setting], TrialOutcome]:
         return lambda one: replace(known.run(one), seconds=seconds, bytes=100)
 
     trial = replace(known.trial(), cost=CostMeasure.BYTES)
