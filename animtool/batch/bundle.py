@@ -27,7 +27,7 @@ from animtool.batch.records import (
 from animtool.batch.work import Status
 from animtool.core.arguments import argument, flag
 from animtool.core.errors import Fault, FormatError
-from animtool.core.files.output import check_outputs, together, write_parts
+from animtool.core.files.output import atomic_outputs, check_outputs, write_parts
 from animtool.core.files.placing import output_error
 from animtool.core.record import dataclass
 from animtool.documents.yaml_text import yaml_text
@@ -57,7 +57,7 @@ class Cuts:
 
 
 # Of what no timeline cuts.
-WHOLE = Cuts()
+NO_CUTS = Cuts()
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ def chunk_size(
     return max(1, min(items, round(span / max(seconds, 1e-6))))
 
 
-def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = WHOLE) -> Bundle:
+def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = NO_CUTS) -> Bundle:
     """Return the bundle of a batch, and what its file leaves open of shots."""
     more = _cut_words(cuts)
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
@@ -222,8 +222,12 @@ def _script(*chosen: str) -> dict[str, Any]:
     arguments = ["batch", "{{Param.BatchFile}}", *chosen, "-j", "{{Param.Jobs}}"]
     arguments += ["--lines", "openjd"]
     arguments += ["--path-mapping", "{{Session.PathMappingRulesFile}}"]
-    way = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": NOTICE}
-    run = {"command": "{{Param.Command}}", "args": arguments, "cancelation": way}
+    cancelation = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": NOTICE}
+    run = {
+        "command": "{{Param.Command}}",
+        "args": arguments,
+        "cancelation": cancelation,
+    }
     return {"actions": {"onRun": run}}
 
 
@@ -231,17 +235,19 @@ def write_bundle(
     bundle: Bundle, folder: Path, *, overwrite: bool = False
 ) -> WrittenBundle:
     """Write a bundle; refuse files that exist (OUT001)."""
-    given = [{"name": name, "value": value} for name, value in bundle.values.items()]
+    parameters = [
+        {"name": name, "value": value} for name, value in bundle.values.items()
+    ]
     texts = {
         folder / TEMPLATE: yaml_text(dict(bundle.template)),
-        folder / VALUES: yaml_text({"parameterValues": given}),
+        folder / VALUES: yaml_text({"parameterValues": parameters}),
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise output_error(folder, error) from error
     check_outputs(list(texts), [], overwrite=overwrite)
-    with together():
+    with atomic_outputs():
         for path, text in texts.items():
             write_parts(path, [text.encode()])
     return WrittenBundle(folder, list(texts), bundle)

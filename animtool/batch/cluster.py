@@ -138,13 +138,13 @@ def _fetch_results(finished: SimpleQueue[Any], ended: SimpleQueue[Any]) -> None:
 def _client(address: str) -> Any:
     from distributed import Client
 
-    made: SimpleQueue[Any] = SimpleQueue()
+    connections: SimpleQueue[Any] = SimpleQueue()
 
     def connect() -> None:
         try:
-            made.put(Client(address, timeout=TIMEOUT, set_as_default=False))
+            connections.put(Client(address, timeout=TIMEOUT, set_as_default=False))
         except Exception as error:
-            made.put(error)
+            connections.put(error)
 
     # Its own timeout does not count what a server that is no scheduler answers.
     with warnings.catch_warnings():
@@ -152,7 +152,7 @@ def _client(address: str) -> Any:
         warnings.simplefilter("ignore")
         Thread(target=connect, daemon=True).start()
         try:
-            client = made.get(timeout=TIMEOUT)
+            client = connections.get(timeout=TIMEOUT)
         except Empty:
             client = TimeoutError(f"no answer within {TIMEOUT:g} s")
     if isinstance(client, Exception):
@@ -286,9 +286,9 @@ class _Worker:
     going: int = 0  # items that it has now
     built: int = 0  # items that it built
 
-    def has_room(self, *, ahead: bool) -> bool:
+    def has_room(self, *, queue_next: bool) -> bool:
         """Return whether it can be sent an item; ``ahead`` of its threads too."""
-        return self.going < self.threads + (ahead and self.built > 0)
+        return self.going < self.threads + (queue_next and self.built > 0)
 
     def __str__(self) -> str:
         return f"{self.address} ({self.host})" if self.host else self.address
@@ -349,7 +349,7 @@ class _Farm:
                 future, value = self.ended.get(timeout=POLL_INTERVAL)
                 if future in self.sent:
                     yield from self._heard(self.sent.pop(future), value)
-            yield from self._seen()
+            yield from self._delivered()
 
     def _said(self) -> Iterator[Fault]:
         while self.said:
@@ -427,9 +427,9 @@ class _Farm:
         asked, threads = self.work.asked, sum(worker.threads for worker in fit)
         # Where every thread is used, the next item waits at its worker for the one
         # before it: its way there takes no time then.
-        ahead = self.work.ahead and (asked is None or asked >= threads)
-        while ahead or asked is None or going < asked:
-            free = [worker for worker in fit if worker.has_room(ahead=ahead)]
+        queue_next = self.work.queue_next and (asked is None or asked >= threads)
+        while queue_next or asked is None or going < asked:
+            free = [worker for worker in fit if worker.has_room(queue_next=queue_next)]
             if not free:
                 return True
             item = self.again.pop(0) if self.again else next(self.work.items, None)
@@ -511,15 +511,15 @@ class _Farm:
             until = time.monotonic() + UNSEEN
             self.unseen.append((until, item, worker, outcome))
 
-    def _seen(self) -> Iterator[Outcome | Fault]:
+    def _delivered(self) -> Iterator[Outcome | Fault]:
         """Yield the outcomes whose files are seen here, with the content written."""
         now, waiting = time.monotonic(), self.unseen
         self.unseen = []
         for until, item, worker, outcome in waiting:
-            seen = self.delivery.seen(outcome)
-            if seen is not None:
+            delivered = self.delivery.delivered(outcome)
+            if delivered is not None:
                 worker.built += 1
-                yield seen
+                yield delivered
             elif now < until and worker.fit:
                 self.unseen.append((until, item, worker, outcome))
             else:

@@ -18,7 +18,7 @@ from typing import Any
 import animtool
 from animtool.batch.item import Item
 from animtool.batch.manifest import file_digest
-from animtool.batch.spec import made_by
+from animtool.batch.spec import package_versions
 from animtool.batch.work import Outcome
 from animtool.batch.worker_process import WorkerProcess, WorkerTask
 from animtool.core.errors import AnimtoolError, Fault, excerpt, listed
@@ -53,7 +53,7 @@ def builder_versions() -> dict[str, str]:
 
     A checkout has the same version before and after a change.
     """
-    return {**made_by(), "animtool code": _code_digest()}
+    return {**package_versions(), "animtool code": _code_digest()}
 
 
 @cache

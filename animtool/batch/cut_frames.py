@@ -42,21 +42,21 @@ def cut_metadata(
     >>> cut_metadata({"animtool": {"handels": 8}}, "clip 'a'")[1]
     [("metadata.animtool of clip 'a' has no key 'handels'", "did you mean 'handles'?")]
     """
-    given = metadata.get("animtool")
-    if given is None:
+    stated = metadata.get("animtool")
+    if stated is None:
         return CutMetadata(), []
     where = f"metadata.animtool of {named}"
     names = [f.name for f in fields(CutMetadata) if rate or f.name != "fps"]
-    if not isinstance(given, Mapping):
+    if not isinstance(stated, Mapping):
         return CutMetadata(), [(f"{where} is not a table", f"keys: {', '.join(names)}")]
     values: dict[str, Any] = {}
     faults = []
-    for key, value in given.items():
+    for key, value in stated.items():
         if key not in names:
             faults.append((f"{where} has no key {excerpt(key)}", nearest(key, names)))
             continue
         try:
-            values[key] = _READ.get(key, _whole)(key, value)
+            values[key] = _READ.get(key, _integer)(key, value)
         except (TypeError, ValueError) as error:
             hint = f"write a value such as {EXAMPLES[key]}"
             faults.append((f"{where}: {key}: {error}", hint))
@@ -72,7 +72,7 @@ EXAMPLES = {
 }
 
 
-def _whole(key: str, value: object) -> int:
+def _integer(key: str, value: object) -> int:
     shown = excerpt(str(value))
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{shown} is not a whole number")
@@ -131,14 +131,14 @@ class CutContext:
     """What is stated of a clip: by options, itself, its timeline and the project."""
 
     options: CutOptions
-    own: CutMetadata
+    clip: CutMetadata
     timeline: CutMetadata
     project: Config
 
     @property
     def handles(self) -> int:
         """Shot frames before and after the cut."""
-        stated = (self.options.handles, self.own.handles, self.timeline.handles)
+        stated = (self.options.handles, self.clip.handles, self.timeline.handles)
         return next((count for count in stated if count is not None), 0)
 
     def first_timecode(
@@ -154,7 +154,7 @@ class CutContext:
         Raises:
             ValueError: What is stated is no time code of the rate.
         """
-        texts = [one.first_timecode for one in (self.options, self.own, self.timeline)]
+        texts = [one.first_timecode for one in (self.options, self.clip, self.timeline)]
         if default is None:
             texts.append(self.project.timeline.first_timecode)
         text = next((text for text in texts if text is not None), None)
@@ -172,7 +172,7 @@ class CutContext:
         faults, settings = list[str](), self.project
         levels = [
             (self.options.start, self.options.cut_start, "options"),
-            (self.own.start_frame, self.own.cut_start, "its metadata"),
+            (self.clip.start_frame, self.clip.cut_start, "its metadata"),
             (self.timeline.start_frame, self.timeline.cut_start, "the timeline's"),
             (None, settings.timeline.cut_start, "settings"),
         ]

@@ -65,7 +65,7 @@ HOW = (
     f"set it with {argument('fps', '{}')} (or {{}}), `fps` in the scene or in the "
     "batch file's options, or `fps` under [timeline] in animtool.toml"
 )
-USUAL = HOW.format("24", "25, 30000/1001, 30")
+COMMON_RATES_HINT = HOW.format("24", "25, 30000/1001, 30")
 
 
 def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
@@ -76,21 +76,21 @@ def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
     Raises:
         OptionError: Nothing states it (BAT054), or two do (BAT051).
     """
-    place = str(edl.path)
+    path = str(edl.path)
     if edl.fps is not None:
-        return _agreed(edl.fps, asked, place)
-    found = asked or find_config(edl.path).timeline.fps
-    if found is not None:
-        return found
+        return _agreed(edl.fps, asked, path)
+    configured = asked or find_config(edl.path).timeline.fps
+    if configured is not None:
+        return configured
     message = "states no frame rate, which its time codes need"
-    how = USUAL
+    how = COMMON_RATES_HINT
     if edl.drop:
         message += "; drop-frame time codes are of 30000/1001 (29.97) or 60000/1001 fps"
         how = HOW.format("30000/1001", "60000/1001")
     elif edl.last_label > 0:
         message += f"; the highest frame label is {edl.last_label:02d}, so the rate is "
         message += f"above {edl.last_label} fps"
-    raise OptionError(Fault("BAT054", message, place, (), how))
+    raise OptionError(Fault("BAT054", message, path, (), how))
 
 
 def timeline_rate(
@@ -113,18 +113,18 @@ def timeline_rate(
         OptionError: No rate is known (BAT054), or the one asked for is not that of
             the timeline (BAT051).
     """
-    place, begin = str(path), timeline.global_start_time
+    path_text, begin = str(path), timeline.global_start_time
     if stated is None and begin is not None and begin.rate > 0:
         try:
             stated = exact_rate(begin.rate)
         except ValueError as error:
             message = f"invalid global start time: {error}"
-            raise FormatError(Fault("BAT041", message, place)) from error
+            raise FormatError(Fault("BAT041", message, path_text)) from error
     if stated is not None:
-        return _agreed(stated, asked, place), []
-    found = asked or find_config(path).timeline.fps
-    if found is not None:
-        return found, []
+        return _agreed(stated, asked, path_text), []
+    configured = asked or find_config(path).timeline.fps
+    if configured is not None:
+        return configured, []
     rates = Counter(picture_rates(timeline.tracks))
     total = sum(rates.values())
     if not total:
@@ -136,17 +136,19 @@ def timeline_rate(
     each = ", ".join(f"{n} at {rate_label(rate)}" for rate, n in rates.most_common())
     message = f"states no rate, and its clips and gaps use several: {each}"
     if 2 * count <= total:
-        raise OptionError(Fault("BAT054", message, place, (), USUAL))
+        raise OptionError(Fault("BAT054", message, path_text, (), COMMON_RATES_HINT))
     message += f"; using {rate_label(chosen)}"
-    return chosen, [Fault("BAT049", message, place, (), USUAL, Severity.WARNING)]
+    return chosen, [
+        Fault("BAT049", message, path_text, (), COMMON_RATES_HINT, Severity.WARNING)
+    ]
 
 
-def _agreed(stated: Fraction, asked: Fraction | None, place: str) -> Fraction:
+def _agreed(stated: Fraction, asked: Fraction | None, path: str) -> Fraction:
     """Return a stated rate (BAT051 where another is asked for)."""
     if asked is not None and asked != stated:
         message = f"has {rate_label(stated)}, but {rate_label(asked)} was requested"
         hint = "shots are written at the rate of their timeline"
-        raise OptionError(Fault("BAT051", message, place, (), hint))
+        raise OptionError(Fault("BAT051", message, path, (), hint))
     return stated
 
 
@@ -256,7 +258,7 @@ class _Reader:
         self.faults: list[Fault] = []
         # Names of shots, and up to which number each has others behind it.
         self.taken: dict[str, int] = {}
-        self.own = CutMetadata()
+        self.timeline_metadata = CutMetadata()
         self.fps = Fraction(0)
         self.tree: Any = None  # the timeline; without it clips have no parents
         self.drop = False  # whether time codes of media are drop-frame
@@ -294,9 +296,9 @@ class _Reader:
         library()
         if not is_edl(self.path):
             timeline = read_timeline(self.path)
-            self.own = self.metadata(timeline, "the timeline", rate=True)
+            self.timeline_metadata = self.metadata(timeline, "the timeline", rate=True)
             asked = self.options.fps
-            rate = timeline_rate(timeline, self.path, self.own.fps, asked)
+            rate = timeline_rate(timeline, self.path, self.timeline_metadata.fps, asked)
             self.fps, notices = rate
         else:
             edl = read_edl(self.path)
@@ -354,8 +356,10 @@ class _Reader:
         medium = self.medium(clip, named)
         if medium is None:
             return
-        own, settings = self.metadata(clip, named), find_config(self.path)
-        context = CutContext(self.options, own, self.own, settings)
+        clip_metadata, settings = self.metadata(clip, named), find_config(self.path)
+        context = CutContext(
+            self.options, clip_metadata, self.timeline_metadata, settings
+        )
         for message in context.cut_in()[1]:
             self.fault("BAT047", f"{named}: {message}", "write one of them")
         there = clip.media_reference.available_range

@@ -9,7 +9,7 @@ from dataclasses import field, replace
 from pathlib import Path
 
 from animtool.batch.manifest import FileRecord, file_digest
-from animtool.batch.spec import place_of
+from animtool.batch.spec import path_of_name
 from animtool.batch.work import Outcome
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import FileState
@@ -34,14 +34,14 @@ class Delivery:
 
     def other_inputs(self, outcome: Outcome) -> list[Path]:
         """Return the inputs that are not, here, what an item was built from."""
-        paths = [(place_of(one.path, self.root), one) for one in outcome.inputs]
+        paths = [(path_of_name(one.path, self.root), one) for one in outcome.inputs]
         return [path for path, one in paths if not self._is_same(path, one)]
 
     def changed(self, paths: Iterable[Path]) -> list[Path]:
         """Return the inputs that changed here since they were first looked at."""
         return [path for path in paths if self.note(path) != FileState.of(path)]
 
-    def seen(self, outcome: Outcome) -> Outcome | None:
+    def delivered(self, outcome: Outcome) -> Outcome | None:
         """Return an outcome with its outputs as they are here; None if they are not.
 
         They are looked up afresh: a network disk may remember for a minute that a file
@@ -49,12 +49,12 @@ class Delivery:
         """
         outputs = []
         for folder in dict.fromkeys(
-            place_of(one.path, self.root).parent for one in outcome.outputs
+            path_of_name(one.path, self.root).parent for one in outcome.outputs
         ):
             with suppress(OSError), os.scandir(folder):
                 pass
         for one in outcome.outputs:
-            path = place_of(one.path, self.root)
+            path = path_of_name(one.path, self.root)
             state = FileState.of(path)
             if state is None or not self._is_same(path, one):
                 return None

@@ -208,8 +208,8 @@ class _Builder:
                 "set the rate that its time codes count, such as "
                 f"{argument('fps', '30000/1001')}"
             )
-            place = str(self.edl.path), (event.line,)
-            self.faults.append(Fault("BAT041", message, *place, hint))
+            location = str(self.edl.path), (event.line,)
+            self.faults.append(Fault("BAT041", message, *location, hint))
             return None
         # Of motion that goes backwards some write the last frame first.
         first, last = sorted(frames[:2]) if _speed(event) < 0 else frames[:2]
@@ -288,8 +288,8 @@ class _Builder:
             message = f"clip {excerpt(name)}: its source has {source} frames, its "
             message += f"record {shown}, and no speed (M2) is stated: the {source} "
             message += "frames of its source are used, at their own speed"
-            place = str(self.edl.path), (event.line,)
-            warning = Fault("BAT056", message, *place, severity=Severity.WARNING)
+            location = str(self.edl.path), (event.line,)
+            warning = Fault("BAT056", message, *location, severity=Severity.WARNING)
             self.notices.append(warning)
         return Fraction(1), source
 

@@ -48,7 +48,7 @@ class Work:
     asked: int | None = None
     inputs: tuple[Path, ...] = ()
     folders: tuple[Path, ...] = ()
-    ahead: bool = True
+    queue_next: bool = True
 
 
 # Yields the outcome of each item as it ends, and warnings about what builds them;

@@ -59,15 +59,15 @@ def value_text(document: Document, at: Location, value: Value) -> str:
 
 
 def variables_of_document(
-    document: Document, at: Location, own: Mapping[str, Value]
+    document: Document, at: Location, values: Mapping[str, Value]
 ) -> dict[str, str]:
     """Return the values of variables as text; names that are none are faults."""
-    for name in own:
+    for name in values:
         if not is_variable_name(name):
             message = f"{name!r} is not a valid variable name"
             hint = "use letters, digits and _, and do not start with a digit"
             document.add("BAT002", (*at, name), message, hint)
-    return {name: value_text(document, (*at, name), v) for name, v in own.items()}
+    return {name: value_text(document, (*at, name), v) for name, v in values.items()}
 
 
 class OverrideModel(FileModel):
@@ -278,8 +278,8 @@ class _Reader:
         rows = []
         for i, entry in enumerate(table):
             if set(entry) != set(first):
-                odd = ", ".join(sorted(set(entry) ^ set(first)))
-                message = f"the columns differ from those of the first row: {odd}"
+                differing = ", ".join(sorted(set(entry) ^ set(first)))
+                message = f"the columns differ from those of the first row: {differing}"
                 hint = f"columns: {', '.join(first)}"
                 self.document.add("BAT062", (*AT, i), message, hint)
                 continue
@@ -407,17 +407,19 @@ class _BatchReader:
 
     def _variants(self) -> Variants | None:
         """Return the table of values; None where there is none, or it is faulty."""
-        given = self.model.variants
-        if not given:
+        variants = self.model.variants
+        if not variants:
             if "variants" in self.model.model_fields_set:
                 hint = "write {k: [1, 2]}, a list of rows, or the name of a CSV file"
                 self.document.add("BAT061", ("variants",), "has no values", hint)
             return None
-        if isinstance(given, str):
-            path = referred_input(self.document, ("variants",), given, self.keys.roots)
+        if isinstance(variants, str):
+            path = referred_input(
+                self.document, ("variants",), variants, self.keys.roots
+            )
             return None if path is None else read_variants(path)
         taken = {*self._taken(), *self.model.variables}
-        return rows_of_document(self.document, given, taken)
+        return rows_of_document(self.document, variants, taken)
 
     def _names(self, columns: Sequence[str]) -> None:
         """Check the names between braces in the output."""

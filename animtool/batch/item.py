@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 INPUT_NAMES = ("input", "folder", "name", "parent", "stem")
 # These are paths that a pattern begins with, to write where the inputs are.
-_PLACES = frozenset({"input", "folder"})
+_INPUT_FOLDERS = frozenset({"input", "folder"})
 
 
 def input_names(file: MatchedFile) -> dict[str, str]:
@@ -127,7 +127,7 @@ class NamedOutputs:
         for part in PurePath(self.pattern).parts:
             names = [name for _, name, *_ in Formatter().parse(part) if name]
             text = part.format(**values)
-            if set(names) - _PLACES:
+            if set(names) - _INPUT_FOLDERS:
                 below = True
                 self._check(text, names, values)
             path /= text
@@ -199,8 +199,8 @@ def read_rules(path: Path) -> list[PathRule]:
     try:
         plain = json_of_file(path, MAX_BYTES)
         key = "path_mapping_rules"
-        given = list_in(plain, key) if key in plain else ()
-        return [_rule(object_of(rule)) for rule in given]
+        rules = list_in(plain, key) if key in plain else ()
+        return [_rule(object_of(rule)) for rule in rules]
     except RecordError as error:
         message = f"is not a file of path mapping rules: {error}"
         raise FormatError(Fault("BAT038", message, str(path))) from error
@@ -334,19 +334,19 @@ class ItemTask:
                 hint = (
                     "bake each first, then combine them: animtool bake *.usdc -o FILE"
                 )
-                raise OptionError(output.place.fault("SCN052", message, hint))
+                raise OptionError(output.location.fault("SCN052", message, hint))
         return scene
 
     def named(self, item: Item) -> Item:
         """Return an item with the outputs that its scene names, if it names some."""
         scene = self.source(item)
-        own = getattr(scene, "output", None)
+        output = getattr(scene, "output", None)
         files: Sequence[Path] = ()
         if self._is_several(scene):
             from animtool.scene.bake.outline import outlined
 
             files = outlined(scene, None, self._options(item.file.path)).files
-        return replace(item, output=own or item.output, files=tuple(files))
+        return replace(item, output=output or item.output, files=tuple(files))
 
     def refuse_several(self, source: Source) -> None:
         """Refuse a scene that names its outputs, where a pattern names them too."""
@@ -356,8 +356,8 @@ class ItemTask:
                 f"remove the batch's output ({argument('output')}), and use "
                 "${stem} in the scene's"
             )
-            place = cast("Scene", source).outputs[-1].place
-            raise OptionError(place.fault("SCN044", message, hint))
+            location = cast("Scene", source).outputs[-1].location
+            raise OptionError(location.fault("SCN044", message, hint))
 
     @staticmethod
     def _is_several(source: Source) -> bool:
@@ -394,8 +394,8 @@ class ItemTask:
         """Return the options for a file: those that are for its kind."""
         kind = path.suffix.lower()
         if kind not in self._fitting:
-            own = fitting_options(self.options.source, path, self.kinds)
-            options = replace(self.options, source=own, overwrite=True)
+            source_options = fitting_options(self.options.source, path, self.kinds)
+            options = replace(self.options, source=source_options, overwrite=True)
             self._fitting[kind] = options
         return self._fitting[kind]
 

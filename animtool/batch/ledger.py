@@ -28,11 +28,11 @@ from animtool.batch.records import (
     LineReader,
     LineWriter,
     RecordError,
+    integer_in,
     json_of_file,
     text_in,
-    whole_in,
 )
-from animtool.batch.spec import place_of
+from animtool.batch.spec import path_of_name
 from animtool.core.errors import Fault, LockedError, OutputError, excerpt
 from animtool.core.files.leftovers import is_running
 from animtool.core.files.output import replacing
@@ -133,7 +133,7 @@ class _Files:
         paths = self.named(".jsonl"), self.named(".failed.jsonl")
         return any(path.exists() for path in paths)
 
-    def whole(self) -> _Files:
+    def of_batch(self) -> _Files:
         return _Files(self.folder, self.name)
 
     def others(self) -> list[_Files]:
@@ -156,26 +156,26 @@ def read_history(folder: Path, name: str) -> History:
 
 
 @dataclass(frozen=True, slots=True)
-class _Own:
+class _LocalRecords:
     """What there is in the files that a run adds to."""
 
     manifest: Manifest = field(default_factory=Manifest)
     failures: int = 0
 
 
-def _read(files: _Files) -> tuple[History, _Own]:
+def _read(files: _Files) -> tuple[History, _LocalRecords]:
     """Return what earlier runs left, and what there is in these files."""
-    history, own = History(), _Own()
-    whole = files.whole()
-    for source in (whole, *whole.others()):
+    history, local = History(), _LocalRecords()
+    batch_files = files.of_batch()
+    for source in (batch_files, *batch_files.others()):
         manifest = read_manifest(source.named(".jsonl"))
         failures = read_failures(source.named(".failed.jsonl"))
         history.manifest.join(manifest)
         history.failed |= failures.why
         history.damaged += [*manifest.damaged, *failures.damaged]
         if source == files:
-            own = _Own(manifest, failures.length)
-    return history, own
+            local = _LocalRecords(manifest, failures.length)
+    return history, local
 
 
 class Ledger:
@@ -188,13 +188,13 @@ class Ledger:
 
     def __init__(self, files: _Files, now: int) -> None:
         self.now, self._files = now, files
-        self.history, own = _read(files)
+        self.history, local = _read(files)
         # What is damaged is told once.
         self._grown = bool(self.history.damaged)
         self._closing = ExitStack()
-        writer = ManifestWriter(files.named(".jsonl"), own.manifest)
+        writer = ManifestWriter(files.named(".jsonl"), local.manifest)
         self._writer = self._closing.enter_context(writer)
-        self._failed_length = own.failures
+        self._failed_length = local.failures
 
     def claim(self, names: Iterable[str]) -> None:
         """Say which files are about to be written."""
@@ -235,7 +235,7 @@ class Ledger:
         known = [
             name
             for name in sorted(manifest.known | recorded)
-            if name in recorded or FileState.of(place_of(name, root)) is not None
+            if name in recorded or FileState.of(path_of_name(name, root)) is not None
         ]
         rewrite_manifest(self._files.named(".jsonl"), kept, known)
         rewrite_failures(self._files.named(".failed.jsonl"), self.history.failed)
@@ -245,23 +245,23 @@ class Ledger:
 
 
 @contextmanager
-def held_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
+def locked_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
     """Give the records of a batch, which no other run may use at the same time."""
     files = _Files(folder, name, part)
-    with ExitStack() as held:
+    with ExitStack() as locks:
         if part:
             # Released at once: no run of the whole goes on, and of parts that have
             # items in common one comes first.
             with ExitStack() as moment:
-                _lock(moment, files.whole(), TIMEOUT)
-                _lock(held, files, 0.0)
+                _lock(moment, files.of_batch(), TIMEOUT)
+                _lock(locks, files, 0.0)
                 for other in files.others():
                     if other != files and files.overlaps(other):
                         _lock(moment, other, 0.0)
         else:
-            _lock(held, files, 0.0)
+            _lock(locks, files, 0.0)
             for other in files.others():
-                _lock(held, other, 0.0)
+                _lock(locks, other, 0.0)
         now = _sign(files)
         ledger = Ledger(files, now)
         try:
@@ -270,14 +270,14 @@ def held_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
             ledger.close()
 
 
-def _lock(held: ExitStack, files: _Files, timeout: float) -> None:
+def _lock(locks: ExitStack, files: _Files, timeout: float) -> None:
     from filelock import FileLock, Timeout
 
     path = files.named(".lock")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock: FileLock = FileLock(path)
-        held.enter_context(lock.acquire(timeout=timeout))
+        locks.enter_context(lock.acquire(timeout=timeout))
     except Timeout as error:
         message = f"another run of this batch is in progress: {_owner(files)}"
         hint = "wait until it ends, or stop it"
@@ -317,7 +317,7 @@ def _owner(files: _Files) -> str:
     unknown = "of an unknown process"
     try:
         owner = json_of_file(files.named(".owner"), MAX_OWNER)
-        process, host = whole_in(owner, "process", 1, 2**31), text_in(owner, "host")
+        process, host = integer_in(owner, "process", 1, 2**31), text_in(owner, "host")
     except RecordError:
         return unknown
     if host == platform.node() and not is_running(process):

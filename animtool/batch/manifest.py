@@ -20,12 +20,12 @@ from animtool.batch.records import (
     LineReader,
     LineWriter,
     RecordError,
+    integer_in,
     list_in,
     number_in,
     object_of,
     text_in,
     texts_in,
-    whole_in,
 )
 from animtool.core.errors import Fault
 from animtool.core.files.output import replacing
@@ -68,9 +68,9 @@ class FileRecord:
                 raise RecordError("'absent' is incomplete")
             return cls(path, None)
         state = FileState(
-            whole_in(plain, "size"),
-            whole_in(plain, "changed", -CLOCK, CLOCK),
-            whole_in(plain, "inode"),
+            integer_in(plain, "size"),
+            integer_in(plain, "changed", -CLOCK, CLOCK),
+            integer_in(plain, "inode"),
         )
         return cls(path, state, text_in(plain, "sha256", MAX_DIGEST))
 
@@ -116,7 +116,7 @@ class ItemRecord:
             sys.intern(text_in(plain, "versions", MAX_DIGEST)),
             tuple(_numbered(list_in(plain, "inputs"), files)),
             tuple(FileRecord.from_dict(object_of(output)) for output in outputs),
-            whole_in(plain, "at", -CLOCK, CLOCK),
+            integer_in(plain, "at", -CLOCK, CLOCK),
             scores_in(plain, "scores"),
         )
 
@@ -225,7 +225,9 @@ class _Lines:
         if "known" in line:
             self.manifest.known.update(texts_in(line, "known"))
         elif "file" in line:
-            self._file(whole_in(line, "file", 0, MAX_FILES), FileRecord.from_dict(line))
+            self._file(
+                integer_in(line, "file", 0, MAX_FILES), FileRecord.from_dict(line)
+            )
         elif "item" in line:
             self.manifest.add(ItemRecord.from_dict(line, self.files))
         else:
@@ -310,9 +312,9 @@ def _score(plain: Mapping[str, Any]) -> Score:
     unit = text_in(plain, "unit")
     if unit not in {*ScoreUnit}:
         raise RecordError(f"unknown unit of a score: {unit!r}")
-    value, usual, ideal = (
+    value, typical, ideal = (
         number_in(plain, key, -math.inf) for key in ("value", "usual", "ideal")
     )
-    if usual <= ideal:
+    if typical <= ideal:
         raise RecordError("'usual' is not above 'ideal'")
-    return Score(text_in(plain, "name"), value, ScoreUnit(unit), usual, ideal)
+    return Score(text_in(plain, "name"), value, ScoreUnit(unit), typical, ideal)

@@ -8,7 +8,7 @@ from dataclasses import field, replace
 from pathlib import Path
 
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.files.reading import MatchedFile, Places, files_meant
+from animtool.core.files.reading import MatchedFile, PathResolver, files_meant
 from animtool.core.record import dataclass
 
 
@@ -54,19 +54,19 @@ def overridden(
         suffixes: How names of inputs end.
         path: The batch file.
     """
-    place = Places()
-    places = {place(file.path): file.path for file in files}
+    resolve = PathResolver()
+    by_location = {resolve(file.path): file.path for file in files}
     values: dict[Path, dict[str, str]] = {}
     notices = []
     for i, override in enumerate(overrides):
         meant = {
-            place(file.path)
+            resolve(file.path)
             for text in override.inputs
             for file in files_meant(os.fspath(folder / text), suffixes)
         }
-        matched = [places[where] for where in meant if where in places]
-        for own in matched:
-            values.setdefault(own, {}).update(override.variables)
+        matched = [by_location[where] for where in meant if where in by_location]
+        for input_path in matched:
+            values.setdefault(input_path, {}).update(override.variables)
         if not matched:
             message = f"no input of the batch is {listed(override.inputs)}"
             hint = "inputs are files, folders and globs, relative to the batch file"

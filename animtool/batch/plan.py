@@ -13,11 +13,11 @@ from animtool.batch.discover import Batch
 from animtool.batch.item import Item
 from animtool.batch.ledger import History
 from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_digest
-from animtool.batch.spec import made_by, named_from, place_of
+from animtool.batch.spec import named_from, package_versions, path_of_name
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, OutputError
 from animtool.core.files.output import name_key
-from animtool.core.files.reading import FileState, Places
+from animtool.core.files.reading import FileState, PathResolver
 from animtool.core.record import dataclass
 from animtool.motion.scores import PassScores
 
@@ -86,7 +86,7 @@ class Planner:
     @cached_property
     def versions(self) -> str:
         """Digest of the versions of what makes items."""
-        return digest_of(made_by())
+        return digest_of(package_versions())
 
     def decisions(self, items: Sequence[Item]) -> Iterator[Decision]:
         """Yield what becomes of each item, in order."""
@@ -141,7 +141,7 @@ class Planner:
         """Return the record of a file as it is now; None where it is another one."""
         if file.path not in self._states:
             self._states[file.path] = FileState.of(
-                place_of(file.path, self._batch.root)
+                path_of_name(file.path, self._batch.root)
             )
         state = self._states[file.path]
         if state is None or file.state is None:
@@ -155,7 +155,7 @@ class Planner:
     def _digest(self, path: str) -> str:
         if path not in self._digests:
             try:
-                self._digests[path] = file_digest(place_of(path, self._batch.root))
+                self._digests[path] = file_digest(path_of_name(path, self._batch.root))
             except FormatError:
                 # Whoever makes the item says why it cannot be read.
                 self._digests[path] = "unreadable"
@@ -165,29 +165,29 @@ class Planner:
 MAX_FAULTS = 50
 
 
-def check_places(batch: Batch) -> None:
+def check_output_files(batch: Batch) -> None:
     """Refuse outputs that are one file (OUT007), inputs, or in no folder to write.
 
     Files are one on some disks where names differ only in case or in how accents are
     encoded.
     """
-    place = Places()
-    inputs = {place(item.file.path) for item in batch.items}
-    inputs |= {place(path) for path in batch.named}
-    faults = list(_clashes(batch, place, inputs))
+    resolve = PathResolver()
+    inputs = {resolve(item.file.path) for item in batch.items}
+    inputs |= {resolve(path) for path in batch.named}
+    faults = list(_clashes(batch, resolve, inputs))
     _refuse(faults, OptionError)
     folders = dict.fromkeys(folder for item in batch.items for folder in item.folders)
     _refuse(list(_closed(folders)), OutputError)
 
 
 def _clashes(
-    batch: Batch, place: Callable[[Path], Path], inputs: set[Path]
+    batch: Batch, resolve: Callable[[Path], Path], inputs: set[Path]
 ) -> Iterator[Fault]:
     taken: dict[str, Item] = {}
     for item in batch.items:
-        own: set[str] = set()
+        item_names: set[str] = set()
         for path in batch.outputs(item):
-            where = place(path)
+            where = resolve(path)
             if where in inputs:
                 message = "is an input of this batch"
                 hint = f"choose another {argument('output')}"
@@ -196,15 +196,15 @@ def _clashes(
             other = taken.setdefault(name, item)
             if other is not item:
                 message = f"would be written for both {other.label} and {item.label}"
-                hint = _apart(item, other)
+                hint = _separating_hint(item, other)
                 yield Fault("OUT007", message, str(path), (), hint)
-            elif name in own:
+            elif name in item_names:
                 message = f"would be written twice for {item.label}"
                 yield Fault("OUT007", message, str(path))
-            own.add(name)
+            item_names.add(name)
 
 
-def _apart(item: Item, other: Item) -> str:
+def _separating_hint(item: Item, other: Item) -> str:
     """Return what keeps the outputs of two items apart."""
     if item.shot is not None and item.shot != other.shot:
         return f"use {{shot}} in {argument('output')} to keep the shots separate"
@@ -223,12 +223,12 @@ def _apart(item: Item, other: Item) -> str:
 
 def _closed(folders: Iterable[Path]) -> Iterator[Fault]:
     """Yield what is wrong with folders that are there, or with those around them."""
-    seen: set[Path] = set()
+    checked: set[Path] = set()
     for folder in folders:
         there = next((f for f in (folder, *folder.parents) if f.exists()), Path())
-        if there in seen:
+        if there in checked:
             continue
-        seen.add(there)
+        checked.add(there)
         if not there.is_dir():
             yield Fault(
                 "OUT002", "cannot be written to: it is not a folder", str(there)

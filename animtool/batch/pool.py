@@ -127,7 +127,9 @@ class _Pool:
     builder: ItemBuilder  # what makes items
     items: Iterator[Item]  # what is to be made
     limits: Limits  # what each may take
-    ahead: bool  # whether the next item is begun before it is told how the last ended
+    queue_next: (
+        bool  # whether the next item is begun before it is told how the last ended
+    )
     left: bool = True  # whether there may be more items
     workers: list[_Worker] = field(default_factory=list)  # those that live
     failed_starts: int = 0  # how many in a row ended before they could take an item
@@ -212,7 +214,7 @@ class _Pool:
         worker.item = None
         retired = outcome.retired or self._swollen(worker)
         # One that fails may be the last that is begun: that is known when it is heard.
-        if self.ahead and outcome.status is Status.DONE and not retired:
+        if self.queue_next and outcome.status is Status.DONE and not retired:
             self.feed(worker)
         yield outcome
         if retired:
@@ -300,13 +302,13 @@ def run_processes(
     limits: Limits,
     jobs: int,
     *,
-    ahead: bool = True,
+    queue_next: bool = True,
 ) -> Iterator[Outcome]:
     """Yield what becomes of items, as each ends, made by several processes.
 
     An item is taken only when a process can make it. Closing the iterator ends them.
     """
-    pool, well = _Pool(builder, items, limits, ahead), False
+    pool, well = _Pool(builder, items, limits, queue_next), False
     try:
         while True:
             while pool.left and len(pool.workers) < jobs:

@@ -64,8 +64,8 @@ class ItemReport:
     def worded(self, calling: Calling) -> ItemReport:
         """Return it with arguments called as an interface calls them."""
         faults, notices = (
-            tuple(fault.worded(calling) for fault in own)
-            for own in (self.faults, self.notices)
+            tuple(fault.worded(calling) for fault in texts)
+            for texts in (self.faults, self.notices)
         )
         return replace(self, faults=faults, notices=notices)
 
@@ -77,8 +77,8 @@ class ItemReport:
     @property
     def spent(self) -> float | None:
         """Wall time of making it [s]; None where it was not made."""
-        made = self.status in {Status.DONE, Status.FAILED}
-        return self.seconds if made else None
+        was_built = self.status in {Status.DONE, Status.FAILED}
+        return self.seconds if was_built else None
 
     @property
     def why(self) -> str:
@@ -175,8 +175,8 @@ def junit_report(reports: Sequence[ItemReport]) -> str:
 
 def _case(report: ItemReport) -> JunitCase:
     name = str(report.item.output)
-    odd = [n for n in report.notices if n.severity is not Severity.NOTE]
-    listed_faults = "\n".join(map(str, odd))
+    warnings = [n for n in report.notices if n.severity is not Severity.NOTE]
+    listed_faults = "\n".join(map(str, warnings))
     if report.status is Status.FAILED:
         first = report.faults[0]
         text = "\n".join(map(str, report.faults))

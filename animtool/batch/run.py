@@ -10,16 +10,16 @@ from pathlib import Path
 from animtool.batch.discover import Batch, find_batch
 from animtool.batch.executors import Executor, Work, find_executor
 from animtool.batch.item import Item
-from animtool.batch.ledger import History, Ledger, held_ledger, read_history
+from animtool.batch.ledger import History, Ledger, locked_ledger, read_history
 from animtool.batch.manifest import ItemRecord
 from animtool.batch.plan import (
     Decision,
     Planner,
+    check_output_files,
     check_overwrites,
-    check_places,
 )
 from animtool.batch.report import BatchReport, ItemReport
-from animtool.batch.spec import BatchSpec, named_from, place_of
+from animtool.batch.spec import BatchSpec, named_from, path_of_name
 from animtool.batch.work import ItemBuilder, Outcome, Status
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.leftovers import remove_leftovers
@@ -101,7 +101,7 @@ def run_batch(
     options, listener = options or RunOptions(), listener or Listener()
     batch = spec if isinstance(spec, Batch) else find_batch(spec)
     items = _chosen(batch, options)
-    check_places(batch)
+    check_output_files(batch)
     if options.dry_run:
         history = read_history(batch.records, batch.name)
         planner = Planner(batch, history, verify=options.verify, force=options.force)
@@ -110,7 +110,7 @@ def run_batch(
         seconds = time.perf_counter() - began
         return BatchReport(batch, tuple(planned), seconds, tuple(history.damaged))
     part = "" if options.numbers is None else "{}-{}".format(*options.numbers)
-    with held_ledger(batch.records, batch.name, part) as ledger:
+    with locked_ledger(batch.records, batch.name, part) as ledger:
         run = _Run(batch, options, listener, ledger)
         run.plan(items)
         run.make()
@@ -295,7 +295,7 @@ class _Run:
     def keeps(self, record: ItemRecord) -> bool:
         """Return whether a record is of interest: its output is there, or to be."""
         return any(
-            place_of(file.path, self.batch.root).exists() for file in record.outputs
+            path_of_name(file.path, self.batch.root).exists() for file in record.outputs
         )
 
     def reports(self) -> Iterator[ItemReport]:

@@ -80,15 +80,15 @@ def span_of(shown: Shown) -> Span:
         ValueError: Its range is none, or it plays as no shot can
             (`UnsupportedTimeError`).
     """
-    whole = shown.clip.trimmed_range()
-    start, length = seconds_of(whole.start_time), seconds_of(whole.duration)
-    rate, own = exact_rate(whole.start_time.rate), speed_of(shown.clip)
+    trimmed = shown.clip.trimmed_range()
+    start, length = seconds_of(trimmed.start_time), seconds_of(trimmed.duration)
+    rate, speed = exact_rate(trimmed.start_time.rate), speed_of(shown.clip)
     begin, end = (Fraction(0), length) if shown.part is None else shown.part
-    before = length - end if own < 0 else begin
+    before = length - end if speed < 0 else begin
     return Span(
-        start + before * abs(own),
+        start + before * abs(speed),
         (end - begin) / shown.speed,
-        own * shown.speed,
+        speed * shown.speed,
         rate,
         begin <= 0,
         end >= length,
@@ -213,11 +213,11 @@ class Walk:
             self.clips.append(Shown(item, where, named, part, speed))
             return
         try:
-            inner, own = _inside(item, part)
+            inner, inner_speed = _inside(item, part)
         except UnsupportedTimeError as error:
             self.leave_out(item, "BAT044", f"{named}: {error}")
             return
-        self._children(item, where, inner, speed * own)
+        self._children(item, where, inner, speed * inner_speed)
 
     def _children(
         self, parent: Any, where: str, window: Window, speed: Fraction

@@ -99,7 +99,7 @@ def named_from(path: Path, root: Path) -> str:
     return PurePosixPath(*steps, *where.parts[shared:]).as_posix()
 
 
-def place_of(name: str, root: Path) -> Path:
+def path_of_name(name: str, root: Path) -> Path:
     """Return the file that a name means; the inverse of `named_from`.
 
     >>> place_of("../takes/a.bvh", Path("/job/out")).as_posix()
@@ -121,7 +121,7 @@ GROUPS = ("animtool.passes", "animtool.readers")
 
 
 @cache
-def made_by() -> dict[str, str]:
+def package_versions() -> dict[str, str]:
     """Return the version of each package that decides what is made, plug-ins included.
 
     A package whose files were changed without another version is taken for the same.

@@ -54,7 +54,7 @@ def _problem(path: Path) -> str | None:
     text = b"null"
     with open_input(path, None if kind == ".otioz" else MAX_BYTES) as file:
         if kind in {".otio", ".otiod"}:
-            text = file.whole()
+            text = file.read_all()
         elif kind == ".otioz":
             try:
                 with ZipFile(file) as archive, archive.open(CONTENT) as content:
@@ -180,7 +180,7 @@ def seconds_of(time: Any) -> Fraction:
     if not abs(time.value) <= LONGEST * rate:
         raise ValueError(f"{time.value!r} is not a time at {float(rate):g} frames/s")
     exact = Fraction(time.value)
-    whole = Fraction(round(exact))
-    if abs(exact - whole) > NEAR:
-        whole = exact.limit_denominator(LARGEST_DENOMINATOR)
-    return whole / rate
+    frames = Fraction(round(exact))
+    if abs(exact - frames) > NEAR:
+        frames = exact.limit_denominator(LARGEST_DENOMINATOR)
+    return frames / rate

@@ -160,10 +160,10 @@ def name_problems(
     names: Sequence[str], taken: Collection[str] = ()
 ) -> Iterator[tuple[int, str]]:
     """Yield the columns whose names cannot be used, and why."""
-    seen: set[str] = set()
+    previous: set[str] = set()
     for i, name in enumerate(names):
-        twice = name in seen
-        seen.add(name)
+        twice = name in previous
+        previous.add(name)
         if not is_variable_name(name):
             shown = excerpt(name) if name else "a column without a name"
             yield i, f"{shown} is not a name of letters, digits and _"
@@ -205,12 +205,12 @@ def read_variants(path: Path) -> Variants:
         message = "has no rows" if lines else "is empty"
         hint = "the first line names the columns; every other line is a variant"
         raise FormatError(Fault("BAT061", message, str(path), (1,), hint))
-    (_, names, places), *rows = lines
+    (_, names, columns), *rows = lines
     separate = None
     if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
         separate = "separate columns by commas, or by tabs in a .tsv file"
     faults = [
-        Fault("BAT063", message, str(path), (lines[0][0],), separate, column=places[i])
+        Fault("BAT063", message, str(path), (lines[0][0],), separate, column=columns[i])
         for i, message in name_problems(names)
     ]
     if len(rows) > MAX_VARIANTS:

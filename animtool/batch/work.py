@@ -84,7 +84,7 @@ class ItemBuilder:
         began = time.perf_counter()
         retired = False
         try:
-            return self._made(item, began)
+            return self._build(item, began)
         except AnimtoolError as error:
             faults = tuple(
                 replace(fault, path=fault.path or _named(item))
@@ -109,7 +109,7 @@ class ItemBuilder:
         seconds = time.perf_counter() - began
         return Outcome(item.number, Status.FAILED, seconds, faults, retired=retired)
 
-    def _made(self, item: Item, began: float) -> Outcome:
+    def _build(self, item: Item, began: float) -> Outcome:
         from animtool.scene.bake.prims import raise_stopped
 
         with recorded_inputs() as inputs:

@@ -84,7 +84,9 @@ def main() -> None:
         os.dup2(2, 1)
         task: WorkerTask = pickle.load(sys.stdin.buffer)
         # Whoever sends an item waits for what became of it before it sends the next.
-        outcomes = run_processes(task.builder, _items(), task.limits, 1, ahead=False)
+        outcomes = run_processes(
+            task.builder, _items(), task.limits, 1, queue_next=False
+        )
         for outcome in outcomes:
             pickle.dump(outcome, results)
             results.flush()

@@ -194,7 +194,7 @@ def _bake(
     from animtool.scene.bake.bake import bake_outline
 
     scene, files = outline.scene, outline.reading.files
-    several = any(entry.place is not None for entry in outline.outputs) and (
+    several = any(entry.location is not None for entry in outline.outputs) and (
         len(outline.outputs) > 1 or not outline.outputs[0].is_stage
     )
     named = files[0] if several else outline.outputs[0].path

@@ -23,7 +23,7 @@ from animtool.cli.options import (
 )
 from animtool.core.errors import Fault, FormatError
 from animtool.core.files.reading import is_there
-from animtool.core.names import check_given, is_named
+from animtool.core.names import check_unused, is_named
 from animtool.core.options import options_of
 from animtool.scene.bake.options import BakeOptions
 
@@ -52,7 +52,7 @@ def opened_sources(
         used |= scene.variables
         opened.append(scene)
     if variables:
-        check_given(variables, used)
+        check_unused(variables, used)
     return opened
 
 

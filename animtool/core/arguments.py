@@ -182,7 +182,11 @@ def _worded(part: Part, calling: Calling) -> str:
     if isinstance(part, Argument):
         return calling(part) or in_file(part)
     if isinstance(part, Clause):
-        named = [own for own in part.parts if isinstance(own, Argument)]
+        named = [
+            argument_part
+            for argument_part in part.parts
+            if isinstance(argument_part, Argument)
+        ]
         return _joined(part.parts, calling) if all(map(calling, named)) else ""
     return part
 
@@ -192,9 +196,9 @@ def _parts(text: str) -> tuple[Part, ...]:
         return text.parts
     parts: list[Part] = []
     end = 0
-    for found in _CLAUSE.finditer(text):
-        parts += [*_arguments(text[end : found.start()]), Clause(_arguments(found[1]))]
-        end = found.end()
+    for match in _CLAUSE.finditer(text):
+        parts += [*_arguments(text[end : match.start()]), Clause(_arguments(match[1]))]
+        end = match.end()
     return (*parts, *_arguments(text[end:]))
 
 
@@ -202,7 +206,7 @@ def _arguments(text: str) -> tuple[Part, ...]:
     """Return what a text without clauses is joined of."""
     parts: list[Part] = []
     end = 0
-    for found in _MARK.finditer(text):
-        parts += [text[end : found.start()], Argument(found[1], found[2])]
-        end = found.end()
+    for match in _MARK.finditer(text):
+        parts += [text[end : match.start()], Argument(match[1], match[2])]
+        end = match.end()
     return tuple(part for part in (*parts, text[end:]) if part)

@@ -32,9 +32,9 @@ def parse_toml(text: str) -> dict[str, Any]:
     """
     import tomllib
 
-    found = _LONG_KEY.search(text)
-    if found is not None:
-        raise _too_deep(f" (at line {text.count(chr(10), 0, found.start()) + 1})")
+    long_key = _LONG_KEY.search(text)
+    if long_key is not None:
+        raise _too_deep(f" (at line {text.count(chr(10), 0, long_key.start()) + 1})")
     try:
         tables = tomllib.loads(text)
     except RecursionError as error:
@@ -47,8 +47,8 @@ def parse_toml(text: str) -> dict[str, Any]:
     raise _too_deep()
 
 
-def _too_deep(place: str = "") -> ValueError:
-    return ValueError(f"it is nested deeper than {MAX_DEPTH}{place}")
+def _too_deep(position: str = "") -> ValueError:
+    return ValueError(f"it is nested deeper than {MAX_DEPTH}{position}")
 
 
 def _inside(value: Any) -> Iterable[Any]:
@@ -98,10 +98,10 @@ def find_config(path: Path) -> Config:
     ``animtool.toml`` is read whole, ``pyproject.toml`` at ``[tool.animtool]``.
     """
     for folder in path.resolve().parents:
-        own, project = folder / "animtool.toml", folder / "pyproject.toml"
-        note_input(own)
-        if own.is_file():
-            return _config(own, _table(own))
+        config_file, project = folder / "animtool.toml", folder / "pyproject.toml"
+        note_input(config_file)
+        if config_file.is_file():
+            return _config(config_file, _table(config_file))
         note_input(project)
         if project.is_file():
             tools = _table(project).get("tool", {})
@@ -156,8 +156,8 @@ def _config(path: Path, table: Any) -> Config:
         message = f"validate is {validate!r}, not a table of settings"
         raise OptionError(Fault("CFG003", message, str(path)))
     most = table.get("max_array_mb")
-    whole = isinstance(most, int) and not isinstance(most, bool)
-    if most is not None and not (whole and 0 < most <= MAX_ARRAY_MB):
+    is_integer = isinstance(most, int) and not isinstance(most, bool)
+    if most is not None and not (is_integer and 0 < most <= MAX_ARRAY_MB):
         message = f"max_array_mb is {most!r}, not a whole number from 1 to "
         raise OptionError(Fault("CFG003", f"{message}{MAX_ARRAY_MB}", str(path)))
     begin = None if start is None else Fraction(start)
@@ -177,14 +177,14 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
             message, hint = f"unknown setting timeline.{name}", f"allowed: {names}"
             raise OptionError(Fault("CFG002", message, str(path), (), hint))
         shown = f"timeline.{name} is {excerpt(str(value))}, not "
-        whole = isinstance(value, int) and not isinstance(value, bool)
+        is_integer = isinstance(value, int) and not isinstance(value, bool)
         if name == "fps":
             try:
                 values[name] = parse_rate(value)
             except ValueError as error:
                 message = f"timeline.fps: {error}"
                 raise OptionError(Fault("CFG003", message, str(path))) from error
-        elif name == "cut_start" and not (whole and abs(value) <= LARGEST_FRAME):
+        elif name == "cut_start" and not (is_integer and abs(value) <= LARGEST_FRAME):
             message = f"{shown}a whole number from {-LARGEST_FRAME} to {LARGEST_FRAME}"
             raise OptionError(Fault("CFG003", message, str(path)))
         elif name == "first_timecode" and not is_timecode(value):

@@ -91,14 +91,14 @@ class Fault:
         What is no error is said by its name, before the code. It is one line, with
         escapes as `escaped` writes them, and calls arguments as Python does.
         """
-        place = ""
+        prefix = ""
         if self.path is not None:
             spots = [*self.lines[:1], *([] if self.column is None else [self.column])]
-            place = ":".join(map(str, [self.path, *spots])) + ": "
+            prefix = ":".join(map(str, [self.path, *spots])) + ": "
         where = f"{self.where}: " if self.where else ""
         hint = f"; {self.hint}" if self.hint else ""
         kind = "" if self.severity is Severity.ERROR else f"{self.severity}: "
-        return escaped(f"{place}{kind}{self.code} {where}{self.message}{hint}")
+        return escaped(f"{prefix}{kind}{self.code} {where}{self.message}{hint}")
 
     def as_dict(self) -> dict[str, object]:
         """Return the fault as plain values for a JSON report."""
@@ -207,7 +207,7 @@ def refuse_all(code: str, problems: Iterable[Problem]) -> None:
         raise OptionError(faults)
 
 
-class NothingFoundError(AnimtoolError):
+class NoMatchError(AnimtoolError):
     """What was named means no file."""
 
     exit_code = ExitCode.NOTHING_MATCHED
@@ -247,8 +247,8 @@ def naming(
     >>> naming("USD102", "missing: ", list("abcdefghijklmn")).brief
     'missing: a, b, c, d, e, f, g, h, i, j, k, l …'
     """
-    whole, brief = (message + listed(names, n) for n in (len(names), MAX_NAMED))
-    return Fault(code, whole, path, (), hint, severity, brief=brief)
+    full, brief = (message + listed(names, n) for n in (len(names), MAX_NAMED))
+    return Fault(code, full, path, (), hint, severity, brief=brief)
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
@@ -276,13 +276,13 @@ def circle(names: Sequence[str]) -> str:
     return " → ".join(shown)
 
 
-def percent(share: float) -> str:
+def percent(fraction: float) -> str:
     """Return a share in per cent, to two digits that count.
 
     >>> percent(0.0123), percent(5.4973), percent(2e-12)
     ('1.2%', '550%', '0%')
     """
-    value = float(f"{100 * share:.2g}")
+    value = float(f"{100 * fraction:.2g}")
     return f"{value:.12g}%" if value >= 1e-4 else "0%"
 
 

@@ -27,7 +27,7 @@ class ListedFormat:
 class FormatTable(Generic[Entry]):
     """animtool's own entries come before those of plug-ins."""
 
-    own: Mapping[str, Entry]  # by suffix, with its dot
+    builtin: Mapping[str, Entry]  # by suffix, with its dot
     group: str  # of the entry points
     kind: type[Entry]
 
@@ -38,8 +38,8 @@ class FormatTable(Generic[Entry]):
             OptionError: The plug-in that has it cannot be loaded (IO003).
         """
         suffix = path.suffix.lower()
-        if suffix in self.own:
-            return self.own[suffix]
+        if suffix in self.builtin:
+            return self.builtin[suffix]
         points = plugin_points(self.group) if suffix else {}
         point = points.get(suffix.removeprefix("."))
         return None if point is None else load_plugin(point, self.kind)
@@ -47,7 +47,7 @@ class FormatTable(Generic[Entry]):
     def plugin_suffixes(self) -> list[str]:
         """Return the suffixes that plug-ins alone have."""
         names = sorted(plugin_points(self.group))
-        return [f".{name}" for name in names if f".{name}" not in self.own]
+        return [f".{name}" for name in names if f".{name}" not in self.builtin]
 
     def listed(
         self, uses: Callable[[Entry], tuple[str, ...]], about: Callable[[Entry], str]
@@ -55,7 +55,7 @@ class FormatTable(Generic[Entry]):
         """Return every entry, animtool's own first, those of plug-ins loaded."""
         rows = [
             ListedFormat(suffix, "animtool", uses(entry), about(entry))
-            for suffix, entry in self.own.items()
+            for suffix, entry in self.builtin.items()
         ]
         points = plugin_points(self.group)
         for suffix in self.plugin_suffixes():

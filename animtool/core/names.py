@@ -94,7 +94,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return f"allowed: {', '.join(ordered[:MAX_ALLOWED])}{rest}"
 
 
-def check_given(stated: Iterable[str], used: Iterable[str]) -> None:
+def check_unused(stated: Iterable[str], used: Iterable[str]) -> None:
     """Refuse variables that are given and that nothing uses.
 
     Raises:
@@ -113,7 +113,7 @@ def check_given(stated: Iterable[str], used: Iterable[str]) -> None:
 
 
 # Digits that a float64 needs at most, and those that most need.
-MAX_DIGITS, USUAL_DIGITS = 17, 15
+MAX_DIGITS, DEFAULT_DIGITS = 17, 15
 # What a text may hold of controls: ends of lines, and tabs.
 _UNREADABLE = re.compile(f"(?![\n\t])[{CONTROL}]")
 
@@ -139,7 +139,7 @@ def scaled(value: float, unit: float) -> str:
     if unit == 1.0:
         return number(value)
     quotient = value / unit
-    for digits in range(USUAL_DIGITS, MAX_DIGITS + 1):
+    for digits in range(DEFAULT_DIGITS, MAX_DIGITS + 1):
         near = float(f"{quotient:.{digits}g}")
         for candidate in (
             near,

@@ -38,8 +38,8 @@ def new_name(name: str) -> str | None:
     above, _, rest = name.rpartition(".")
     if name in OLD_NAMES or not above:
         return OLD_NAMES.get(name)
-    found = new_name(above)
-    return found and f"{found}.{rest}"
+    parent = new_name(above)
+    return parent and f"{parent}.{rest}"
 
 
 class _OldNames:

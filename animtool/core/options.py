@@ -61,29 +61,29 @@ def key(text: str, example: Any, default: Any = MISSING, **said: Any) -> Any:
     return field(default=default, metadata={"key": Key(text, example, **said)})
 
 
-class _Described:
+class _DocOfKeys:
     """A docstring with the keyed fields, put together when it is asked for."""
 
-    def __init__(self, own: str) -> None:
-        self.own = own
+    def __init__(self, docstring: str) -> None:
+        self.docstring = docstring
 
     def __get__(self, instance: object, owner: type[Any]) -> str:
-        head, _, listed = self.own.partition("    Attributes:\n")
+        head, _, listed = self.docstring.partition("    Attributes:\n")
         _, blank, rest = listed.partition("\n\n")
-        told = {
+        texts_by_name = {
             name: text
             for base in reversed(owner.__mro__)
-            for text, name in re.findall(_ATTRIBUTE, _own_text(base), re.M)
+            for text, name in re.findall(_ATTRIBUTE, _plain_docstring(base), re.M)
         }
         about = {name: each.about for name, each in options_of(owner).items()}
         about |= {name: key.description for name, key in keys_of(owner).items()}
         for name, text in about.items():
             if text:
-                told.setdefault(name, f"        {name}: {text}\n")
-        if not told:
-            return self.own
+                texts_by_name.setdefault(name, f"        {name}: {text}\n")
+        if not texts_by_name:
+            return self.docstring
         names = [each.name for each in fields(owner)]
-        texts = [told[name] for name in names if name in told]
+        texts = [texts_by_name[name] for name in names if name in texts_by_name]
         listed = f"    Attributes:\n{''.join(texts)}{blank[1:]}"
         return f"{head.rstrip()}\n\n{listed}{rest or '    '}"
 
@@ -92,17 +92,17 @@ class _Described:
 _ATTRIBUTE = r"^( {8}(\w+): .*\n(?: {12}.*\n)*)"
 
 
-def _own_text(owner: type[Any]) -> str:
+def _plain_docstring(owner: type[Any]) -> str:
     text = vars(owner).get("__doc__") or ""
-    return text.own if isinstance(text, _Described) else text
+    return text.docstring if isinstance(text, _DocOfKeys) else text
 
 
 Described = TypeVar("Described")
 
 
-def described(record: type[Described]) -> type[Described]:
+def inherits_docs(record: type[Described]) -> type[Described]:
     """Return a dataclass whose docstring tells of what has a `Key`, or is inherited."""
-    record.__doc__ = cast(str, _Described(record.__doc__ or ""))
+    record.__doc__ = cast(str, _DocOfKeys(record.__doc__ or ""))
     return record
 
 
@@ -164,11 +164,11 @@ def option(
         both: The key of scenes and batches.
         said: What else `Option` has.
     """
-    described = Option(kind, **{"scene": both, "batch": both, **said})
+    inherits_docs = Option(kind, **{"scene": both, "batch": both, **said})
     return field(
         default=default,
         default_factory=default_factory,
-        metadata={"option": described},
+        metadata={"option": inherits_docs},
     )
 
 
@@ -181,17 +181,17 @@ def options_of(record: Any) -> dict[str, Option]:
     }
 
 
-Place: TypeAlias = Literal["scene", "batch"]
+FileKind: TypeAlias = Literal["scene", "batch"]
 
 
-def keys_of(record: Any, place: Place | None = None) -> Mapping[str, Key]:
+def keys_of(record: Any, file_kind: FileKind | None = None) -> Mapping[str, Key]:
     """Return the keys that a kind of file has for a record, by name of the field.
 
     Without a kind those of `key` and of annotations, which any file may have.
     """
-    if place is None:
+    if file_kind is None:
         return _keys(record)
-    keys = {name: getattr(o, place) for name, o in options_of(record).items()}
+    keys = {name: getattr(o, file_kind) for name, o in options_of(record).items()}
     return {name: key for name, key in keys.items() if key is not None}
 
 
@@ -210,7 +210,7 @@ Record = TypeVar("Record")
 _WRITTEN: dict[Kind, type] = {"length": str, "angle": float}
 
 
-def with_written(
+def with_text_values(
     record: type[Any], *first: str
 ) -> Callable[[type[Record]], type[Record]]:
     """Give a frozen dataclass the options of a record, as files write them.
@@ -218,37 +218,44 @@ def with_written(
     first: Names of options that come before the others.
     """
 
-    def add(own: type[Record]) -> type[Record]:
+    def add(record_type: type[Record]) -> type[Record]:
         hints, options = get_type_hints(record), options_of(record)
         more = []
         for name in dict.fromkeys((*first, *options)):
             written = _WRITTEN.get(options[name].kind)
-            usual = record.__dataclass_fields__[name].default
-            default = usual if written is None else options[name].written
+            default_value = record.__dataclass_fields__[name].default
+            default = default_value if written is None else options[name].written
             more.append((name, written or hints[name], default))
-        described = {"__module__": own.__module__, "__doc__": own.__doc__}
+        inherits_docs = {
+            "__module__": record_type.__module__,
+            "__doc__": record_type.__doc__,
+        }
         written_record: type[Record] = make_dataclass(
-            own.__name__, more, bases=(own,), namespace=described, frozen=True
+            record_type.__name__,
+            more,
+            bases=(record_type,),
+            namespace=inherits_docs,
+            frozen=True,
         )
         return written_record
 
     return add
 
 
-def given_options(record: Any) -> dict[str, Option]:
+def chosen_options(record: Any) -> dict[str, Option]:
     """Return the options that are not the defaults; of an answer, one that is no."""
     defaults = {entry.name: entry.default for entry in fields(record)}
     return {
-        name: described
-        for name, described in options_of(record).items()
+        name: inherits_docs
+        for name, inherits_docs in options_of(record).items()
         if (value := getattr(record, name)) != defaults[name]
-        and not (described.kind == "answer" and value)
+        and not (inherits_docs.kind == "answer" and value)
     }
 
 
-def called(name: str, described: Option) -> str:
+def called(name: str, inherits_docs: Option) -> str:
     """Return what stands in a text for an option that is given."""
-    return argument(name, {"switch": True, "answer": False}.get(described.kind))
+    return argument(name, {"switch": True, "answer": False}.get(inherits_docs.kind))
 
 
 def refused_options(record: Any, use: str) -> dict[str, Option]:
@@ -256,23 +263,25 @@ def refused_options(record: Any, use: str) -> dict[str, Option]:
 
     By what stands for each in a text.
     """
-    given = given_options(record).items()
-    return {called(name, own): own for name, own in given if use in own.not_for}
+    chosen = chosen_options(record).items()
+    return {
+        called(name, option): option for name, option in chosen if use in option.not_for
+    }
 
 
 def clashes(record: Any) -> list[str]:
     """Return how options that are given exclude each other, or want another one."""
-    options, given = options_of(record), given_options(record)
-    names = {name: called(name, own) for name, own in options.items()}
+    options, chosen = options_of(record), chosen_options(record)
+    names = {name: called(name, option) for name, option in options.items()}
     messages = []
-    for name, one in given.items():
+    for name, one in chosen.items():
         for other, message in one.excludes.items():
-            if other in given:
-                usual = f"{names[name]} and {names[other]} exclude each other"
-                messages.append(message or usual)
-        if one.goes_with and one.goes_with not in given:
-            usual = f"{names[name]} needs {names[one.goes_with]}"
-            messages.append(one.lacking or usual)
+            if other in chosen:
+                default_message = f"{names[name]} and {names[other]} exclude each other"
+                messages.append(message or default_message)
+        if one.goes_with and one.goes_with not in chosen:
+            default_message = f"{names[name]} needs {names[one.goes_with]}"
+            messages.append(one.lacking or default_message)
     return messages
 
 

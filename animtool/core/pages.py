@@ -77,34 +77,34 @@ def find_page(topic: str) -> PageEntry:
     >>> find_page("Desk-Lamp").name
     'tutorials/desk-lamp'
     """
-    wanted = topic.lower().removesuffix(".md").strip("/")
-    wanted = MOVED.get(wanted, wanted)
+    name = topic.lower().removesuffix(".md").strip("/")
+    name = MOVED.get(name, name)
     pages = all_pages()
-    found = [page for page in pages if page.name == wanted]
-    found = found or [page for page in pages if page.name.split("/")[-1] == wanted]
-    among = [page for page in pages if wanted in page.name.split("/")[-1].split("-")]
-    if len(found) == 1 or (not found and len(among) == 1):
-        return (found or among)[0]
-    if found:
+    matches = [page for page in pages if page.name == name]
+    matches = matches or [page for page in pages if page.name.split("/")[-1] == name]
+    among = [page for page in pages if name in page.name.split("/")[-1].split("-")]
+    if len(matches) == 1 or (not matches and len(among) == 1):
+        return (matches or among)[0]
+    if matches:
         message = f"{topic!r} names several pages"
-        hint = f"write one of {', '.join(page.name for page in found)}"
+        hint = f"write one of {', '.join(page.name for page in matches)}"
     else:
-        message, hint = f"unknown page {topic!r}", _hint(wanted)
+        message, hint = f"unknown page {topic!r}", _hint(name)
     raise OptionError(Fault("CLI009", message, hint=hint))
 
 
-def _hint(wanted: str) -> str:
+def _hint(topic: str) -> str:
     """Return which page was meant, by its name or by what its headings mention."""
     stems = [page.name.split("/")[-1] for page in all_pages()]
-    hint = nearest(wanted, stems)
+    hint = nearest(topic, stems)
     if not hint.startswith("allowed"):
         return hint
     mentioned = [
         page.name
         for page in all_pages()
-        if wanted and any(wanted in line.lower() for line in _headings(page))
+        if topic and any(topic in line.lower() for line in _headings(page))
     ]
-    counts = {page.name: _mentions(page, wanted) for page in all_pages()}
+    counts = {page.name: _mentions(page, topic) for page in all_pages()}
     most = max(counts, key=lambda name: counts[name])
     mentioned = mentioned or ([most] if counts[most] else [])
     if mentioned:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def lazy_names(
-    package: str, places: Mapping[str, str]
+    package: str, modules: Mapping[str, str]
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """Return a package's ``__getattr__`` and ``__dir__``, by modules of its names.
 
@@ -30,15 +30,15 @@ def lazy_names(
 
     def get(name: str) -> object:
         """Import a public name when it is first used."""
-        if name not in places:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module = importlib.import_module(places[name])
-        is_module = places[name] == f"{package}.{name}"
+        module = importlib.import_module(modules[name])
+        is_module = modules[name] == f"{package}.{name}"
         names[name] = module if is_module else getattr(module, name)
         return names[name]
 
     def listed() -> list[str]:
-        return sorted(places)
+        return sorted(modules)
 
     return get, listed
 
@@ -46,13 +46,13 @@ def lazy_names(
 Kind = TypeVar("Kind")
 
 
-def load_object(place: str) -> object:
+def load_object(path: str) -> object:
     """Return the object that ``module:object`` names, its module imported now.
 
     >>> load_object("fractions:Fraction")
     <class 'fractions.Fraction'>
     """
-    module, _, attribute = place.partition(":")
+    module, _, attribute = path.partition(":")
     value: object = attrgetter(attribute)(importlib.import_module(module))
     return value
 

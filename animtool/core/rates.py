@@ -24,7 +24,7 @@ LOWEST_WRITTEN_RATE, HIGHEST_WRITTEN_RATE = Fraction(1, 1000), Fraction(100_000)
 HIGHEST_RATE = 1000
 # Taken first where a time is printed so coarsely that several integers fit.
 MAX_DIGITS = 100
-USUAL_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
+COMMON_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
 
 # A rate or frame as people write it: 24, 23.976, "24000/1001", Fraction(24000, 1001).
 FractionLike: TypeAlias = int | float | str | Fraction
@@ -104,8 +104,8 @@ def rate_from_frame_time(text: str) -> RateChoice:
 
     fitting = _integers_that_print(Fraction(printed), digits)
     if fitting:
-        usual = [] if exact in fitting else [n for n in fitting if n in USUAL_RATES]
-        best = min(usual or fitting, key=lambda n: abs(n - exact))
+        common = [] if exact in fitting else [n for n in fitting if n in COMMON_RATES]
+        best = min(common or fitting, key=lambda n: abs(n - exact))
         rivals = () if best == exact else tuple(n for n in fitting if n != best)
         return RateChoice(Fraction(best), RateKind.REPRINTED, rivals)
 
@@ -151,9 +151,9 @@ def rate_from_float(fps: float) -> Fraction:
     if not 0 < fps < float("inf"):
         raise ValueError(f"{fps!r} is not a positive number")
     exact = Fraction(fps)
-    usual = _BROADCAST.get(f"{fps:g}")
-    if usual is not None:
-        return usual
+    fixed = _BROADCAST.get(f"{fps:g}")
+    if fixed is not None:
+        return fixed
     integer, broadcast = round(exact), round(exact * 1001 / 1000)
     nearest = min(
         (Fraction(integer), Fraction(broadcast * 1000, 1001)),

@@ -261,8 +261,8 @@ def xml_root(path: Path) -> str:
             head = file.read(HEAD_BYTES)
     except FormatError:
         return ""
-    found = _ROOT.search(_COMMENTS.sub(b"", head.replace(b"\0", b"")))
-    return found[1].decode("utf-8", "replace") if found else ""
+    match = _ROOT.search(_COMMENTS.sub(b"", head.replace(b"\0", b"")))
+    return match[1].decode("utf-8", "replace") if match else ""
 
 
 def is_timeline(path: Path) -> bool:
@@ -291,10 +291,10 @@ def reader_of(path: Path) -> Reader | None:
     return None if is_timeline(path) else _TABLE.find(path)
 
 
-def is_still(path: Path) -> bool:
+def is_rig_only(path: Path) -> bool:
     """Return whether files of a path's suffix hold a rig and no motion.
 
-    >>> is_still(Path("arm.urdf")), is_still(Path("walk.bvh"))
+    >>> is_rig_only(Path("arm.urdf")), is_rig_only(Path("walk.bvh"))
     (True, False)
     """
     reader = reader_of(path)
@@ -343,14 +343,14 @@ def export_fault(path: Path) -> Fault:
     return Fault("IO002", message, str(path), (), hint)
 
 
-def _opener(place: str, what: str, path: Path) -> Callable[..., Any]:
-    if not place:
+def _opener(target: str, what: str, path: Path) -> Callable[..., Any]:
+    if not target:
         message = f"{path.suffix} files hold no {what}"
         raise OptionError(Fault("IO002", message, str(path)))
     try:
-        return cast(Callable[..., Any], load_object(place))
+        return cast(Callable[..., Any], load_object(target))
     except (ImportError, AttributeError) as error:
-        message = f"the reader {place} cannot be loaded: {error}"
+        message = f"the reader {target} cannot be loaded: {error}"
         hint = "repair or remove the plug-in"
         raise OptionError(Fault("IO003", message, str(path), (), hint)) from error
 
@@ -366,4 +366,4 @@ def listed_readers() -> list[ListedFormat]:
 
 def _opens(reader: Reader) -> tuple[str, ...]:
     named = {"rig": reader.rig, "source": reader.source, "markers": reader.markers}
-    return tuple(name for name, place in named.items() if place)
+    return tuple(name for name, target in named.items() if target)

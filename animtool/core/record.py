@@ -58,14 +58,16 @@ def _record(cls: type[Any], flags: Any) -> type[Any]:
         declared.update(getattr(base, "__dataclass_fields__", {}))
     for name, type_ in inspect.get_annotations(cls).items():
         if not _is_class_variable(type_):
-            declared[name] = _own_field(cls, name, type_, flags.kw_only)
+            declared[name] = _declared_field(cls, name, type_, flags.kw_only)
     methods = _methods(declared, flags, hasattr(cls, "__post_init__"))
-    own = vars(cls)
-    if flags.eq and "__hash__" not in own:
+    attributes = vars(cls)
+    if flags.eq and "__hash__" not in attributes:
         methods["__hash__"] = methods["__hash__"] if flags.frozen else None
-    elif not flags.eq or own["__hash__"] is not None or "__eq__" not in own:
+    elif (
+        not flags.eq or attributes["__hash__"] is not None or "__eq__" not in attributes
+    ):
         methods.pop("__hash__", None)
-    added = {name: each for name, each in methods.items() if name not in own}
+    added = {name: each for name, each in methods.items() if name not in attributes}
     if "__hash__" in methods:
         added["__hash__"] = methods["__hash__"]
     for name, each in added.items():
@@ -87,7 +89,7 @@ def _is_class_variable(type_: Any) -> bool:
     return type_ is ClassVar or get_origin(type_) is ClassVar
 
 
-def _own_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any:
+def _declared_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any:
     """Return the field of an annotation; its default stays on the class, if it has."""
     default = getattr(cls, name, MISSING)
     if isinstance(default, Field):
@@ -127,8 +129,8 @@ def _methods(
 
     finished: Whether it has a ``__post_init__``.
     """
-    given = [each for each in declared.values() if each.init]
-    placed = tuple(each.name for each in given if not each.kw_only)
+    initialized = [each for each in declared.values() if each.init]
+    placed = tuple(each.name for each in initialized if not each.kw_only)
     compared = [each for each in declared.values() if each.compare]
     hashed = [e for e in declared.values() if (e.compare if e.hash is None else e.hash)]
     methods: dict[str, Any] = {
@@ -157,32 +159,35 @@ def _initializer(
     """Return the ``__init__`` of fields, those ``placed`` by position too."""
     declared = list(declared)
     defaults = {e.name: e.default for e in declared if e.default is not MISSING}
-    made = [
+    factories = [
         (each.name, each.default_factory)
         for each in declared
         if each.default_factory is not MISSING
     ]
     valued = {each.name for each in declared if each.init or each.name in defaults}
-    valued.update(name for name, _ in made)
+    valued.update(name for name, _ in factories)
     never = [each.name for each in declared if not each.init]
     most = len(placed) if valued == set(placed) else -1  # where they can be all
     put: Callable[[Any, str, Any], None] = object.__setattr__ if frozen else setattr
 
-    def __init__(self: Any, /, *given: Any, **named: Any) -> None:  # noqa: N807
-        if len(given) == most and not named:
-            for name, value in zip(placed, given, strict=True):
+    def __init__(self: Any, /, *positional: Any, **named: Any) -> None:  # noqa: N807
+        if len(positional) == most and not named:
+            for name, value in zip(placed, positional, strict=True):
                 put(self, name, value)
         else:
-            values = defaults | dict(zip(placed, given, strict=False)) | named
-            for name, make in made:
+            values = defaults | dict(zip(placed, positional, strict=False)) | named
+            for name, make in factories:
                 if name not in values:
                     values[name] = make()
             if (
-                len(given) > len(placed)
+                len(positional) > len(placed)
                 or values.keys() != valued
-                or ((given or never) and _taken(named, placed[: len(given)], never))
+                or (
+                    (positional or never)
+                    and _taken(named, placed[: len(positional)], never)
+                )
             ):
-                _refuse(self, given, named)
+                _refuse(self, positional, named)
             for name, value in values.items():
                 put(self, name, value)
         if finished:
@@ -196,11 +201,11 @@ def _taken(named: Mapping[str, Any], *others: Iterable[str]) -> bool:
     return any(name in named for names in others for name in names)
 
 
-def _refuse(record: Any, given: tuple[Any, ...], named: Mapping[str, Any]) -> None:
+def _refuse(record: Any, positional: tuple[Any, ...], named: Mapping[str, Any]) -> None:
     """Raise what Python says of arguments that do not fit."""
     kind = type(record)
     try:
-        _signature(kind).bind(*given, **named)
+        _signature(kind).bind(*positional, **named)
     except TypeError as error:
         raise TypeError(f"{kind.__qualname__}.__init__(): {error}") from None
 
@@ -213,7 +218,7 @@ def _signature(kind: type[Any]) -> inspect.Signature:
             if each.default is not MISSING:
                 default = each.default
             elif each.default_factory is not MISSING:
-                default = _Made()
+                default = _FactoryDefault()
             parameter = inspect.Parameter(
                 each.name,
                 inspect.Parameter.KEYWORD_ONLY
@@ -227,7 +232,7 @@ def _signature(kind: type[Any]) -> inspect.Signature:
     return inspect.Signature(parameters, return_annotation=None)
 
 
-class _Made:
+class _FactoryDefault:
     """A default that each instance has one of its own of."""
 
     def __repr__(self) -> str:
@@ -327,13 +332,13 @@ def _slotted(
     cls: type[Any], declared: Iterable[str], added: Mapping[str, Any]
 ) -> type[Any]:
     """Return a class with slots for the fields that its bases have none for."""
-    held = {
+    inherited = {
         name for base in cls.__mro__[1:-1] for name in vars(base).get("__slots__", ())
     }
     body = {**vars(cls), **added}
     for name in (*declared, "__dict__", "__weakref__"):
         body.pop(name, None)
-    body["__slots__"] = tuple(name for name in declared if name not in held)
+    body["__slots__"] = tuple(name for name in declared if name not in inherited)
     metaclass: Any = type(cls)
     rebuilt: type[Any] = metaclass(cls.__name__, cls.__bases__, body)
     rebuilt.__qualname__ = cls.__qualname__

@@ -116,7 +116,7 @@ def page_text(code: str) -> str | None:
 
 
 @cache
-def own_rules() -> Mapping[str, Rule]:
+def builtin_rules() -> Mapping[str, Rule]:
     """Return animtool's own rules by code, in order: one a page."""
     rules = []
     for file in _PAGES.iterdir():
@@ -130,7 +130,7 @@ def own_rules() -> Mapping[str, Rule]:
 def replaced_codes() -> Mapping[str, tuple[str, ...]]:
     """Return the codes of earlier versions, and those that say the same now."""
     current: dict[str, tuple[str, ...]] = {}
-    for rule in own_rules().values():
+    for rule in builtin_rules().values():
         for old in rule.replaces:
             current[old] = (*current.get(old, ()), rule.code)
     return current
@@ -143,7 +143,7 @@ def finding(
 
     A severity that is given counts for more than that of the page.
     """
-    rule = _own_rule(code)
+    rule = _builtin_rule(code)
     return Fault(
         code,
         message,
@@ -154,7 +154,7 @@ def finding(
 
 
 @cache
-def _own_rule(code: str) -> Rule:
+def _builtin_rule(code: str) -> Rule:
     page = read_page(code)
     assert page is not None, code
     return page[0]
@@ -192,7 +192,7 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
 
     An entry point's name is the code of the rule that it leads to.
     """
-    rules = dict(own_rules())
+    rules = dict(builtin_rules())
     broken: list[Fault] = []
     for point in _points():
         loaded = _loaded(point)
@@ -232,9 +232,9 @@ def find_rule(code: str) -> Rule:
     'duplicate joint'
     """
     name = code.upper()
-    own = read_page(name) if _CODE.fullmatch(name) else None
-    if own is not None:
-        return own[0]
+    page = read_page(name) if _CODE.fullmatch(name) else None
+    if page is not None:
+        return page[0]
     name = current_codes(name)[0]
     rules, _ = all_rules()
     if name not in rules:
@@ -272,6 +272,6 @@ def _wrong(name: str, rule: Rule) -> str:
     """Return what is wrong with a rule of a plug-in, or nothing."""
     if not _CODE.fullmatch(name) or rule.code != name:
         return f"has the code {rule.code!r}, but its name must be of the form ABC123"
-    if name in own_rules() or name in replaced_codes():
+    if name in builtin_rules() or name in replaced_codes():
         return "uses a code of animtool's"
     return "" if rule.kinds else "names no kind of file to check"

@@ -255,13 +255,13 @@ class FrameRange:
         if isinstance(frames, FrameRange):
             return frames
         numbers: tuple[Any, ...] = tuple(frames)
-        whole = all(isinstance(one, Integral) for one in numbers)
-        if len(numbers) not in {2, 3} or not whole:
+        are_integers = all(isinstance(one, Integral) for one in numbers)
+        if len(numbers) not in {2, 3} or not are_integers:
             raise ValueError(f"{frames!r} is not a range such as (1, 40) or (1, 40, 2)")
-        found = FrameRange(*map(int, numbers))
-        if found.last < found.first or found.step < 1:
+        frame_range = FrameRange(*map(int, numbers))
+        if frame_range.last < frame_range.first or frame_range.step < 1:
             raise ValueError(f"{frames!r} contains no frame")
-        return found
+        return frame_range
 
 
 @dataclass(frozen=True, slots=True)

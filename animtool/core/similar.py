@@ -43,8 +43,8 @@ def by_likeness(name: str, names: Iterable[str]) -> list[str]:
     pairs = _pairs(name.lower())
 
     def unlike(known: str) -> float:
-        own = _pairs(known.lower())
-        return -2 * len(pairs & own) / max(len(pairs) + len(own), 1)
+        known_pairs = _pairs(known.lower())
+        return -2 * len(pairs & known_pairs) / max(len(pairs) + len(known_pairs), 1)
 
     return sorted(names, key=unlike)
 

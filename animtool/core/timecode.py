@@ -67,9 +67,13 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
         first = f"{hours:02d}:{minutes:02d}:00;{left_out:02d}"
         message = f"drop-frame has no {text!r}: this minute starts at {first}"
         raise ValueError(message)
-    whole = 60 * hours + minutes
-    labels = count * (60 * whole + seconds) + frames
-    return labels - left_out * (whole - whole // 10) + Fraction(match[6] or 0)
+    total_minutes = 60 * hours + minutes
+    labels = count * (60 * total_minutes + seconds) + frames
+    return (
+        labels
+        - left_out * (total_minutes - total_minutes // 10)
+        + Fraction(match[6] or 0)
+    )
 
 
 def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
@@ -106,10 +110,10 @@ def seconds_between(
     >>> seconds_between("23:59:59:00", Fraction(25), "00:00:01:05", Fraction(25))
     Fraction(11, 5)
     """
-    apart = parse_timecode(other, other_rate) / other_rate
-    apart -= parse_timecode(first, first_rate) / first_rate
+    gap = parse_timecode(other, other_rate) / other_rate
+    gap -= parse_timecode(first, first_rate) / first_rate
     day = day_frames(first_rate, drop=";" in first) / first_rate
-    return (apart + day / 2) % day - day / 2
+    return (gap + day / 2) % day - day / 2
 
 
 def _dropped(rate: Fraction) -> int:

@@ -55,12 +55,14 @@ def _plain_parts(value: Any) -> Any:
     if hasattr(value, "tolist"):  # an array, or a number of one
         return plain_value(value.tolist())
     if isinstance(value, Mapping):
-        return {str(key): plain_value(own) for key, own in value.items()}
-    return [plain_value(own) for own in value]
+        return {str(key): plain_value(part) for key, part in value.items()}
+    return [plain_value(part) for part in value]
 
 
 def _fields_of(record: Any) -> dict[str, Any]:
-    return {own.name: plain_value(getattr(record, own.name)) for own in fields(record)}
+    return {
+        entry.name: plain_value(getattr(record, entry.name)) for entry in fields(record)
+    }
 
 
 def picked(record: Any, keys: str) -> dict[str, Any]:
@@ -181,5 +183,5 @@ def _keyed(value: Any, key: JsonKey) -> Any:
 
 def _rounded(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {name: _rounded(own) for name, own in value.items()}
+        return {name: _rounded(part) for name, part in value.items()}
     return round(value, 6)

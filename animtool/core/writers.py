@@ -254,8 +254,8 @@ def rig_writer(path: Path) -> Callable[..., Any]:
     writer = RIG if is_named(path, "rig") else writer_of(path)
     if writer is None or not writer.rig:
         message = f"suffix {path.suffix!r} cannot hold a rig"
-        own = [suffix for suffix, one in WRITERS.items() if one.rig]
-        hint = f"allowed: {', '.join(sorted(own))}"
+        suffixes = [suffix for suffix, one in WRITERS.items() if one.rig]
+        hint = f"allowed: {', '.join(sorted(suffixes))}"
         if path.suffix.lower() in _READ_ONLY:
             message, hint = _read_only(path)
         raise OptionError(Fault("OUT004", message, str(path), (), hint))

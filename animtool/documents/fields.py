@@ -22,7 +22,7 @@ from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field, create_model
 from pydantic_core import PydanticUndefined
 
-from animtool.core.options import Key, Kind, Place, Range, keys_of, options_of
+from animtool.core.options import FileKind, Key, Kind, Range, keys_of, options_of
 from animtool.documents.check import FileModel
 
 # The largest number in a file, in its own unit. The square of one is held by float32,
@@ -153,7 +153,7 @@ Ranges: TypeAlias = Literal["record", "model", "schema"]
 def with_fields(
     record: Any,
     *names: str,
-    place: Place | None = None,
+    place: FileKind | None = None,
     order: Sequence[str] = (),
     before: str = "",
     ranges: Ranges = "record",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from animtool.core.config import find_config, project_around
-from animtool.core.files.reading import is_there, nearest_file, seen_from
+from animtool.core.files.reading import is_there, nearest_file, path_from_folder
 from animtool.documents.document import Document, Location
 
 
@@ -73,7 +73,9 @@ def _way_out(path: Path, name: str, written: bool) -> str:
     settings = find_config(path).path
     if settings is None and (around := project_around(folder, target)) is not None:
         return f"an empty {around / 'animtool.toml'} makes that folder the project"
-    root = seen_from(target.parent, folder if settings is None else settings.parent)
+    root = path_from_folder(
+        target.parent, folder if settings is None else settings.parent
+    )
     line = f'roots = ["{root}"]'
     table = ""
     if settings is None:

@@ -19,9 +19,9 @@ from animtool.motion.motion import Motion
 from animtool.motion.passes import PassContext, apply_pass
 from animtool.motion.take import Take, TakeStream
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.progress import BlockProgress, Meter, Progress, told
+from animtool.scene.bake.progress import BlockProgress, Meter, Progress, with_progress
 from animtool.scene.file.entries import (
-    Place,
+    EntryLocation,
     SceneOutput,
     ScenePass,
     SceneProp,
@@ -83,8 +83,8 @@ class Scene:
         for system in self.systems:
             named += system.setup.files
         for entry in self.passes:
-            given = [getattr(entry.options, f.name) for f in fields(entry.options)]
-            named += [folder / path for path in given if isinstance(path, Path)]
+            values = [getattr(entry.options, f.name) for f in fields(entry.options)]
+            named += [folder / path for path in values if isinstance(path, Path)]
             named += entry.files
         return named
 
@@ -140,19 +140,19 @@ class Scene:
         faults: list[Fault] = []
         outputs: list[SceneOutput] = []
         for output in self.outputs:
-            bake, own = output.bake, shot
+            bake, recut = output.bake, shot
             if bake.start is not None:
                 message = "the timeline already places the start of the take"
                 hint = "remove start; start_frame in metadata.animtool of the clip "
                 hint += f"moves the shot, which begins at {shot.start}"
-                faults.append(output.place.fault("SCN073", message, hint))
+                faults.append(output.location.fault("SCN073", message, hint))
             if bake.fps not in {None, shot.fps}:
                 message = f"fps is {bake.fps}, but the shot has {shot.fps}"
-                faults.append(output.place.fault("SCN073", message, "write ${fps}"))
+                faults.append(output.location.fault("SCN073", message, "write ${fps}"))
             if bake.shot is not None:
                 cut = bake.shot
-                own = shot.recut(cut.cut_in, cut.cut_out, cut.head, cut.tail)
-            bake = replace(bake, shot=own, fps=shot.fps)
+                recut = shot.recut(cut.cut_in, cut.cut_out, cut.head, cut.tail)
+            bake = replace(bake, shot=recut, fps=shot.fps)
             outputs.append(replace(output, bake=bake))
         if faults:
             raise OptionError(list(dict.fromkeys(faults)))
@@ -182,11 +182,11 @@ class Scene:
         stream = self._with_props(stream, props, dropped, retimed=True)
         telling = 0
         for entry in self.passes:
-            own = context
+            pass_context = context
             if shown is not None and entry.pass_.tells:
-                own = replace(context, progress=shown.of_pass(telling))
+                pass_context = replace(context, progress=shown.of_pass(telling))
                 telling += 1
-            stream = self._passed(stream, entry, own)
+            stream = self._passed(stream, entry, pass_context)
         stream = self._with_props(stream, props, dropped, retimed=False)
         if shown is not None:
             stream.blocks = shown.blocks(stream.blocks)
@@ -262,7 +262,7 @@ class Scene:
             hint = "bake it without options for characters"
             raise OptionError(Fault("SCN062", message, str(self.path), (), hint))
         first = self.sources[0]
-        stage = self.meter.stage(first.path.name, first.place.where)
+        stage = self.meter.stage(first.path.name, first.location.where)
         with self.meter.running(stage):
             stream = in_shot(self._sources(progress), self.bake.shot)
         stream.curve = self.meter.curve(stage, stream.curve)
@@ -297,13 +297,13 @@ class Scene:
     @contextmanager
     def located_props(self) -> Iterator[None]:
         """Give faults of where things are to be written the places of their entries."""
-        places = {prop.path: prop.place for prop in self.props}
+        locations = {prop.path: prop.location for prop in self.props}
         try:
             yield
         except OptionError as error:
-            if not all(fault.where in places for fault in error.faults):
+            if not all(fault.where in locations for fault in error.faults):
                 raise
-            faults = [places[str(f.where)].put(f) for f in error.faults]
+            faults = [locations[str(f.where)].locate(f) for f in error.faults]
             raise FormatError(faults) from error
 
     def _passed(
@@ -313,26 +313,26 @@ class Scene:
 
         What it notices, at once or block by block, is said at its place.
         """
-        own: list[Fault] = []
+        pass_notices: list[Fault] = []
         notices, details, scores = stream.notices, stream.details, stream.scores
         context = replace(context, scores=[])
-        stage = self.meter.stage(entry.pass_.name, entry.place.where)
+        stage = self.meter.stage(entry.pass_.name, entry.location.where)
         context.errors.clear()
-        with self.meter.running(stage), entry.place.located():
-            stream = self._apply(entry, replace(stream, notices=own), context)
-        own += context.notices
+        with self.meter.running(stage), entry.location.located():
+            stream = self._apply(entry, replace(stream, notices=pass_notices), context)
+        pass_notices += context.notices
         context.notices.clear()
 
         def tell() -> None:
-            notices.extend(map(entry.place.put, unsaid(own, notices)))
-            own.clear()
-            name, where = entry.pass_.name, entry.place.where
+            notices.extend(map(entry.location.locate, unsaid(pass_notices, notices)))
+            pass_notices.clear()
+            name, where = entry.pass_.name, entry.location.where
             scores.extend(one.of_pass(name, where) for one in context.scores)
             context.scores.clear()
 
         tell()
         stage.error = max(context.errors, default=None)
-        blocks = self.meter.blocks(stage, _read(entry.place, stream.blocks, tell))
+        blocks = self.meter.blocks(stage, _read(entry.location, stream.blocks, tell))
         stream = replace(stream, notices=notices, details=details, scores=scores)
         return replace(stream, blocks=blocks)
 
@@ -380,7 +380,7 @@ class Scene:
             (source,) = self.sources
             stream = open_source(source.path, source.options, progress=progress)
             if progress is not None and stream.count:
-                read = told(
+                read = with_progress(
                     stream.blocks, stream.count, progress, lambda block: block.frames
                 )
                 stream.blocks = read
@@ -393,7 +393,7 @@ class Scene:
             try:
                 stream = open_source(source.path, source.options)
             except AnimtoolError as error:
-                faults += map(source.place.put, error.faults)
+                faults += map(source.location.locate, error.faults)
                 continue
             parts.append(
                 Part(
@@ -401,24 +401,26 @@ class Scene:
                     source.tracks,
                     source.timecode,
                     source.timecode_fps,
-                    source.place.fault,
+                    source.location.fault,
                 )
             )
         if faults:
             raise FormatError(faults)
         first = self.sources[0]
-        with first.place.located():
+        with first.location.located():
             stream = driven_stream(joined(parts[0], parts[1:]), replaced=True)
-        return replace(stream, blocks=_read(first.place, stream.blocks))
+        return replace(stream, blocks=_read(first.location, stream.blocks))
 
     def _take(self, path: Path) -> Take:
         return open_source(path, SourceOptions(rig=self.rig)).collect()
 
 
 def _read(
-    place: Place, blocks: Iterator[Motion], after: Callable[[], None] | None = None
+    location: EntryLocation,
+    blocks: Iterator[Motion],
+    after: Callable[[], None] | None = None,
 ) -> Iterator[Motion]:
-    with place.located():
+    with location.located():
         yield from blocks
     if after is not None:
         after()

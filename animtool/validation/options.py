@@ -11,13 +11,13 @@ from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import nearest
-from animtool.core.options import described, option, options_of
+from animtool.core.options import inherits_docs, option, options_of
 from animtool.core.record import dataclass
-from animtool.core.rules import all_rules, current_codes, own_rules
+from animtool.core.rules import all_rules, builtin_rules, current_codes
 from animtool.validation.profiles import PROFILES, load_profile
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class ValidateOptions:
     """What to look for. Codes may be given by their beginning: ``RIG``, ``RIG2``.
@@ -117,7 +117,7 @@ _NO_REPORT = (
 )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
     """What to do about findings: fix or show them, where, and the exit code."""
@@ -194,7 +194,9 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
     """Refuse codes that none begins with."""
     faults = []
     for given in (*options.select, *options.ignore, *options.severity):
-        if given and any(code.startswith(current_codes(given)) for code in own_rules()):
+        if given and any(
+            code.startswith(current_codes(given)) for code in builtin_rules()
+        ):
             continue
         rules, _ = all_rules()
         if given and any(code.startswith(given) for code in rules):

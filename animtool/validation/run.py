@@ -15,7 +15,7 @@ from animtool.core.errors import (
     ExitCode,
     Fault,
     FormatError,
-    NothingFoundError,
+    NoMatchError,
     Severity,
     excerpt,
 )
@@ -63,7 +63,7 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
         shown = ", ".join(given) or "nothing"
         message = f"no file to check in {shown}"
         hint = f"folders are searched for {', '.join(SUFFIXES)}"
-        raise NothingFoundError(Fault("VAL006", message, hint=hint))
+        raise NoMatchError(Fault("VAL006", message, hint=hint))
     return list(files), unmatched
 
 

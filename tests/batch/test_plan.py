@@ -12,7 +12,7 @@ from support.batch import take_files
 
 from animtool.batch.report import BatchReport
 from animtool.batch.run import RunOptions, run_batch
-from animtool.batch.spec import BatchSpec, made_by
+from animtool.batch.spec import BatchSpec, package_versions
 from animtool.scene.bake.options import BakeOptions
 
 SERIAL = RunOptions(executor="serial")
@@ -185,8 +185,8 @@ def test_options_and_variables(takes: Path) -> None:
 
 def test_versions(takes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_batch(spec(takes), SERIAL)
-    newer = {**made_by(), "usd-core": "99"}
-    monkeypatch.setattr("animtool.batch.plan.made_by", lambda: newer)
+    newer = {**package_versions(), "usd-core": "99"}
+    monkeypatch.setattr("animtool.batch.plan.package_versions", lambda: newer)
     assert reasons(run_batch(spec(takes), DRY)) == ["version changed"] * 3
 
 

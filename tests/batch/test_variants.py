@@ -10,7 +10,7 @@ from support.cli import animtool
 
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
-from animtool.batch.plan import check_places
+from animtool.batch.plan import check_output_files
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
 from animtool.batch.variants import (
@@ -194,7 +194,7 @@ def test_outputs_of_variants_are_kept_apart(swing: Path) -> None:
     assert outputs(alone) == outputs(folder)
     clash = BatchSpec((str(swing),), output="o/x.usdc", variants=spec.variants)
     with pytest.raises(OptionError) as caught:
-        check_places(find_batch(clash))
+        check_output_files(find_batch(clash))
     (fault,) = caught.value.faults
     assert fault.code == "OUT007"
     assert "(k=1)" in fault.message
@@ -205,7 +205,7 @@ def test_outputs_of_variants_are_kept_apart(swing: Path) -> None:
 def test_the_same_values_twice_are_named_as_such(swing: Path) -> None:
     table = variants_of_texts(["k=1,1"])
     with pytest.raises(OptionError) as caught:
-        check_places(find_batch(BatchSpec((str(swing),), variants=table)))
+        check_output_files(find_batch(BatchSpec((str(swing),), variants=table)))
     assert "these values appear twice: remove one" in str(caught.value.faults[0].hint)
 
 

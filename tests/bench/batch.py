@@ -22,7 +22,7 @@ from figures import Bound, Clock, Row, ratio_rows, time_rows
 from measuring import HERE, ROOT, Run, begin, parser, run
 
 from animtool.batch.discover import find_batch
-from animtool.batch.ledger import held_ledger
+from animtool.batch.ledger import locked_ledger
 from animtool.batch.manifest import ItemRecord, record_of
 from animtool.batch.plan import Planner
 from animtool.batch.spec import BatchSpec, named_from
@@ -106,7 +106,7 @@ def planned(folder: Path, count: int, runs: int) -> list[Row]:
     out = str(folder / "out/{stem}.usdc")
     found = find_batch(BatchSpec((str(folder / "takes"),), output=out))
     (folder / "out").mkdir()
-    with held_ledger(found.records, found.name) as ledger:
+    with locked_ledger(found.records, found.name) as ledger:
         planner = Planner(found, ledger.history)
         for item in found.items:
             item.output.write_bytes(b"made")

@@ -63,18 +63,18 @@ class PlacedFile:
         Nothing happens where another process has replaced the file since. It may be
         called again.
         """
-        current = _found(self.final)
-        kept = _found(self.old)
-        if kept is not None and (current is None or self._is_own(current)):
+        current = _status(self.final)
+        kept = _status(self.old)
+        if kept is not None and (current is None or self._is_mine(current)):
             self.old.replace(self.final)
         elif kept is not None:
             # The final name still has the old file, or a later one.
             self.old.unlink()
-        elif current is not None and self._is_own(current):
+        elif current is not None and self._is_mine(current):
             self.final.unlink()
         self.temporary.unlink(missing_ok=True)
 
-    def _is_own(self, status: os.stat_result) -> bool:
+    def _is_mine(self, status: os.stat_result) -> bool:
         return (status.st_ino, status.st_size, status.st_mtime_ns) == self.state
 
 
@@ -97,8 +97,13 @@ class Journal:
         journal = cls(f"{temporary_prefix()}{uuid4().hex[:12]}{_JOURNAL}", folders)
         try:
             for folder in folders:
-                own = [_plain(file) for file in files if file.final.parent == folder]
-                record = {"folders": [os.fspath(f) for f in folders], "files": own}
+                in_folder = [
+                    _plain(file) for file in files if file.final.parent == folder
+                ]
+                record = {
+                    "folders": [os.fspath(f) for f in folders],
+                    "files": in_folder,
+                }
                 journal._write(folder, json.dumps(record).encode())
         except BaseException:
             journal.end()
@@ -162,7 +167,7 @@ def _plain(file: PlacedFile) -> Mapping[str, Any]:
     }
 
 
-def _found(path: Path) -> os.stat_result | None:
+def _status(path: Path) -> os.stat_result | None:
     """Return what is there, a link as itself."""
     try:
         return path.lstat()

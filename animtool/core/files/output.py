@@ -15,7 +15,13 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from animtool.core.arguments import argument, clause
 from animtool.core.errors import Fault, OptionError, OutputError, counted
 from animtool.core.files.leftovers import new_temporary, take_back
-from animtool.core.files.placing import Target, Whole, output_error, place_files, target
+from animtool.core.files.placing import (
+    Target,
+    WrittenFile,
+    commit_files,
+    output_error,
+    target,
+)
 from animtool.core.files.reading import check_inputs, recorded_inputs
 from animtool.core.process.signals import deferred_signals, ending, interrupt
 from animtool.core.process.supervisor import note_folder, note_said
@@ -32,7 +38,7 @@ _DEVICES = frozenset(
     | {f"{port}{number}" for port in ("com", "lpt") for number in "0123456789¹²³"}
 )
 # How names begin of records and of files that are being written.
-_OWN = ".animtool"
+_RECORDS_FOLDER = ".animtool"
 
 
 def name_problem(name: str) -> str | None:
@@ -61,7 +67,10 @@ def _problems(name: str) -> Iterator[tuple[bool, str]]:
     yield not is_text(name), "contains bytes that are not UTF-8"
     device = name.partition(".")[0].rstrip().casefold() in _DEVICES
     yield device, "is the name of a device on Windows"
-    yield name.casefold().startswith(_OWN), f"starts with {_OWN!r}, which records use"
+    yield (
+        name.casefold().startswith(_RECORDS_FOLDER),
+        f"starts with {_RECORDS_FOLDER!r}, which records use",
+    )
 
 
 def is_text(name: str) -> bool:
@@ -130,14 +139,14 @@ def check_outputs(
     _refuse_inputs(targets, inputs)
     _refuse_twice(targets)
     there: list[Path] = []
-    for place in targets:
-        take_back(place.final.parent)
-        if place.path.exists():
+    for output in targets:
+        take_back(output.final.parent)
+        if output.path.exists():
             if not overwrite:
-                there.append(place.path)
-            elif not os.access(place.path, os.W_OK):
+                there.append(output.path)
+            elif not os.access(output.path, os.W_OK):
                 message = "cannot be written: it is read-only"
-                raise OutputError(Fault("OUT002", message, str(place.path)))
+                raise OutputError(Fault("OUT002", message, str(output.path)))
     if there:
         hint = f"{argument('overwrite', True)} replaces it"
         if len(there) == len(outputs):
@@ -148,7 +157,7 @@ def check_outputs(
             message, named = f"already exists, and so do {others}", there[:1]
             hint = hint.replace("s it", "s them")
         raise OptionError([Fault("OUT001", message, str(p), (), hint) for p in named])
-    finals = {place.final for place in targets}
+    finals = {output.final for output in targets}
     _free.set(_free.get() - finals if overwrite else _free.get() | finals)
 
 
@@ -170,7 +179,7 @@ def _check_folder(folder: Path, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def sparing_inputs(outputs: Sequence[Path]) -> Iterator[None]:
+def protect_inputs(outputs: Sequence[Path]) -> Iterator[None]:
     """Refuse outputs that the block read, whatever file named them (OUT003).
 
     A layer that a USD file brings in may be an output: a shot is read to bake one of
@@ -187,22 +196,22 @@ def _refuse_inputs(targets: Iterable[Target], inputs: Iterable[Path]) -> None:
         # What leads nowhere is said when it is read.
         with contextlib.suppress(OSError, RuntimeError, ValueError):
             taken[name_key(path.resolve())] = path
-    for place in targets:
-        other = taken.get(name_key(place.final))
-        if other is not None and same_file(place.final, other):
+    for output in targets:
+        other = taken.get(name_key(output.final))
+        if other is not None and same_file(output.final, other):
             message = "is an input of this command"
             hint = "choose another -o"
-            raise OptionError(Fault("OUT003", message, str(place.path), (), hint))
+            raise OptionError(Fault("OUT003", message, str(output.path), (), hint))
 
 
-def _refuse_twice(targets: Iterable[Target | Whole]) -> None:
+def _refuse_twice(targets: Iterable[Target | WrittenFile]) -> None:
     """Refuse two outputs that are one file, on this disk or on others."""
     names: dict[str, Path] = {}
-    for place in targets:
-        first = names.setdefault(name_key(place.final), place.path)
-        if first is not place.path:
+    for output in targets:
+        first = names.setdefault(name_key(output.final), output.path)
+        if first is not output.path:
             message = f"and {str(first)!r} would be the same file"
-            fault = Fault("OUT007", message, str(place.path), (), "rename one")
+            fault = Fault("OUT007", message, str(output.path), (), "rename one")
             raise OptionError(fault)
 
 
@@ -219,11 +228,11 @@ class _Block:
     """Files that get their names together."""
 
     # Those that are whole, and wait for their names.
-    files: list[Whole] = field(default_factory=list)
+    files: list[WrittenFile] = field(default_factory=list)
     # What is to be done when they have them.
     after: list[Callable[[], object]] = field(default_factory=list)
     # New files that have theirs already.
-    ahead: list[Path] = field(default_factory=list)
+    early: list[Path] = field(default_factory=list)
 
 
 _waiting: ContextVar[_Block | None] = ContextVar("_waiting", default=None)
@@ -266,32 +275,32 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     # A link stays one: what it leads to is replaced.
     final = target(path).final
-    whole, waiting = Whole(path, final, new_temporary(final)), _waiting.get()
+    written, waiting = WrittenFile(path, final, new_temporary(final)), _waiting.get()
     note_folder(final.parent)
     done, cleaning = False, ending()
     try:
-        yield whole.temporary
+        yield written.temporary
         if ending() and not cleaning:
             # A library swallowed what the signal raised.
             interrupt()
         check_inputs()
-        whole.seal()
+        written.seal()
         if waiting is None:
-            _place([whole])
+            _commit([written])
         else:
-            waiting.files.append(whole)
+            waiting.files.append(written)
         done = True
     finally:
         if waiting is None or not done:
-            whole.remove()
+            written.remove()
 
 
-def _place(files: Sequence[Whole]) -> None:
+def _commit(files: Sequence[WrittenFile]) -> None:
     finals = {file.final for file in files}
     _refuse_twice(files)
     note_said()
     try:
-        place_files(files, _free.get() & finals)
+        commit_files(files, _free.get() & finals)
     finally:
         _free.set(_free.get() - finals)
 
@@ -299,14 +308,14 @@ def _place(files: Sequence[Whole]) -> None:
 def size_of(path: Path) -> int:
     """Return the size of a file that was written, if renamed yet or not [byte]."""
     waiting = _waiting.get()
-    for whole in [] if waiting is None else reversed(waiting.files):
-        if whole.path == path:
-            return whole.temporary.stat().st_size
+    for written in [] if waiting is None else reversed(waiting.files):
+        if written.path == path:
+            return written.temporary.stat().st_size
     return path.stat().st_size
 
 
 @contextlib.contextmanager
-def together() -> Iterator[None]:
+def atomic_outputs() -> Iterator[None]:
     """Let the files that `replacing` makes in a block get their names at its end.
 
     They get them in the order made, or none does where the block does not end well. A
@@ -325,20 +334,20 @@ def together() -> Iterator[None]:
             check_inputs()
         # A signal between the names would leave some without the others.
         with deferred_signals():
-            _place(waiting.files)
+            _commit(waiting.files)
             for action in waiting.after:
                 action()
     except BaseException:
-        _remove(waiting.ahead)
+        _remove(waiting.early)
         raise
     finally:
         _waiting.reset(token)
-        for whole in waiting.files:
-            whole.remove()
+        for written in waiting.files:
+            written.remove()
 
 
 @contextlib.contextmanager
-def ahead(paths: Sequence[Path]) -> Iterator[None]:
+def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
     """Let new files that a block makes get their names in it, ahead of others.
 
     That is for files that are read again before those that name them are written. They
@@ -354,7 +363,7 @@ def ahead(paths: Sequence[Path]) -> Iterator[None]:
     finally:
         _waiting.reset(token)
     if waiting is not None:
-        waiting.ahead.extend(paths)
+        waiting.early.extend(paths)
 
 
 def _remove(paths: Iterable[Path]) -> None:
@@ -363,7 +372,7 @@ def _remove(paths: Iterable[Path]) -> None:
             path.unlink(missing_ok=True)
 
 
-def once_named(action: Callable[[], object]) -> None:
+def after_commit(action: Callable[[], object]) -> None:
     """Do something when the files that are made have their names.
 
     That is now, or inside of `together` at the end of that, if it ends well.

@@ -92,7 +92,7 @@ def _check_kind(path: Path, status: os.stat_result) -> None:
 
 
 @dataclass(slots=True)
-class Whole:
+class WrittenFile:
     """A file that is written."""
 
     path: Path  # what the user calls it
@@ -113,14 +113,18 @@ class Whole:
                 if status is not None and os.name != "nt":
                     _inherit(handle, status)
                 os.fsync(handle)
-                own = os.fstat(handle)
+                temporary_status = os.fstat(handle)
             finally:
                 os.close(handle)
         except OSError as error:
             raise output_error(self.path, error) from error
-        self.state = (own.st_ino, own.st_size, own.st_mtime_ns)
+        self.state = (
+            temporary_status.st_ino,
+            temporary_status.st_size,
+            temporary_status.st_mtime_ns,
+        )
 
-    def place(self, *, new: bool) -> None:
+    def commit(self, *, new: bool) -> None:
         """Give it its name.
 
         Args:
@@ -151,13 +155,13 @@ class Whole:
 
 def _inherit(handle: int, status: os.stat_result) -> None:
     """Give an open file the mode of another, and its owner as far as permitted."""
-    own = os.fstat(handle)
-    if (own.st_uid, own.st_gid) != (status.st_uid, status.st_gid):
+    current = os.fstat(handle)
+    if (current.st_uid, current.st_gid) != (status.st_uid, status.st_gid):
         with contextlib.suppress(OSError):
             os.fchown(handle, status.st_uid, status.st_gid)
     # Whoever runs a file with a setuid bit runs what its owner wrote: never this.
     mode = stat.S_IMODE(status.st_mode) & 0o777
-    if stat.S_IMODE(own.st_mode) != mode:
+    if stat.S_IMODE(current.st_mode) != mode:
         os.fchmod(handle, mode)
 
 
@@ -184,21 +188,21 @@ def _rename_new(temporary: Path, final: Path) -> None:
             temporary.unlink()
 
 
-def place_files(files: Sequence[Whole], new: frozenset[Path]) -> None:
+def commit_files(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
     """Give sealed files, in any folders, their names, in order: all of them or none.
 
     Where one of ``new`` names has something (OUT001), or one cannot be renamed, what
     was there before is there again.
     """
     if len(files) > 1:
-        _place_set(files, new)
+        _commit_set(files, new)
     else:
         for file in files:
-            file.place(new=file.final in new)
+            file.commit(new=file.final in new)
             _flush(file.final.parent)
 
 
-def _place_set(files: Sequence[Whole], new: frozenset[Path]) -> None:
+def _commit_set(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
     parts = [
         PlacedFile(file.final, file.temporary, file.state, new_temporary(file.final))
         for file in files
@@ -211,7 +215,7 @@ def _place_set(files: Sequence[Whole], new: frozenset[Path]) -> None:
         for file, part in zip(files, parts, strict=True):
             if file.final not in new:
                 _keep(file, part)
-            file.place(new=file.final in new)
+            file.commit(new=file.final in new)
     except BaseException:
         if all([_taken_back(part) for part in reversed(parts)]):
             journal.end()
@@ -233,7 +237,7 @@ def _taken_back(part: PlacedFile) -> bool:
     return True
 
 
-def _keep(file: Whole, part: PlacedFile) -> None:
+def _keep(file: WrittenFile, part: PlacedFile) -> None:
     """Keep what a file replaces under another name."""
     try:
         os.link(part.final, part.old)

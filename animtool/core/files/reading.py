@@ -158,7 +158,7 @@ class MatchedFile:
     base: Path  # the folder that was searched; of a named file its own
 
 
-class Places:
+class PathResolver:
     """Where paths lead, links of folders followed, and those of files not.
 
     Each folder is looked up once.
@@ -221,7 +221,7 @@ class InputFile(io.FileIO):
         view[: len(data)] = data
         return len(data)
 
-    def whole(self) -> bytes:
+    def read_all(self) -> bytes:
         """Return all that is left of a file that stays as it is meanwhile.
 
         Raises:
@@ -277,7 +277,7 @@ def read_input(
 ) -> bytes:
     """Return the content of a file, see `open_input`; if it changes: IO004."""
     with open_input(path, max_bytes, recorded=recorded) as file:
-        return file.whole()
+        return file.read_all()
 
 
 def too_large(path: Path, size: int, limit: int) -> FormatError:
@@ -373,7 +373,7 @@ def _is_shown(file: Path, folder: Path) -> bool:
     return not any(part.startswith(".") for part in parts) and file.is_file()
 
 
-def seen_from(path: Path, folder: Path) -> str:
+def path_from_folder(path: Path, folder: Path) -> str:
     """Return what files of a folder call a file: relative to it, where there is a way.
 
     >>> seen_from(Path("/shots/rigs/hero.usda"), Path("/shots/sh010"))

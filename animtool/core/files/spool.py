@@ -25,7 +25,7 @@ class Spool:
 
     def __init__(self, kept: int = KEPT) -> None:
         self._room = kept
-        self._held: deque[Sequence[FloatArray]] = deque()
+        self._buffered: deque[Sequence[FloatArray]] = deque()
         self._lengths: deque[int] = deque()  # of the lists in the file
         self._file: IO[bytes] | None = None
 
@@ -38,7 +38,7 @@ class Spool:
         size = sum(array.nbytes for array in arrays)
         if self._file is None and size <= self._room:
             self._room -= size
-            self._held.append(arrays)
+            self._buffered.append(arrays)
             return
         try:
             if self._file is None:
@@ -55,8 +55,8 @@ class Spool:
 
     def drain(self) -> Iterator[list[FloatArray]]:
         """Yield the lists, and let go of each; to be called once."""
-        while self._held:
-            yield list(self._held.popleft())
+        while self._buffered:
+            yield list(self._buffered.popleft())
         if self._file is None:
             return
         with self._file as file:

@@ -46,13 +46,13 @@ def _libraries() -> tuple[_Threads, ...]:
     import scipy.linalg  # noqa: F401  (a library is only one that is loaded)
 
     site = Path(numpy.__file__).parent.parent
-    places = dict.fromkeys((site, Path(sysconfig.get_path("platlib"))))
-    found = []
-    for folder in (place / name for place in places for name in _FOLDERS):
+    roots = dict.fromkeys((site, Path(sysconfig.get_path("platlib"))))
+    libraries = []
+    for folder in (root / name for root in roots for name in _FOLDERS):
         for path in sorted(folder.glob("*openblas*")) if folder.is_dir() else ():
             with contextlib.suppress(OSError):
-                found += _threads(ctypes.CDLL(str(path)))
-    return tuple(found)
+                libraries += _threads(ctypes.CDLL(str(path)))
+    return tuple(libraries)
 
 
 def _threads(library: ctypes.CDLL) -> list[_Threads]:

@@ -149,11 +149,11 @@ def deferred_signals() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    held: list[int] = []
+    pending: list[int] = []
 
     def note(signum: int, frame: FrameType | None) -> None:
         del frame
-        held.append(signum)
+        pending.append(signum)
 
     # None is a handler that Python did not set and cannot put back.
     handlers = {number: signal.getsignal(number) for number in ENDING}
@@ -165,5 +165,5 @@ def deferred_signals() -> Iterator[None]:
     finally:
         for number, handler in taken.items():
             signal.signal(number, handler)
-        if held:
-            signal.raise_signal(held[0])
+        if pending:
+            signal.raise_signal(pending[0])

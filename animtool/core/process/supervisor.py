@@ -240,9 +240,11 @@ def without_main() -> Iterator[None]:
         if not _state.starting:
             _state.main = main = sys.modules["__main__"]
             unnamed = ModuleType("__main__")
-            own = {"__spec__", "__file__", "__loader__"}
+            replaced = {"__spec__", "__file__", "__loader__"}
             unnamed.__dict__.update(
-                (name, value) for name, value in vars(main).items() if name not in own
+                (name, value)
+                for name, value in vars(main).items()
+                if name not in replaced
             )
             sys.modules["__main__"] = unnamed
         _state.starting += 1
@@ -325,7 +327,7 @@ def _fork(work: Callable[[], int], notes: _Notes, waited: set[int]) -> tuple[int
     return child, there
 
 
-def _be_child(work: Callable[[], int], alive: int, held: set[int]) -> NoReturn:
+def _be_child(work: Callable[[], int], alive: int, blocked: set[int]) -> NoReturn:
     """Do the work in the child, and end.
 
     ``alive`` is closed when the parent ends; ``held`` are the other signals that it
@@ -339,7 +341,7 @@ def _be_child(work: Callable[[], int], alive: int, held: set[int]) -> NoReturn:
         resource.setrlimit(resource.RLIMIT_CORE, (0, limit))
     threading.Thread(target=_end_with_parent, args=(alive,), daemon=True).start()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, held)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked)
     obey_signals()
     code = 1
     try:

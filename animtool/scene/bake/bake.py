@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from animtool.core.errors import Fault, OptionError, refuse_warnings
-from animtool.core.files.output import together
+from animtool.core.files.output import atomic_outputs
 from animtool.motion.take import TakeStream
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.frames import TakeRun
@@ -17,7 +17,7 @@ from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import Outline, outlined
 from animtool.scene.bake.plan import OutputPlan, plan_outputs
 from animtool.scene.bake.prims import BakePlan, BakeReport, Draft
-from animtool.scene.bake.progress import Progress, share_of
+from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source
 
 # What became of one output.
@@ -54,11 +54,13 @@ def bake(
     outline = outlined(source, output, options)
     if not any(entry.is_stage for entry in outline.outputs):
         entry = outline.outputs[0]
-        message = "the scene names no USD file" if entry.place else "is not a USD file"
+        message = (
+            "the scene names no USD file" if entry.location else "is not a USD file"
+        )
         hint = "animtool.convert writes files of other formats"
         fault = Fault("SCN044", message, hint=hint)
-        if entry.place is not None:
-            raise OptionError(entry.place.put(fault))
+        if entry.location is not None:
+            raise OptionError(entry.location.locate(fault))
         raise OptionError(Fault("OUT004", message, str(entry.path), (), hint))
     reports = bake_outline(outline, progress=progress)
     return next(one for one in reports if isinstance(one, BakeReport))
@@ -99,7 +101,7 @@ def bake_outputs(
 def bake_outline(outline: Outline, *, progress: Progress = None) -> list[OutputReport]:
     """Plan and run what is outlined; see `bake_outputs`."""
     # Passes may keep states as soon as a source is opened.
-    with together():
+    with atomic_outputs():
         return run_outputs(plan_outputs(outline, progress=progress), progress)
 
 
@@ -127,11 +129,11 @@ def run_outputs(
 ) -> list[OutputReport]:
     """Run what is planned: read, author, write."""
     reports: list[OutputReport] = []
-    with together():
+    with atomic_outputs():
         for i, plan in enumerate(plans):
             opened = not isinstance(plan, BakePlan) or bool(plan.takes)
-            shown = share_of(progress, 1, 2) if opened else progress
-            shown = share_of(shown, i, len(plans))
+            shown = part_progress(progress, 1, 2) if opened else progress
+            shown = part_progress(shown, i, len(plans))
             if isinstance(plan, BakePlan):
                 reports.append(run_stage(plan, progress=shown))
             else:

@@ -112,8 +112,8 @@ class FilePlan:
         take = stream.collect()
         below = None
         if base is not None:
-            alike = base.suffix.lower() == plan.source.suffix.lower()
-            below = _below(take, base, options.source if alike else None)
+            same_suffix = base.suffix.lower() == plan.source.suffix.lower()
+            below = _below(take, base, options.source if same_suffix else None)
         write = WriteOptions(
             options.reduce, dict(options.reduce_at), below, self.rig_file
         )
@@ -123,23 +123,23 @@ class FilePlan:
         writer = take_writer(path)
         if "meshes" in writer.holds:
             take = _with_meshes(take, plan)
-        made = _files(writer, take, path, write)
+        outputs = _files(writer, take, path, write)
         noted = [notice for notice in take.notices if notice not in stream.notices]
         further = [notice for other in more for notice in other.notices]
         notices = list(
-            dict.fromkeys([*stream.notices, *further, *noted, *made.notices])
+            dict.fromkeys([*stream.notices, *further, *noted, *outputs.notices])
         )
         refuse_warnings(notices, strict=options.strict)
-        files, inputs = list(made.contents), [plan.source, *([base] if base else [])]
+        files, inputs = list(outputs.contents), [plan.source, *([base] if base else [])]
         check_outputs(files, inputs, overwrite=options.overwrite)
-        for file, contents in made.contents.items():
+        for file, contents in outputs.contents.items():
             if isinstance(contents, Mapping):
                 write_arrays(file, contents)
             else:
                 write_parts(file, contents)
         count = take.clock.count
         return ConvertReport(
-            path, made.span, count, made.joints, notices, made.keyed, files
+            path, outputs.span, count, outputs.joints, notices, outputs.keyed, files
         )
 
 
@@ -147,21 +147,21 @@ def _with_meshes(take: Take, plan: TakePlan) -> Take:
     """Return a take of a USD file with the meshes that its motion does not need."""
     if take.rig.meshes or not is_usd(plan.source):
         return take
-    whole, _ = open_rig(plan.source, plan.options.source.prim_path)
-    if whole.names != take.rig.names:
+    full_rig, _ = open_rig(plan.source, plan.options.source.prim_path)
+    if full_rig.names != take.rig.names:
         return take  # passes have put another rig there
-    names = [shape.name for shape in whole.shapes]
-    held = [shape.name for shape in take.rig.shapes]
-    if not {*held} <= {*names}:
+    names = [shape.name for shape in full_rig.shapes]
+    shape_names = [shape.name for shape in take.rig.shapes]
+    if not {*shape_names} <= {*names}:
         return take
-    rig = replace(take.rig, meshes=whole.meshes, shapes=whole.shapes)
+    rig = replace(take.rig, meshes=full_rig.meshes, shapes=full_rig.shapes)
     weights = take.motion.weights
-    if weights is not None and held != names:
+    if weights is not None and shape_names != names:
         # The animation may hold some of the shapes alone.
-        places = np.array([names.index(name) for name in held], np.int64)
-        order = np.argsort(places)
-        still = Channel.still(np.zeros((len(names), 1)), take.clock.count)
-        weights = still.put(places[order], weights.gather(order)).compact()
+        indices = np.array([names.index(name) for name in shape_names], np.int64)
+        order = np.argsort(indices)
+        rest = Channel.still(np.zeros((len(names), 1)), take.clock.count)
+        weights = rest.put(indices[order], weights.gather(order)).compact()
     return replace(take, rig=rig, motion=replace(take.motion, weights=weights))
 
 

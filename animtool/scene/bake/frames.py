@@ -28,7 +28,7 @@ from animtool.edit.travel import Places
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.first_frame import start_notice, whole_frames
+from animtool.scene.bake.first_frame import integer_frames, start_notice
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.sources.away import no_frames
 
@@ -104,10 +104,10 @@ def _straight_notices(
 ) -> list[Fault]:
     """Say by how much straight lines may be off, unless a pass of the take did."""
     said = {notice.code for notice in plan.stream.notices}
-    places = Places(times.frames, times.fractions)
+    sample_times = Places(times.frames, times.fractions)
     return [
         replace(notice, path=str(plan.source))
-        for notice in straight_notices(between, places)
+        for notice in straight_notices(between, sample_times)
         if notice.code not in said
     ]
 
@@ -115,14 +115,14 @@ def _straight_notices(
 def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
     """Return when to sample a take, and notice where it lacks frames."""
     options = plan.options
-    own_frames = None
+    source_frames = None
     if options.fps is not None and not options.keep_samples:
-        own_frames = whole_frames(clock, plan.fps, plan.start)
+        source_frames = integer_frames(clock, plan.fps, plan.start)
     times = plan_samples(
         clock,
         plan.fps,
         plan.start,
-        frame_range=options.frame_range or own_frames,
+        frame_range=options.frame_range or source_frames,
         offsets=options.samples,
         keep_samples=options.keep_samples,
         hold=options.shot is not None,
@@ -137,8 +137,8 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
         if options.keep_samples:
             times = replace(times, first=first, last=last)
     if options.start is None and options.shot is None:
-        own = plan.stream.start, plan.stream.fps
-        moved = start_notice(*own, plan.start, plan.fps, times.first)
+        source = plan.stream.start, plan.stream.fps
+        moved = start_notice(*source, plan.start, plan.fps, times.first)
         notices += [replace(notice, path=str(plan.source)) for notice in moved]
     plan.notices.extend([*notices, *_end_notices(plan, times)])
     return times
@@ -167,8 +167,8 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
     if len(missing) == len(asked):
         # Where passes have moved the take, its times say nothing of its media.
-        whole = last if shot.speed < 0 else plan.start
-        if shot.places_media and shot.frame_at(0) == whole:
+        edge = last if shot.speed < 0 else plan.start
+        if shot.places_media and shot.frame_at(0) == edge:
             length = clock.count / clock.rate * abs(shot.speed)
             raise no_frames(shot, asked[0], asked[-1], length, where)
         message = f"{named}the take has no frame from {asked[0]} to {asked[-1]}"
@@ -202,13 +202,13 @@ def _sampled(
     times = _sample_times(plan, clock)
     # Exact on the source's frames; samples before its first or after its last are
     # not on its grid. In a shot they hold its ends.
-    places = times.frames + times.fractions
+    samples = times.frames + times.fractions
     if plan.options.shot is None:
         ratio = float(clock.rate / plan.fps)
         beyond = (times.codes - float(plan.start)) * ratio
         outside = (beyond < 0) | (beyond > clock.count - 1)
-        places = np.where(outside, beyond, places)
-    motion = curve(float(first) + places * float(stream.step))
+        samples = np.where(outside, beyond, samples)
+    motion = curve(float(first) + samples * float(stream.step))
     return TimedTake(iter([(times.codes, motion)]), stream.rig, times)
 
 
@@ -333,7 +333,7 @@ class TakeRun:
             from animtool.usd.props.writer import PropSamples
 
             self.props = PropSamples(stream.tracks)
-        self._timed = replace(opened, blocks=self._seen(opened.blocks))
+        self._timed = replace(opened, blocks=self._recorded(opened.blocks))
         return self._timed
 
     @property
@@ -346,7 +346,7 @@ class TakeRun:
             self.frames += block.frames
             yield block
 
-    def _seen(self, blocks: TimedBlocks) -> TimedBlocks:
+    def _recorded(self, blocks: TimedBlocks) -> TimedBlocks:
         for codes, motion in blocks:
             self.samples += len(codes)
             if self._watch is not None:

@@ -127,14 +127,14 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
         usd_take, blocks = take.prepare(job.rig)
         root_motion = take.plan.options.root_motion
         mapping = take.plan.mapping
-        made = round_blocks(
+        rounded_blocks = round_blocks(
             blocks,
             job.rig,
             job.meters_per_unit,
             root_motion=root_motion,
             size=1.0 if mapping is None else mapping.size,
         )
-        rounded = prefetch(timed(made, take.seconds, "read"))
+        rounded = prefetch(timed(rounded_blocks, take.seconds, "read"))
         try:
             yield replace(usd_take, blocks=rounded)
         finally:
@@ -164,10 +164,10 @@ class _JointTake:
             if (mapping.source < 0).any():
                 chosen = mapping.source >= 0
         if options.sparse:
-            held = list(blocks)
-            moving = moving_joints(plan, rig, [motion for _, motion in held])
+            buffered = list(blocks)
+            moving = moving_joints(plan, rig, [motion for _, motion in buffered])
             kept = moving if chosen is None else moving & chosen
-            chosen, blocks = kept if kept.any() else chosen, iter(held)
+            chosen, blocks = kept if kept.any() else chosen, iter(buffered)
         step = plan.stream.step * plan.fps / plan.stream.fps
         if options.reduce is not None:
             blocks, self._thinned, frames = _thinned(plan, blocks, frames, rig, step)
@@ -209,9 +209,9 @@ def _thinned(
     """Return the samples that are needed, what that does, first and last frame."""
     from animtool.edit.thin import thin_samples
 
-    held = list(blocks)
-    codes = np.concatenate([codes for codes, _ in held])
-    motion = Motion.concatenate([motion for _, motion in held])
+    buffered = list(blocks)
+    codes = np.concatenate([codes for codes, _ in buffered])
+    motion = Motion.concatenate([motion for _, motion in buffered])
     tolerance = plan.options.reduce
     assert tolerance is not None
     # A rig that its stage scales moves by so much less there than in its own numbers.

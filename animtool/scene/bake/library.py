@@ -26,13 +26,13 @@ REST_RADIANS = 1e-5
 
 
 def take_names(
-    sources: Sequence[Path], notices: list[Fault], own_names: Sequence[str] = ()
+    sources: Sequence[Path], notices: list[Fault], stated_names: Sequence[str] = ()
 ) -> list[str]:
     """Return legal and distinct names of takes, after their files or by their own.
 
     Two that would be the same are added to the notices.
     """
-    stems = list(own_names) or [source_stem(path) for path in sources]
+    stems = list(stated_names) or [source_stem(path) for path in sources]
     names = distinct_names([path.name for path in sources], stems, stems)
     renamed = [
         path
@@ -61,7 +61,7 @@ def rate_notice(
     return [Fault("USD131", message, None, (), hint, Severity.NOTE)]
 
 
-def alike(
+def in_joint_order(
     sources: Sequence[Path],
     streams: Sequence[TakeStream],
     options: BakeOptions,
@@ -107,8 +107,8 @@ def _difference(first: dict[str, str], other: dict[str, str], source: str) -> st
         if name not in other:
             return f"there is no joint {name!r}, which {source} has"
         if other[name] != parent:
-            places = [f"below {p!r}" if p else "a root" for p in (other[name], parent)]
-            return f"joint {name!r} is {places[0]}, but in {source} {places[1]}"
+            parents = [f"below {p!r}" if p else "a root" for p in (other[name], parent)]
+            return f"joint {name!r} is {parents[0]}, but in {source} {parents[1]}"
     for name in other:
         if name not in first:
             return f"joint {name!r} is not in {source}"
@@ -131,10 +131,10 @@ def _ordered(
     )
     ordered = replace(rig, joints=joints)
     mapping = JointMap(ordered, source, np.ones((len(joints), 3)), [])
-    curve, given = stream.curve, stream.blocks
+    curve, source_blocks = stream.curve, stream.blocks
 
     def blocks() -> Iterator[Motion]:
-        for block in given:
+        for block in source_blocks:
             yield mapping.apply(block)
 
     turned = replace(stream, rig=ordered, blocks=blocks())
@@ -145,16 +145,18 @@ def _ordered(
 
 def _rest_notice(first: Rig, other: Rig, path: str, source: str) -> list[Fault]:
     """Say so where a take has another rest pose than the one that is written."""
-    apart = np.linalg.norm(first.rest_translations - other.rest_translations, axis=1)
+    distances = np.linalg.norm(
+        first.rest_translations - other.rest_translations, axis=1
+    )
     size = float(np.abs(first.rest_translations).max(initial=0.0)) or 1.0
     turned = so3.angle_between(first.rest_rotations, other.rest_rotations)
-    worse = np.maximum(apart / (REST_LENGTHS * size), turned / REST_RADIANS)
+    worse = np.maximum(distances / (REST_LENGTHS * size), turned / REST_RADIANS)
     if worse.max(initial=0.0) <= 1.0:
         return []
     i = int(worse.argmax())
     message = (
         f"the rest pose differs from that of {source}: joint {first.names[i]!r} by "
-        f"{length_text(apart[i])} and {np.degrees(turned[i]):.3g} degrees"
+        f"{length_text(distances[i])} and {np.degrees(turned[i]):.3g} degrees"
     )
     hint = f"the library uses the rest pose of {source}"
     return [Fault("USD130", message, path, (), hint, Severity.WARNING)]

@@ -10,7 +10,7 @@ from typing import Any
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
-from animtool.core.options import Key, described, option
+from animtool.core.options import Key, inherits_docs, option
 from animtool.core.rates import FractionLike, OptionalFraction, rate_option
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, FrameRangeLike, OptionalRange, Shot
@@ -24,7 +24,7 @@ _ADOPTED = (
 )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class BakeOptions:
     """How to bake.
@@ -384,10 +384,10 @@ def _frame_option(start: FractionLike) -> Fraction:
 
 def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:
     """Return options, and where they are the usual ones, those of others."""
-    usual = BakeOptions()
+    defaults = BakeOptions()
     taken = {
         field.name: getattr(others, field.name)
         for field in fields(BakeOptions)
-        if getattr(options, field.name) == getattr(usual, field.name)
+        if getattr(options, field.name) == getattr(defaults, field.name)
     }
     return replace(options, **taken)

@@ -22,15 +22,15 @@ from animtool.scene.bake.reading import (
     check_options,
     check_package,
     form_of,
-    found_sources,
     output_files,
+    source_set,
     with_takes,
 )
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import Form, check_path
 
 if TYPE_CHECKING:
-    from animtool.scene.file.entries import Place
+    from animtool.scene.file.entries import EntryLocation
     from animtool.scene.scene import Scene
 
 # The output that is no file.
@@ -45,7 +45,9 @@ class OutputEntry:
     options: BakeOptions  # of the bake, those of the scene among them
     # The scene that names it, with the systems of this output alone; None is no scene.
     scene: Scene | None = None
-    place: Place | None = None  # of the entry, where the scene names the file
+    location: EntryLocation | None = (
+        None  # of the entry, where the scene names the file
+    )
     # Of a clip: what an additive take is put on, and the rig file that is named.
     base: Path | None = None
     rig_file: Path | None = None
@@ -120,8 +122,8 @@ def outlined(
         rig_file: Of a clip: the file of its rig, which is named; None writes one.
     """
     alone = isinstance(sources, str) or not isinstance(sources, Sequence)
-    given = cast("Sequence[Source]", [sources] if alone else sources)
-    reading = found_sources(given)
+    listed = cast("Sequence[Source]", [sources] if alone else sources)
+    reading = source_set(listed)
     options = options or BakeOptions()
     scenes = list(reading.scenes.values())
     notices = [notice for scene in scenes for notice in scene.notices]
@@ -141,7 +143,7 @@ def outlined(
             path if entry.path is None or output is not None else entry.path,
             merged(options, entry.bake),
             scene.writing(entry),
-            entry.place if output is None else None,
+            entry.location if output is None else None,
         )
         for entry in entries
     )
@@ -179,7 +181,7 @@ def check_outline(outline: Outline) -> None:
         if several and entry.path is None:
             message = "an output has no file"
             fault = Fault("DOC021", message)
-            raise OptionError(entry.place.put(fault) if entry.place else fault)
+            raise OptionError(entry.location.locate(fault) if entry.location else fault)
         try:
             check_entry(entry, reading.inputs, reading.files[0])
         except AnimtoolError as error:
@@ -205,9 +207,9 @@ def outputs_twice(outline: Outline) -> list[Fault]:
     for entry in outline.outputs:
         for path in entry.files if len(outline.outputs) > 1 else ():
             first = owners.setdefault(name_key(target(path).final), entry)
-            if first is not entry and entry.place and first.place:
-                message = f"{str(path)!r} is also written by {first.place.where}"
-                faults.append(entry.place.fault("OUT007", message, "name another"))
+            if first is not entry and entry.location and first.location:
+                message = f"{str(path)!r} is also written by {first.location.where}"
+                faults.append(entry.location.fault("OUT007", message, "name another"))
     return faults
 
 
@@ -245,7 +247,7 @@ def check_settings(entry: OutputEntry) -> None:
     path, options = entry.path, entry.options
     if path is not None and not entry.is_stage:
         writer = take_writer(path)
-        if entry.place is None:
+        if entry.location is None:
             check_file_options(options, writer, path)
         return
     check_options(options, to_stdout=path is None, simulated=entry.simulated)

@@ -146,15 +146,15 @@ def _turned(
 
     Where the joints are turned, so is what they carry, wherever it was bound.
     """
-    turn = up_from_up(up, source_up)
-    if turn is None:
+    rotation = up_from_up(up, source_up)
+    if rotation is None:
         return surfaces
-    whole = np.eye(4)
-    whole[:3, :3] = so3.to_matrix(np.array(turn))
+    transform = np.eye(4)
+    transform[:3, :3] = so3.to_matrix(np.array(rotation))
     return tuple(
         surface
         if surface.skin is not None
-        else replace(surface, geom_bind=whole @ surface.geom_bind)
+        else replace(surface, geom_bind=transform @ surface.geom_bind)
         for surface in surfaces
     )
 
@@ -206,7 +206,7 @@ class PointStream:
         """Yield frames of each mesh, those of a mesh in their order."""
         character = self.character
         self.seconds = [0.0] * len(character.meshes)
-        for codes, motion, own in pieces(timed, neighbours=self.velocities):
+        for codes, motion, counted in pieces(timed, neighbours=self.velocities):
             mapped = motion
             if character.mapping is not None:
                 mapped = character.mapping.at(codes, motion)
@@ -216,7 +216,7 @@ class PointStream:
                 frames = self._frames(mesh, codes, mesh.weights(weights), world)
                 if mesh.name in mapped.points:
                     frames = self._moved(i, frames, codes, mapped.points[mesh.name])
-                yield from self._rounded(i, codes, frames, own)
+                yield from self._rounded(i, codes, frames, counted)
 
     def _moved(
         self,
@@ -236,13 +236,13 @@ class PointStream:
             done = frames.stop
 
     def _rounded(
-        self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], own: slice
+        self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], counted: slice
     ) -> Iterator[Block]:
         """Yield the frames of a piece that count, rounded."""
         done = 0
         began = time.perf_counter()
         for part in deformed:
-            first, last = max(own.start - done, 0), max(own.stop - done, 0)
+            first, last = max(counted.start - done, 0), max(counted.stop - done, 0)
             kept = part.select(slice(first, last))
             at = codes[done + first : done + first + len(kept.points)]
             done += len(part.points)
@@ -264,7 +264,7 @@ class PointStream:
     ) -> Iterator[Deformed]:
         record = mesh.mesh
         normals = record.normals is not None
-        if _still(mesh, weights, world):
+        if _is_static(mesh, weights, world):
             # One frame is as good as all of them, and no work.
             weights = None if weights is None else weights[:1]
             first = WorldTransforms(world.positions[:1], world.linear[:1])
@@ -275,7 +275,7 @@ class PointStream:
         return deform_blocks(record, weights, world, normals=normals, times=times)
 
 
-def _still(
+def _is_static(
     mesh: CharacterMesh, weights: FloatArray | None, world: WorldTransforms
 ) -> bool:
     """Return whether nothing that a mesh follows moves."""
@@ -382,7 +382,7 @@ def _author_props(
     """Write props of the take to a layer; return their prims."""
     assert run.props is not None
     mapping = plan.takes[0].mapping
-    places = prop_placements(
+    placements = prop_placements(
         job.paths,
         plan.target,
         None,
@@ -390,7 +390,7 @@ def _author_props(
         up,
         to_rig=None if mapping is None else mapping.to_rig,
     )
-    props, notices = author_props(layer, run.props, places, plan.output)
+    props, notices = author_props(layer, run.props, placements, plan.output)
     plan.notices.extend(notices)
     return props
 

@@ -29,7 +29,7 @@ def _one(_: object) -> int:
     return 1
 
 
-def told(
+def with_progress(
     items: Iterator[Item],
     count: int,
     progress: Progress,
@@ -114,12 +114,12 @@ def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
         thread.join()
 
 
-def share_of(progress: Progress, i: int, count: int) -> Progress:
+def part_progress(progress: Progress, i: int, count: int) -> Progress:
     """Return what shows the progress of one of several as that of all."""
     if progress is None or count == 1:
         return progress
     shown = progress
-    return lambda share: shown((i + share) / count)
+    return lambda fraction: shown((i + fraction) / count)
 
 
 class BlockProgress:
@@ -135,17 +135,17 @@ class BlockProgress:
         self._begin, self._shown, self._read = 0.0, 0.0, 0.0
         show(0.0)
 
-    def read(self, share: float) -> None:
+    def read(self, fraction: float) -> None:
         """Note which share of the source was read."""
-        self._read = max(self._read, share)
+        self._read = max(self._read, fraction)
 
     def of_pass(self, index: int) -> Callable[[float], None]:
         """Return what a pass tells its share of the current work."""
 
-        def tell(share: float) -> None:
+        def tell(fraction: float) -> None:
             # A source that does not tell is read whole.
             end = self._read or 1.0
-            part = (index + share) / self._passes
+            part = (index + fraction) / self._passes
             self._to(self._begin + (end - self._begin) * part)
 
         return tell
@@ -158,9 +158,9 @@ class BlockProgress:
             self._begin = self._shown
         self._to(1.0)
 
-    def _to(self, share: float) -> None:
-        if share > self._shown:
-            self._shown = min(share, 1.0)
+    def _to(self, fraction: float) -> None:
+        if fraction > self._shown:
+            self._shown = min(fraction, 1.0)
             self._show(self._shown)
 
 
@@ -187,8 +187,8 @@ class Phases:
     def _telling(self, part: float) -> Callable[[float], None]:
         floor = self._floor
 
-        def tell(share: float) -> None:
-            now = floor + (1.0 - floor) * part * min(share, 1.0)
+        def tell(fraction: float) -> None:
+            now = floor + (1.0 - floor) * part * min(fraction, 1.0)
             if now > self._shown:
                 self._shown = now
                 self._show(now)
@@ -347,12 +347,12 @@ class Meter:
     @contextmanager
     def running(self, stage: StageCost) -> Iterator[None]:
         """Count what happens in a block for a stage."""
-        self._turn()
+        self._charge()
         self._stack.append(stage)
         try:
             yield
         finally:
-            self._turn()
+            self._charge()
             self._stack.pop()
 
     def blocks(self, stage: StageCost, blocks: Iterator[Motion]) -> Iterator[Motion]:
@@ -370,15 +370,15 @@ class Meter:
         """Return a source that is a function of time, counted for a stage."""
         if curve is None:
             return None
-        wanted = curve
+        source = curve
 
         def counted(times: FloatArray) -> Motion:
             with self.running(stage):
-                return wanted(times)
+                return source(times)
 
         return counted
 
-    def _turn(self) -> None:
+    def _charge(self) -> None:
         """Count what has been since the last turn for the stage that ran."""
         now = time.perf_counter()
         peak = self._memory.taken()

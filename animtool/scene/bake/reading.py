@@ -16,13 +16,13 @@ from animtool.core.errors import (
     Severity,
 )
 from animtool.core.names import is_named
-from animtool.core.options import called, clashes, given_options, refused_options
+from animtool.core.options import called, chosen_options, clashes, refused_options
 from animtool.core.rates import rate_label
 from animtool.core.readers import reader_of
 from animtool.core.record import dataclass
 from animtool.core.writers import Writer
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.progress import Progress, share_of
+from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.sources.open import (
     OpenTake,
     fitting_options,
@@ -71,12 +71,12 @@ class Reading:
         errors: list[AnimtoolError] = []
         for i, (path, take) in enumerate(zip(self.files, self.takes, strict=True)):
             try:
-                shown = share_of(progress, i, len(self.files))
-                own = options
+                shown = part_progress(progress, i, len(self.files))
+                local_options = options
                 if self.names:
                     read = replace(options.source, take=self.names[i])
-                    own = replace(options, source=read)
-                streams.append(take or self._open_one(path, own, shown))
+                    local_options = replace(options, source=read)
+                streams.append(take or self._open_one(path, local_options, shown))
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:
@@ -105,15 +105,15 @@ class Reading:
                 force_fit=options.force_fit, placement=options.placement
             )
             return scene.open(progress=shown)
-        own = fitting_options(options.source, path, self.files)
-        own = replace(
-            own,
+        source_options = fitting_options(options.source, path, self.files)
+        source_options = replace(
+            source_options,
             force_fit=options.force_fit,
-            shot=options.shot or own.shot,
+            shot=options.shot or source_options.shot,
             placement=options.placement,
         )
-        stream = open_source(path, own, progress=shown)
-        if stream.details.get("format") == "BVH" and own.up is None:
+        stream = open_source(path, source_options, progress=shown)
+        if stream.details.get("format") == "BVH" and source_options.up is None:
             from animtool.retarget.standing import with_lying_notice
 
             stream = with_lying_notice(path, stream)
@@ -138,7 +138,7 @@ def with_takes(reading: Reading, options: BakeOptions) -> Reading:
     return Reading([path] * many, {}, (None,) * many, tuple(names))
 
 
-def found_sources(sources: Sequence[Source]) -> Reading:
+def source_set(sources: Sequence[Source]) -> Reading:
     """Return the files of sources, those loaded that are scenes."""
     files = [source_file(source) for source in sources]
     scenes: dict[Path, Scene] = {}
@@ -199,7 +199,7 @@ def check_options(
 
 def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     """Return what animation over a rig layer does not go with, and whether it is so."""
-    refused = (given.over_layer for given in given_options(options).values())
+    refused = (option.over_layer for option in chosen_options(options).values())
     return [
         (
             form == "layer" and options.rig_layer is None,
@@ -279,13 +279,13 @@ def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
 def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None:
     """Raise `OptionError` where options are for USD or for keys, and the output not."""
     faults = []
-    for name, given in given_options(options).items():
-        if name in writer.options or "file" not in given.not_for:
+    for name, option in chosen_options(options).items():
+        if name in writer.options or "file" not in option.not_for:
             continue
         if name == "reduce":
-            faults.append(of_keys(called(name, given), path))
+            faults.append(of_keys(called(name, option), path))
             continue
-        message = f"{called(name, given)} applies to USD, not to {path}"
+        message = f"{called(name, option)} applies to USD, not to {path}"
         faults.append(Fault("CLI002", message))
     if not faults:
         faults = [Fault("CLI002", message) for message in clashes(options)]

@@ -79,8 +79,8 @@ def bake_steps(outline: Outline) -> list[Step]:
         if path in reading.scenes:
             last = _scene_steps(reading.scenes[path], steps)
             continue
-        own = fitting_options(outputs[0].options.source, path, reading.files)
-        last = _State.of(open_source(path, own))
+        source_options = fitting_options(outputs[0].options.source, path, reading.files)
+        last = _State.of(open_source(path, source_options))
         steps.append(_source_step(path, "", last))
     assert last is not None
     steps += [] if scene is None else _system_steps(scene, outputs)
@@ -99,7 +99,7 @@ class _State:
     curves: tuple[str, ...]  # controls that have a curve
     dropped: str  # the pass that took their curves away; empty where none did
     facts: tuple[str, ...]  # how many frames there are, and of what
-    still: tuple[str, ...]  # what never moves
+    static: tuple[str, ...]  # what never moves
     tracks: tuple[Track, ...] = ()  # what is beside the rig
     systems: int = 0  # how many systems are simulated beside it
 
@@ -126,12 +126,12 @@ class _State:
             tuple(stream.control_curves),
             "",
             tuple(facts),
-            tuple(_still(motion)),
+            tuple(_static_tracks(motion)),
             take.tracks,
         )
 
 
-def _still(motion: Motion) -> Iterator[str]:
+def _static_tracks(motion: Motion) -> Iterator[str]:
     """Yield what of a motion is stored once, as it never moves."""
     for name, noun in (
         ("translations", "translation"),
@@ -145,15 +145,15 @@ def _still(motion: Motion) -> Iterator[str]:
             if name == "scales":
                 yield "scales: nothing is scaled"
             continue
-        still = len(channel.rest) - len(channel.animated)
-        if still:
-            word = "never moves: it is" if still == 1 else "never move: they are"
-            yield f"samples of {counted(still, noun)} that {word} stored once"
+        static = len(channel.rest) - len(channel.animated)
+        if static:
+            word = "never moves: it is" if static == 1 else "never move: they are"
+            yield f"samples of {counted(static, noun)} that {word} stored once"
 
 
 def _source_step(path: Path, where: str, state: _State) -> Step:
     return Step(
-        StepKind.SOURCE, str(path), where, (str(path),), state.facts, state.still
+        StepKind.SOURCE, str(path), where, (str(path),), state.facts, state.static
     )
 
 
@@ -163,11 +163,11 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
         for source in scene.sources:
             opened = open_source(source.path, source.options)
             state = _State.of(opened)
-            steps.append(_source_step(source.path, source.place.where, state))
+            steps.append(_source_step(source.path, source.location.where, state))
     state = _State.of(replace(scene, passes=()).open())
     if len(scene.sources) == 1:
         source = scene.sources[0]
-        steps.append(_source_step(source.path, source.place.where, state))
+        steps.append(_source_step(source.path, source.location.where, state))
     tracks = {track.path: track for track in state.tracks}
     for prop in scene.props:
         steps.append(_prop_step(prop, tracks[prop.path]))
@@ -177,7 +177,7 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
             state = replace(state, dropped=entry.pass_.name)
         if TakePart.CLOCK in entry.pass_.changes:
             state = replace(state, facts=())
-        state = replace(state, moving=state.moving | _made(entry))
+        state = replace(state, moving=state.moving | _added_parts(entry))
     return state
 
 
@@ -201,7 +201,7 @@ def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]:
 
 
 def _system_step(scene: Scene, system: SceneSystem) -> Step:
-    setup, where = system.setup, system.place.where
+    setup, where = system.setup, system.location.where
     # The scene's own character has the file of the scene.
     reads = tuple(one for one in setup.reads if one != scene.path.name)
     reads += ("the character",) if scene.path in setup.files else ()
@@ -215,14 +215,16 @@ def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]
         prims = listed(_written(entry))
         lines = (f"{Form.STAGE} with {prims}, their points and velocities",)
         name = "stdout" if entry.path is None else str(entry.path)
-        made = (*lines, *_named(entry.files))
-        steps.append(Step(StepKind.OUTPUT, name, _where(entry), ("systems",), made))
+        lines_out = (*lines, *_named(entry.files))
+        steps.append(
+            Step(StepKind.OUTPUT, name, _where(entry), ("systems",), lines_out)
+        )
     return steps
 
 
 def _where(entry: OutputEntry) -> str:
     """Return the place of an output in its scene; empty where there is no scene."""
-    return "" if entry.scene is None else entry.scene.outputs[0].place.where
+    return "" if entry.scene is None else entry.scene.outputs[0].location.where
 
 
 def _prop_step(prop: SceneProp, track: Track) -> Step:
@@ -239,7 +241,7 @@ def _prop_step(prop: SceneProp, track: Track) -> Step:
     return Step(
         StepKind.PROP,
         f"{prop.prim} of {prop.file}",
-        prop.place.where,
+        prop.location.where,
         (str(prop.file),),
         tuple(makes),
         tuple(left_out),
@@ -255,7 +257,7 @@ def _drops(entry: ScenePass) -> bool:
     return bool(entry.pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK})
 
 
-def _made(entry: ScenePass) -> frozenset[TakePart]:
+def _added_parts(entry: ScenePass) -> frozenset[TakePart]:
     """Return the parts that a pass adds to a take which has none."""
     return (entry.pass_.changes - entry.pass_.reads) & {TakePart.POINTS}
 
@@ -280,9 +282,9 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
     return Step(
         StepKind.PASS,
         entry.pass_.name,
-        entry.place.where,
+        entry.location.where,
         (*files, *map(str, entry.files), *_ordered(entry.pass_.reads & there)),
-        tuple(_ordered((entry.pass_.changes & there) | _made(entry))),
+        tuple(_ordered((entry.pass_.changes & there) | _added_parts(entry))),
         tuple(left_out),
     )
 

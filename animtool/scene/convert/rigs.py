@@ -14,9 +14,9 @@ from animtool.core.errors import (
     refuse_warnings,
 )
 from animtool.core.files.output import (
+    atomic_outputs,
     check_outputs,
-    sparing_inputs,
-    together,
+    protect_inputs,
     write_arrays,
     write_parts,
 )
@@ -84,7 +84,7 @@ def convert_rig(
     """
     job = RigJob(Path(source), Path(output), prim_path, physics, overwrite, strict)
     write = rig_writer(job.output)
-    with together():
+    with atomic_outputs():
         report: RigReport = write(job)
     return report
 
@@ -184,7 +184,7 @@ def rig_to_usd(job: RigJob) -> RigReport:
     """Write a rig layer, and one of its physics where that is asked for."""
     output, outputs = job.output, rig_outputs(job.output, physics=job.physics)
     check_outputs(outputs, [job.source], overwrite=job.overwrite)
-    with sparing_inputs(outputs):
+    with protect_inputs(outputs):
         rig, notices = open_rig(job.source, job.prim_path)
     notices = notices + _motion_left_out(job.source, output, job.prim_path)
     from animtool.usd.rigs.layer import write_physics_layer, write_rig_layer

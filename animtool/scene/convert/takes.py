@@ -9,7 +9,7 @@ from typing import Any
 
 from animtool.core.arguments import argument
 from animtool.core.errors import OptionError
-from animtool.core.files.output import sparing_inputs
+from animtool.core.files.output import protect_inputs
 from animtool.core.writers import take_writer
 from animtool.motion.passes import Pass, PassContext, apply_pass
 from animtool.motion.take import Take
@@ -114,7 +114,7 @@ def convert_with_passes(
     outline = outlined(source, output, settings)
     check_outline(outline)
     contexts: list[PassContext] = []
-    with sparing_inputs(outline.files):
+    with protect_inputs(outline.files):
         stream = open_source(source, reading, progress=progress)
         for pass_, options in passes:
             context = PassContext(_taken, source.parent)

@@ -29,7 +29,7 @@ from animtool.systems.framework.spec import EntryRecord, SystemSpec
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class EntryLocation:
     """Where in a file something is said."""
 
     path: Path  # the file
@@ -47,7 +47,7 @@ class Place:
         severity: Severity = Severity.ERROR,
     ) -> Fault:
         """Return a fault that is here."""
-        return self.put(Fault(code, message, hint=hint, severity=severity))
+        return self.locate(Fault(code, message, hint=hint, severity=severity))
 
     def key_of(self, fault: Fault) -> str | None:
         """Return the key that a fault names, or the nearest one around what it names.
@@ -61,7 +61,7 @@ class Place:
             key = key[: max(key.rfind("."), key.rfind("["), 0)]
         return key or None
 
-    def put(self, fault: Fault) -> Fault:
+    def locate(self, fault: Fault) -> Fault:
         """Return a fault that has no file as one that is here, or at a key of it."""
         if fault.path is not None:
             return fault
@@ -85,14 +85,16 @@ class Place:
         try:
             yield
         except ToleranceError as error:
-            raise ToleranceError([self.put(fault) for fault in error.faults]) from error
+            raise ToleranceError(
+                [self.locate(fault) for fault in error.faults]
+            ) from error
         except (OptionError, FormatError) as error:
-            raise FormatError([self.put(fault) for fault in error.faults]) from error
+            raise FormatError([self.locate(fault) for fault in error.faults]) from error
 
 
-def place_of_entry(
+def entry_location(
     document: Document, at: Location, model: FileModel | None = None
-) -> Place:
+) -> EntryLocation:
     """Return a place in a document, with those of the keys that its model was given."""
     keys = {}
     for name in () if model is None else sorted(model.model_fields_set):
@@ -101,7 +103,7 @@ def place_of_entry(
         for i in range(len(value)) if isinstance(value, list) else ():
             if isinstance(value[i], FileModel):
                 keys[f"{name}[{i}]"] = document.place((*at, name, i))
-    return Place(document.path, *document.place(at), spelled(at), keys)
+    return EntryLocation(document.path, *document.place(at), spelled(at), keys)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,7 @@ class SceneSource:
 
     path: Path  # the file
     options: SourceOptions  # how to open it
-    place: Place  # of the entry
+    location: EntryLocation  # of the entry
     # Of several, what it brings; None is what it moves.
     tracks: TrackNames | None = None
     timecode: str | None = None  # SMPTE time code of its first frame; None states none
@@ -128,7 +130,7 @@ class SceneProp(PropRequest):
     # Whether passes retime it with the take; else it has the frames of what comes out
     # of them.
     retimed: bool
-    place: Place  # of the entry
+    location: EntryLocation  # of the entry
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +139,7 @@ class ScenePass:
 
     pass_: Pass  # what to do
     options: Any  # its own record
-    place: Place  # of the entry
+    location: EntryLocation  # of the entry
     files: tuple[Path, ...] = ()  # that its colliders go with
 
 
@@ -222,7 +224,7 @@ class SceneSystem:
     name: str  # of its prim
     kind: str  # of `SYSTEM_KINDS`
     setup: SystemSetup  # what it is made of
-    place: Place  # of the entry
+    location: EntryLocation  # of the entry
     written: bool = True  # whether it goes into the output; else another needs it
     # What lengths of its entry count, as the scene states it; None states nothing.
     unit: LengthUnit | None = None
@@ -234,6 +236,6 @@ class SceneOutput:
 
     path: Path | None  # the file to write; None where it names none
     bake: BakeOptions  # options that it sets, those of the whole scene among them
-    place: Place  # of the entry
+    location: EntryLocation  # of the entry
     # Names of those that go into it; None is all.
     systems: tuple[str, ...] | None = None

@@ -7,7 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
-from animtool.core.options import Kind, Place, keys_of, options_of
+from animtool.core.options import FileKind, Kind, keys_of, options_of
 from animtool.core.rates import parse_rate
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, Shot
@@ -17,7 +17,7 @@ from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location
 from animtool.documents.references import referred, referred_input
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.file.entries import SceneOutput, place_of_entry
+from animtool.scene.file.entries import SceneOutput, entry_location
 from animtool.scene.file.option_text import parse_offsets
 from animtool.scene.file.schema import OutputModel, SceneModel
 from animtool.scene.sources.retime import Preroll
@@ -55,7 +55,7 @@ class KeyReader:
 def option_keys(
     record: type[Any],
     model: FileModel,
-    place: Place,
+    file_kind: FileKind,
     at: Location,
     reader: KeyReader,
 ) -> dict[str, Any]:
@@ -64,16 +64,16 @@ def option_keys(
     Args:
         record: Of options.
         model: Of `with_fields`, of this place.
-        place: The kind of file.
+        file_kind: The kind of file.
         at: Where the model is in its file.
         reader: Reads and records faults.
     """
     values, options = {}, options_of(record)
-    for name, key in keys_of(record, place).items():
-        given = getattr(model, key.alias or name)
-        if given is not None:
+    for name, key in keys_of(record, file_kind).items():
+        value_in_file = getattr(model, key.alias or name)
+        if value_in_file is not None:
             kind = options[name].kind
-            value = _value(kind, given, (*at, key.alias or name), reader)
+            value = _value(kind, value_in_file, (*at, key.alias or name), reader)
             if value is not None:
                 values[name] = value
     return values
@@ -153,17 +153,17 @@ class OutputReader:
 
     def outputs(self) -> tuple[SceneOutput, ...]:
         """Return the outputs."""
-        given, fps, frames = self._model.output, self._fps(), self._frames()
-        if isinstance(given, OutputModel):
-            return (self._output(("output",), given, fps, frames),)
-        for i, entry in enumerate(given):
+        entries, fps, frames = self._model.output, self._fps(), self._frames()
+        if isinstance(entries, OutputModel):
+            return (self._output(("output",), entries, fps, frames),)
+        for i, entry in enumerate(entries):
             if entry.file is None:
                 hint = "each of several outputs needs a file"
                 message = "key 'file' is missing"
                 self._document.add("DOC021", ("output", i), message, hint)
         outputs = tuple(
             self._output(("output", i), entry, fps, frames)
-            for i, entry in enumerate(given)
+            for i, entry in enumerate(entries)
         )
         for i, output in enumerate(outputs):
             if output.bake.chunk is not None:
@@ -197,8 +197,8 @@ class OutputReader:
             message = "nothing would be written: it includes no system"
             hint = "remove systems to write all"
             self._document.add("SCN081", (*at, "systems"), message, hint)
-        place = place_of_entry(self._document, at)
-        return SceneOutput(path, bake, place, systems)
+        location = entry_location(self._document, at)
+        return SceneOutput(path, bake, location, systems)
 
     def _file(self, at: Location, name: str) -> Path:
         """Return a file to write."""
@@ -215,7 +215,7 @@ class OutputReader:
 
     def _frames(self) -> FrameRange | None:
         """Return the frames to write: a range, or the cut with its handles."""
-        shot, found = self._model.shot, self._shot()
+        shot, of_shot = self._model.shot, self._shot()
         at: Location = ("range",) if shot is None else ("shot", "cut")
         ends = self._model.range if shot is None else shot.cut
         if shot is not None and self._model.range is not None:
@@ -228,6 +228,6 @@ class OutputReader:
         if first > last:
             message = f"the {at[-1]} from {first} to {last} is reversed"
             self._document.add("SCN003", at, message, f"write [{last}, {first}]")
-        if found is not None:
-            return FrameRange(found.start, found.end)
+        if of_shot is not None:
+            return FrameRange(of_shot.start, of_shot.end)
         return FrameRange(first, last)

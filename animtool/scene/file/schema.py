@@ -300,7 +300,7 @@ class SceneModel(FileModel):
         ]
 
 
-def whole_model() -> type[SceneModel]:
+def full_model() -> type[SceneModel]:
     """Return the model of a scene, with systems of every kind."""
     return _with_kinds(tuple(SYSTEM_KINDS))
 
@@ -313,26 +313,26 @@ def model_for(written: Any) -> type[SceneModel]:
     """
     known = {field.alias or name for name, field in SceneModel.model_fields.items()}
     if not isinstance(written, dict) or not known.issuperset(written):
-        return whole_model()
+        return full_model()
     systems = written.get("systems") or []
     entries = systems if isinstance(systems, list) else [systems]
     if not all(isinstance(entry, dict) for entry in entries):
-        return whole_model()
+        return full_model()
     named = {kind for entry in entries for kind in entry}
     if not named.issubset(SYSTEM_KINDS):
-        return whole_model()
+        return full_model()
     return _with_kinds(tuple(kind for kind in SYSTEM_KINDS if kind in named))
 
 
 @cache
 def _with_kinds(kinds: tuple[str, ...]) -> type[SceneModel]:
     # Of an entry's kinds one is given; that one may not be nothing.
-    not_given: Any = None
+    unset: Any = None
     fields: dict[str, Any] = {
         name: (
             load_object(SYSTEM_KINDS[name].spec),
             Field(
-                default=not_given,
+                default=unset,
                 description=SYSTEM_KINDS[name].description,
                 examples=[SYSTEM_KINDS[name].example],
             ),

@@ -102,23 +102,23 @@ def _add_driven(rig: Rig, chosen: dict[str, set[int]]) -> None:
 
 def moving_tracks(motion: Motion, names: NameMap, other: Rig) -> Tracks:
     """Return what a motion moves over time, or holds away from rest."""
-    still = names.apply(still_motion(other))
+    at_rest = names.apply(rest_motion(other))
 
     def moved(kind: str) -> IntArray:
         channel: Channel | None = getattr(motion, kind)
         if channel is None:
             return np.zeros(0, np.int64)
-        rest: Channel | None = getattr(still, kind)
+        rest: Channel | None = getattr(at_rest, kind)
         moves = (channel.rest != (1.0 if rest is None else rest.rest)).any(axis=1)
         moves[channel.animated] = True
         return np.flatnonzero(moves)
 
     joints = [moved(kind) for kind in ("translations", "rotations", "scales")]
-    whole = np.unique(np.concatenate(joints))
-    return _within(Tracks(whole, moved("weights"), moved("controls")), names)
+    moving = np.unique(np.concatenate(joints))
+    return _within(Tracks(moving, moved("weights"), moved("controls")), names)
 
 
-def still_motion(rig: Rig) -> Motion:
+def rest_motion(rig: Rig) -> Motion:
     """Return one frame of a rig at rest, controls at their defaults."""
     weights = np.zeros((1, len(rig.shapes), 1))
     return Motion(

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 # From a world with Z up to one with Y up.
 _Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
 # A head that is turned farther from the rig's all the time stands in other axes.
-MAX_MEAN_TURN = np.radians(75)
+MAX_MEAN_ROTATION = np.radians(75)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,8 +144,8 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     rig, notices = open_rig(job.rig)
     remap = None if job.remap is None else load_remap(job.remap)
     model = _model(job, capture, rig)
-    points, odd = in_order(capture, model)
-    camera, points = _seen(job, capture, points)
+    points, point_notices = in_order(capture, model)
+    camera, points = _undistorted(job, capture, points)
     read = time.perf_counter()
     try:
         model = _proportions(job.options, model, points, camera is not None)
@@ -169,8 +169,8 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     if capture.up is UpAxis.Z and camera is None and job.landmarks is None:
         fit = _turned_up(fit)
     motion, more = face_motion(fit, links, rig, head)
-    own = [*capture.notices, *odd, *fit.notices, *more]
-    notices += [_at(str(job.capture), notice) for notice in own]
+    capture_notices = [*capture.notices, *point_notices, *fit.notices, *more]
+    notices += [_at(str(job.capture), notice) for notice in capture_notices]
     take = driven_take(Take(rig, capture.clock, motion, tuple(notices)))
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
     scale = None
@@ -195,7 +195,7 @@ def _model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
     return capture.model
 
 
-def _seen(
+def _undistorted(
     job: FaceJob, capture: FaceCapture, points: FloatArray
 ) -> tuple[FloatArray | None, FloatArray]:
     """Return the camera, and landmarks in its pixels free of distortion."""
@@ -285,7 +285,7 @@ def face_motion(
         notices.append(Fault("FAC109", message, severity=Severity.NOTE))
     elif head != "none" and joint is not None:
         mean = np.abs(fit.rotations[:, 3]).mean()
-        if 2 * np.arccos(min(float(mean), 1.0)) > MAX_MEAN_TURN:
+        if 2 * np.arccos(min(float(mean), 1.0)) > MAX_MEAN_ROTATION:
             message = "the head faces far away from the rig's in most frames"
             hint = (
                 f"set the up axis with {argument('source.up')}; "
@@ -296,7 +296,7 @@ def face_motion(
         local = local_rotations(rig, joint, fit.rotations)
         rotations = rotations.put(np.array([joint]), local[:, None])
         if head == "pose":
-            translations, more = _placed(fit, rig, joint, translations)
+            translations, more = _head_translations(fit, rig, joint, translations)
             notices += more
     motion = Motion(
         translations.compact(),
@@ -306,7 +306,7 @@ def face_motion(
     return motion, notices
 
 
-def _placed(
+def _head_translations(
     fit: FaceFit, rig: Rig, joint: int, translations: Channel
 ) -> tuple[Channel, list[Fault]]:
     """Return translations that bring the head to its place by those of its root."""
@@ -322,5 +322,5 @@ def _placed(
     # The head turns about its joint, so that only this is to be moved.
     moved = rotate(fit.rotations, np.broadcast_to(at, fit.translations.shape))
     shift = moved + fit.translations - at
-    own = rig.rest_translations[root] + shift
-    return translations.put(np.array([root]), own[:, None]), []
+    shifted = rig.rest_translations[root] + shift
+    return translations.put(np.array([root]), shifted[:, None]), []

@@ -25,7 +25,7 @@ from animtool.core.errors import (
     listed,
     refuse_warnings,
 )
-from animtool.core.files.output import sparing_inputs
+from animtool.core.files.output import protect_inputs
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
@@ -165,7 +165,7 @@ class IkContext:
 
     tracks: TargetTracks  # the targets
     take: Take  # the poses to start from
-    still: bool  # they are the rest pose
+    at_rest: bool  # they are the rest pose
     only: int | None  # index of the one frame to solve; None is all
     notices: list[Fault]  # what is odd so far
 
@@ -207,13 +207,13 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
     clock = take.clock
     if frame is None:
         return 0
-    place = (frame - clock.start) / clock.step
-    if place.denominator != 1 or not 0 <= place < clock.count:
+    index = (frame - clock.start) / clock.step
+    if index.denominator != 1 or not 0 <= index < clock.count:
         last = clock.start + clock.step * (clock.count - 1)
         message = f"frame {float(frame):g} is not one of the frames "
         message += f"{float(clock.start):g} to {float(last):g}"
         raise OptionError(Fault("SCN013", message, str(path)))
-    return int(place)
+    return int(index)
 
 
 @contextmanager
@@ -265,7 +265,7 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
 
 def _solved(job: IkJob, progress: Progress) -> IkReport:
     began = time.perf_counter()
-    with sparing_inputs(job.target.files):
+    with protect_inputs(job.target.files):
         context = open_ik(job, progress=progress)
     read = time.perf_counter()
     with naming(job.rig):
@@ -273,24 +273,24 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
             context.take,
             context.tracks,
             _as_fine(job),
-            still=context.still,
+            still=context.at_rest,
             only=context.only,
             progress=progress,
         )
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
     goals = goal_reports(solved, *_missed_by(job))
     missed = missed_notices(solved, goals)
-    odd = [
+    notices = [
         *context.notices,
         *span_notices(solved),
         *apart_notices(solved, smooth=job.options.smooth > 0),
         *away_notices(solved, goals),
         *jump_notices(solved),
     ]
-    report = IkReport(solved, goals, [*odd, *missed], seconds)
+    report = IkReport(solved, goals, [*notices, *missed], seconds)
     if job.bake.strict and missed:
         raise MissedGoalsError(missed, report)
-    refuse_warnings(odd, strict=job.bake.strict)
+    refuse_warnings(notices, strict=job.bake.strict)
     return report
 
 
@@ -320,8 +320,8 @@ MAX_NAMED = 6
 def rest_take(rig: Rig, clock: Clock) -> Take:
     """Return a take that stays where controls at their defaults leave the rig."""
     last = clock.start + clock.step * (clock.count - 1)
-    still = Clip("rest", clock.fps, clock.start, last, ())
-    return still.sample(rig, step=clock.step)
+    empty = Clip("rest", clock.fps, clock.start, last, ())
+    return empty.sample(rig, step=clock.step)
 
 
 def open_start(
@@ -344,8 +344,8 @@ def open_start(
     take = _within(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
         return driven_take(replace(take, rig=rig))
-    motion, odd = _mapped(take, rig, path)
-    return driven_take(Take(rig, take.clock, motion, (*take.notices, *odd)))
+    motion, left_out = _mapped(take, rig, path)
+    return driven_take(Take(rig, take.clock, motion, (*take.notices, *left_out)))
 
 
 def _within(take: Take, shot: Shot | None) -> Take:

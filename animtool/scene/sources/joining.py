@@ -27,7 +27,7 @@ from animtool.scene.file.tracks import (
     Tracks,
     chosen_tracks,
     moving_tracks,
-    still_motion,
+    rest_motion,
     with_tracks,
 )
 from animtool.scene.sources.onto_rig import Noter, on_rig
@@ -94,19 +94,19 @@ class _Layer:
         clock, since = self.take.clock, seconds - float(self.delay)
         if self.part.stream.curve is not None:
             return self._curved(float(clock.start) + since * float(clock.fps))
-        places = nearby_places(since * float(clock.rate), clock.count)
-        return self.take.motion.map(places.blend)
+        samples = nearby_places(since * float(clock.rate), clock.count)
+        return self.take.motion.map(samples.blend)
 
     def _curved(self, codes: FloatArray) -> Motion:
         curve, clock = self.part.stream.curve, self.take.clock
         assert curve is not None
         last = clock.start + clock.step * (clock.count - 1)
-        return _alike(
+        return _stored_like(
             curve(np.clip(codes, float(clock.start), float(last))), self.take.motion
         )
 
 
-def _alike(motion: Motion, like: Motion) -> Motion:
+def _stored_like(motion: Motion, like: Motion) -> Motion:
     """Return a motion that stores as moving what another does, as blocks have to."""
 
     def same(channel: Channel, other: Channel) -> Channel:
@@ -137,8 +137,8 @@ def _layer(first: Part, other: Part) -> _Layer:
         for note in placed.stream.notices
     ]
     if other.tracks is None:
-        own = reorient(replace(other.stream, blocks=iter(())), rig.up).rig
-        tracks = moving_tracks(take.motion, names, own)
+        source_rig = reorient(replace(other.stream, blocks=iter(())), rig.up).rig
+        tracks = moving_tracks(take.motion, names, source_rig)
     else:
         tracks, unknown = chosen_tracks(other.tracks, names)
         faults = [
@@ -248,7 +248,7 @@ class _Joining:
         """Return the motion of the first source; of samples at rest."""
         if self.base.curve is not None:
             return self.base.curve(times)
-        return still_motion(self.base.rig).select(np.zeros(len(times), np.int64))
+        return rest_motion(self.base.rig).select(np.zeros(len(times), np.int64))
 
     def _control_curves(self) -> dict[str, Curves]:
         """Return the curves of controls, each of the source that brings it."""
@@ -276,11 +276,13 @@ class _Joining:
         clock, note = layer.take.clock, layer.part.note
         # In frames of the first source, from its first.
         begin, last = layer.delay * self._rate, Fraction(count - 1)
-        own_step = self._rate / clock.rate
-        end = begin + (clock.count - 1) * own_step
+        layer_step = self._rate / clock.rate
+        end = begin + (clock.count - 1) * layer_step
         if end < 0 or begin > last:
-            own, theirs = self._span(begin, end), self._span(Fraction(0), last)
-            message = f"overlaps no frame of the first source: {own} is not in {theirs}"
+            frames, theirs = self._span(begin, end), self._span(Fraction(0), last)
+            message = (
+                f"overlaps no frame of the first source: {frames} is not in {theirs}"
+            )
             raise OptionError(
                 note("SCN035", message, "compare their time codes and timecode_fps")
             )
@@ -288,7 +290,7 @@ class _Joining:
         if begin > 0:
             lacking.append(self._span(Fraction(0), Fraction(-(-begin // 1) - 1)))
         # A frame of fewer a second lasts until the next would come.
-        if end + max(own_step, Fraction(1)) <= last:
+        if end + max(layer_step, Fraction(1)) <= last:
             lacking.append(self._span(Fraction(end // 1 + 1), last))
         if lacking:
             message = (

@@ -112,20 +112,25 @@ def on_rig(stream: TakeStream, rig: Rig, note: Noter) -> tuple[TakeStream, NameM
     """
     stream = reorient(stream, rig.up)
     names = map_names(rig, stream.rig)
-    if all((own < 0).all() for own in (names.joints, names.shapes, names.controls)):
+    if all(
+        (control_names < 0).all()
+        for control_names in (names.joints, names.shapes, names.controls)
+    ):
         message = f"has no joint, shape or control of {rig.name!r}"
         hint = (
             f"its joints are {listed(stream.rig.names, MAX_NAMED)}; animtool retarget "
         )
         hint += "moves a take to another rig"
         raise OptionError(note("SCN036", message, hint))
-    given, curve = stream.blocks, stream.curve
-    own = {control.name for control in rig.controls}
+    source_blocks, curve = stream.blocks, stream.curve
+    control_names = {control.name for control in rig.controls}
     mapped = replace(
         stream,
         rig=rig,
-        blocks=(names.apply(block) for block in given),
-        control_curves={k: c for k, c in stream.control_curves.items() if k in own},
+        blocks=(names.apply(block) for block in source_blocks),
+        control_curves={
+            k: c for k, c in stream.control_curves.items() if k in control_names
+        },
     )
     if curve is not None:
         mapped.curve = lambda times: names.apply(curve(times))
@@ -165,13 +170,13 @@ def on_rig_file(
     rig, notices = open_rig(rig_path)
     # The take says where it goes, and not the stage that has the rig.
     rig = at_origin(rig)
-    own = reorient(stream, rig.up)
-    mapped, names = on_rig(own, rig, note)
-    unmatched = left_out(names, own.rig, str(path))
+    reoriented = reorient(stream, rig.up)
+    mapped, names = on_rig(reoriented, rig, note)
+    unmatched = left_out(names, reoriented.rig, str(path))
     differences: list[Fault] = []
-    if own.rig.joints and rig.joints:
+    if reoriented.rig.joints and rig.joints:
         _, differences = check_fit(
-            own.rig,
+            reoriented.rig,
             rig,
             names.joints,
             str(rig_path),
@@ -189,19 +194,21 @@ def _indices(names: list[str], others: list[str]) -> IntArray:
 
 
 def _moved_if(
-    channel: Channel | None, own: IntArray, rest: FloatArray
+    channel: Channel | None, indices: IntArray, rest: FloatArray
 ) -> Channel | None:
-    return None if channel is None or not len(own) else _moved(channel, own, rest)
+    return (
+        None if channel is None or not len(indices) else _moved(channel, indices, rest)
+    )
 
 
-def _moved(channel: Channel, own: IntArray, rest: FloatArray) -> Channel:
+def _moved(channel: Channel, indices: IntArray, rest: FloatArray) -> Channel:
     """Return the values at some indices, -1 being one that stays at rest."""
-    there = own >= 0
-    whole = np.array(rest, np.float64)
-    whole[there] = channel.rest[own[there]]
-    places = np.full(len(channel.rest), -1)
-    places[channel.animated] = np.arange(len(channel.animated))
-    at = np.full(len(own), -1)
-    at[there] = places[own[there]]
+    there = indices >= 0
+    values = np.array(rest, np.float64)
+    values[there] = channel.rest[indices[there]]
+    columns = np.full(len(channel.rest), -1)
+    columns[channel.animated] = np.arange(len(channel.animated))
+    at = np.full(len(indices), -1)
+    at[there] = columns[indices[there]]
     animated = np.flatnonzero(at >= 0)
-    return Channel(whole, animated, channel.values[:, at[animated]])
+    return Channel(values, animated, channel.values[:, at[animated]])

@@ -11,7 +11,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import FileState, note_input
 from animtool.core.names import is_named
-from animtool.core.options import Key, called, described, option, options_of
+from animtool.core.options import Key, called, inherits_docs, option, options_of
 from animtool.core.rates import OptionalFraction, rate_option
 from animtool.core.readers import DOCUMENT, READERS, USD, find_reader
 from animtool.core.record import dataclass
@@ -32,7 +32,7 @@ _OF_BVH = "sets what a BVH does not state; this file states it"
 _UNITS = "sets the unit of a BVH, a glTF or an FBX; this file states its own"
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class SourceOptions:
     """What a source is, where the file does not say.
@@ -284,9 +284,9 @@ def fitting_options(
     >>> found.up, found.clamp
     (None, True)
     """
-    usual = SourceOptions()
+    defaults = SourceOptions()
     left_out = {
-        field.name: getattr(usual, field.name)
+        field.name: getattr(defaults, field.name)
         for field in fields(SourceOptions)
         if field.name not in ANY_SOURCE
         and not takes_option(path, field.name)
@@ -321,34 +321,34 @@ def open_source(
     if options.shot is not None:
         from animtool.scene.sources.retime import in_shot
 
-        own = replace(options, shot=None)
-        return in_shot(open_source(path, own, progress=progress), options.shot)
+        unmapped = replace(options, shot=None)
+        return in_shot(open_source(path, unmapped, progress=progress), options.shot)
     reader = find_reader(path)
     if options.rig is not None and "rig" not in reader.options:
-        own = replace(options, rig=None, force_fit=False)
-        stream = open_source(path, own, progress=progress)
+        unmapped = replace(options, rig=None, force_fit=False)
+        stream = open_source(path, unmapped, progress=progress)
         from animtool.scene.sources.onto_rig import on_rig_file
 
         mapped = on_rig_file(path, stream, options.rig, forced=options.force_fit)
         return _driven(mapped)
     note_input(path)
-    usual = SourceOptions()
-    given = {
+    defaults = SourceOptions()
+    arguments = {
         field.name: value
         for field in fields(SourceOptions)
         if field.name not in BEYOND_READERS
-        and (value := getattr(options, field.name)) != getattr(usual, field.name)
+        and (value := getattr(options, field.name)) != getattr(defaults, field.name)
     }
     if "placement" not in reader.options:
         # Only stages have a character stand somewhere.
-        given.pop("placement", None)
-    refused = [name for name in given if name not in reader.options]
+        arguments.pop("placement", None)
+    refused = [name for name in arguments if name not in reader.options]
     if refused:
         raise OptionError([_refusal(name, path) for name in refused])
     if "progress" in reader.options:
-        given["progress"] = progress
-    stream = cast("TakeStream", reader.source_opener(path)(path, **given))
-    if "unit" not in reader.options or "unit" in given:
+        arguments["progress"] = progress
+    stream = cast("TakeStream", reader.source_opener(path)(path, **arguments))
+    if "unit" not in reader.options or "unit" in arguments:
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details.setdefault("units", unit)
     # A clip's keys were evaluated with what they drive.

@@ -25,7 +25,7 @@ from animtool.scene.file.entries import SceneProp
 from animtool.usd.props.reader import PropSource, open_prop
 
 # Between keys a transform may shear by this share, which nobody sees, and not say so.
-SEEN_SHEAR = 1e-9
+VISIBLE_SHEAR = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +51,18 @@ def open_props(
     opened: list[OpenProp] = []
     faults: list[Fault] = []
     for entry in entries:
-        stage = meter.stage(entry.file.name, entry.place.where)
+        stage = meter.stage(entry.file.name, entry.location.where)
         try:
             with meter.running(stage):
                 prop = open_prop(entry, up)
         except AnimtoolError as error:
-            faults += map(entry.place.put, error.faults)
+            faults += map(entry.location.locate, error.faults)
             continue
         track = _counted(entry, prop, stage, meter, notices)
-        own = same_file(entry.file.resolve(), source) or not entry.path.startswith("/")
-        opened.append(OpenProp(entry, prop, replace(track, along=own)))
+        same_source = same_file(
+            entry.file.resolve(), source
+        ) or not entry.path.startswith("/")
+        opened.append(OpenProp(entry, prop, replace(track, along=same_source)))
     if faults:
         raise FormatError(faults)
     return opened
@@ -91,8 +93,8 @@ def with_props(
     props_stream = _PropStream(stream, props)
     for prop in props:
         stream.notices += prop.notes(fps or stream.fps)
-    own = (prop.track(stream, dropped) for prop in props)
-    tracks = (*stream.tracks, *own)
+    prop_tracks = (prop.track(stream, dropped) for prop in props)
+    tracks = (*stream.tracks, *prop_tracks)
     joined = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
     curve = stream.curve
     if curve is not None:
@@ -114,17 +116,17 @@ def _counted(
 
     def sample(times: FloatArray) -> Transforms:
         nonlocal noticed
-        with meter.running(stage), entry.place.located():
+        with meter.running(stage), entry.location.located():
             sampled = source.track.sample(times)
         shear = source.shear()
-        if shear > SEEN_SHEAR and not noticed:
+        if shear > VISIBLE_SHEAR and not noticed:
             noticed = True
             message = f"{entry.prim} is sheared between its keys, by up to "
             message += f"{shear:.2g} of its size, which is ignored"
-            notices.append(entry.place.fault("SCN113", message, None, Severity.NOTE))
+            notices.append(entry.location.fault("SCN113", message, None, Severity.NOTE))
         return sampled
 
-    return replace(source.track, sample=sample, note=entry.place.fault)
+    return replace(source.track, sample=sample, note=entry.location.fault)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +160,7 @@ class _Prop:
     def notes(self, fps: Fraction) -> Iterator[Fault]:
         """Yield what there is to say of it, whatever the frames are."""
         source, entry = self.opened.source, self.opened.entry
-        note = entry.place.fault
+        note = entry.location.fault
         if source.unstated:
             message = f"{entry.prim} does not state {listed(source.unstated)}"
             hint = "the default of USD is written"

@@ -41,16 +41,16 @@ def begun_early(stream: TakeStream, count: int) -> TakeStream:
 
     The take's own frames keep their time codes.
     """
-    given, curve = stream.blocks, stream.curve
+    source_blocks, curve = stream.blocks, stream.curve
     start = Fraction(1) if stream.start is None else stream.start
     first = float(start)
 
-    def held(times: FloatArray) -> Motion:
+    def first_pose(times: FloatArray) -> Motion:
         assert curve is not None
         return curve(np.maximum(times, first))
 
     def blocks() -> Iterator[Motion]:
-        for i, block in enumerate(given):
+        for i, block in enumerate(source_blocks):
             if not i:
                 yield block.select(np.zeros(count, np.int64))
             yield block
@@ -59,7 +59,7 @@ def begun_early(stream: TakeStream, count: int) -> TakeStream:
         stream,
         start=start - count * stream.step,
         blocks=blocks(),
-        curve=None if curve is None else held,
+        curve=None if curve is None else first_pose,
         altered=True,
         count=0,
         control_curves={},
@@ -71,11 +71,11 @@ def without_first(stream: TakeStream, count: int, start: Fraction | None) -> Tak
 
     start: time code of the first that stays; None states none.
     """
-    given = stream.blocks
+    source_blocks = stream.blocks
 
     def blocks() -> Iterator[Motion]:
         left = count
-        for block in given:
+        for block in source_blocks:
             if left < block.frames:
                 yield block.select(slice(left, None))
             left = max(0, left - block.frames)
@@ -95,7 +95,7 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
     if shot is None or shot.fps is None or not shot.places_media:
         return stream
     if shot.speed == 0:
-        return _held(stream, shot)
+        return _constant_pose(stream, shot)
     if shot.speed < 0:
         return _backwards(stream, shot)
     step = stream.step / stream.fps * shot.fps / shot.speed
@@ -140,22 +140,22 @@ def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
     return _moved(replace(stream, blocks=iter([last_first])), shot, start, step)
 
 
-def _held(stream: TakeStream, shot: Shot) -> TakeStream:
+def _constant_pose(stream: TakeStream, shot: Shot) -> TakeStream:
     """Return one pose of a take in every frame of a shot; the take is read whole."""
     assert shot.fps is not None
     assert shot.media_in is not None
     take, count = stream.collect(), shot.end - shot.start + 1
-    place = shot.media_in * stream.fps / stream.step
-    if not 0 <= place < take.clock.count:
+    sample = shot.media_in * stream.fps / stream.step
+    if not 0 <= sample < take.clock.count:
         raise no_frames(shot, shot.start, shot.end, take.clock.count / take.clock.rate)
-    pose = Between.of(take).at(nearby_places([float(place)], take.clock.count))
-    held = pose.select(np.zeros(count, np.int64))
+    pose = Between.of(take).at(nearby_places([float(sample)], take.clock.count))
+    constant = pose.select(np.zeros(count, np.int64))
     return replace(
         stream,
         fps=shot.fps,
         start=Fraction(shot.start),
         step=Fraction(1),
-        blocks=iter([held]),
+        blocks=iter([constant]),
         curve=None,
         count=0,
         control_curves={},

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 FPS = Fraction(24)
 # From the world of a take to where a layer has what is simulated, at time codes.
-Way: TypeAlias = Callable[[FloatArray], FloatArray | None]
+Displacement: TypeAlias = Callable[[FloatArray], FloatArray | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class SystemPrims:
     start: Fraction  # time code at 0 s; with a take, that of its first frame
     codes: tuple[Fraction, ...] = ()  # to write, ascending; empty takes the take's
     watch: CharacterWatch | None = None  # sees the take
-    way: Way | None = None  # of a layer; None is the same
+    displacement: Displacement | None = None  # of a layer; None is the same
 
     def seconds(self, code: Fraction) -> float:
         """Return when a time code is, on the clock of the systems [s]."""
@@ -70,14 +70,14 @@ class SystemPrims:
         plan = draft.plan
         prims = self if self.watch is None else self._on_take(self.watch)
         codes, job = prims.codes, prims.job
-        own = None if self.watch is None else self.watch.motion(self.scene.path)
-        if own is not None and prims.start < self.start:
-            held = float((self.start - prims.start) / job.metadata.span.fps)
-            own = replace(own, times=own.times + held)
+        character = None if self.watch is None else self.watch.motion(self.scene.path)
+        if character is not None and prims.start < self.start:
+            delay = float((self.start - prims.start) / job.metadata.span.fps)
+            character = replace(character, times=character.times + delay)
         systems = self.scene.systems
         main_rig = None if self.watch is None else plan.takes[0].stream.rig
         last = prims.seconds(codes[-1])
-        run = SystemRun(systems, last, own, draft.progress, main_rig)
+        run = SystemRun(systems, last, character, draft.progress, main_rig)
         keep = plan.options.keep_stopped
         rows = run.rows(codes, prims.start, job.metadata.span.fps, keep_stopped=keep)
         if draft.report is None:
@@ -95,8 +95,10 @@ class SystemPrims:
         metadata = replace(stated, span=span)
         # Where a shot begins before its take, the take's first pose is held.
         start = min(self.start, Fraction(ceil(codes[0])))
-        way = None if self.way is None else self.way(watch.codes)
-        job = replace(self.job, metadata=metadata, way=way, codes=watch.codes)
+        displacement = (
+            None if self.displacement is None else self.displacement(watch.codes)
+        )
+        job = replace(self.job, metadata=metadata, way=displacement, codes=watch.codes)
         return replace(self, job=job, start=start, codes=tuple(codes))
 
     def _begin(self, draft: Draft) -> None:
@@ -186,7 +188,7 @@ class SystemFrames:
             stopped = report.takes[0]
             stopped.source_frames = stopped.written.samples = run.done
             stopped.written.span = report.result.span
-        worst = max(written, key=lambda found: found.error)
+        worst = max(written, key=lambda prim: prim.error)
         (take,) = report.takes
         take.written.sampled = list(worst.sampled)
         take.written.rounding = Rounding(worst.error, worst.error_code)
@@ -199,13 +201,17 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     """Return what is to become of the systems of a scene."""
     _check(scene, options)
     fps = options.fps or FPS
-    frames, own = options.frame_range, scene.bake.frame_range
+    frames, scene_frames = options.frame_range, scene.bake.frame_range
     if frames is None:
         message = "a simulation has no natural end"
         hint = "set the frames to write: range: [1, 120]"
         raise OptionError(Fault("SCN061", message, str(scene.path), (), hint))
     # Where only a part is asked for, the simulation still begins with the whole.
-    first = Fraction((own or frames).first) if options.start is None else options.start
+    first = (
+        Fraction((scene_frames or frames).first)
+        if options.start is None
+        else options.start
+    )
     codes = _codes(frames, options.samples)
     model = model_path(options.prim_path, source_stem(scene.path))
     unit = 1.0 if options.to_units is None else options.to_units.meters
@@ -217,19 +223,19 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
 
 
 def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
-    whole = range(frames.first, frames.last + 1, frames.step)
-    count = len(whole) * max(1, len(offsets))
+    frame_numbers = range(frames.first, frames.last + 1, frames.step)
+    count = len(frame_numbers) * max(1, len(offsets))
     if count > MAX_FRAMES:
         message = f"the range has {count} samples; the limit is {MAX_FRAMES}"
         raise FormatError(Fault("SCN091", message, where="range"))
     return tuple(
-        frame + offset for frame in whole for offset in offsets or (Fraction(),)
+        frame + offset for frame in frame_numbers for offset in offsets or (Fraction(),)
     )
 
 
 def _check(scene: Scene, options: BakeOptions) -> None:
     """Refuse what only characters have."""
-    names = [given.label for given in refused_options(options, "systems").values()]
+    names = [option.label for option in refused_options(options, "systems").values()]
     if options.form in {Form.SPLIT, Form.LAYER, Form.LIBRARY}:
         names.insert(options.rig_layer is not None, f"as: {options.form}")
     path = str(scene.path)
@@ -253,21 +259,21 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     unknown = FrameSpan(Fraction(0), Fraction(0), plan.fps)
     metadata = StageMetadata(model.split("/")[1], unknown, *stage)
     job = system_job(scene.systems, model, metadata, unit, up)
-    _check_places(scene, job, plan)
+    _check_prim_paths(scene, job, plan)
     watch = CharacterWatch(
-        wanted=any(scene.path in system.setup.files for system in scene.systems)
+        records_motion=any(scene.path in system.setup.files for system in scene.systems)
     )
-    way: Way | None = None
+    displacement: Displacement | None = None
     if plan.target is not None:
         from animtool.usd.props.placement import way_inside
 
         mapping, path = plan.takes[0].mapping, f"{model}/system"
         to_rig = None if mapping is None else mapping.to_rig
-        way = partial(way_inside, plan.target, to_rig, path)
-    return SystemPrims(scene, job, plan.start, watch=watch, way=way)
+        displacement = partial(way_inside, plan.target, to_rig, path)
+    return SystemPrims(scene, job, plan.start, watch=watch, displacement=displacement)
 
 
-def _check_places(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
+def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
     """Refuse systems whose prims something else has."""
     paths, target = plan.paths, plan.target
     tracks = plan.takes[0].stream.tracks
@@ -276,12 +282,14 @@ def _check_places(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
     faults = []
     written = [system for system in scene.systems if system.written]
     for system, path in zip(written, job.paths, strict=True):
-        whose = [owner for place, owner in taken.items() if overlap(path, place)]
+        whose = [owner for prim, owner in taken.items() if overlap(path, prim)]
         if not whose and target is not None and _is_other(target, path):
             whose = ["the rig layer"]
         if whose:
             message = f"{path} belongs to {whose[0]}"
-            faults.append(system.place.fault("SCN068", message, "give it another name"))
+            faults.append(
+                system.location.fault("SCN068", message, "give it another name")
+            )
     if faults:
         raise FormatError(faults)
 

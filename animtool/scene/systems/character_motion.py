@@ -140,8 +140,8 @@ class CharacterSkin:
             self._world.positions[i : i + 1], self._world.linear[i : i + 1]
         )
         weights = None if self._weights is None else self._weights[i : i + 1]
-        (made,) = deform_blocks(self._mesh, weights, world, normals=False)
-        return np.array(made.points[0], np.float64)
+        (deformed,) = deform_blocks(self._mesh, weights, world, normals=False)
+        return np.array(deformed.points[0], np.float64)
 
 
 class SkinMotion:
@@ -169,8 +169,8 @@ class SkinMotion:
         before = self._frame(i)
         if not times[0] < t < times[-1] or t == times[i]:
             return before
-        share = (t - times[i]) / (times[i + 1] - times[i])
-        return np.asarray(before + (self._frame(i + 1) - before) * share)
+        fraction = (t - times[i]) / (times[i + 1] - times[i])
+        return np.asarray(before + (self._frame(i + 1) - before) * fraction)
 
     @property
     def faces(self) -> tuple[IntArray, IntArray]:
@@ -201,9 +201,9 @@ def character_colliders(
             like = record_of(Collider, one, shape=Sphere(1.0))
             colliders += character.colliders(like)
         else:
-            own = {"radius": one.margin, "name": mesh}
+            sheet_options = {"radius": one.margin, "name": mesh}
             motion = SkinMotion(character, mesh)
-            sheets.append(record_of(Sheet, one, motion=motion, **own))
+            sheets.append(record_of(Sheet, one, motion=motion, **sheet_options))
     return colliders, sheets
 
 
@@ -217,8 +217,8 @@ class CharacterWatch:
         wanted: Whether the motion is kept.
     """
 
-    def __init__(self, *, wanted: bool) -> None:
-        self.wanted = wanted
+    def __init__(self, *, records_motion: bool) -> None:
+        self.records_motion = records_motion
         self._codes: list[FloatArray] = []
         self._blocks: list[Motion] = []
         self._stream: TakeStream | None = None
@@ -230,10 +230,10 @@ class CharacterWatch:
 
     def read(self, stream: TakeStream) -> TakeStream:
         """Return a take whose frames are seen as they are read."""
-        if not self.wanted:
+        if not self.records_motion:
             return stream
         self._stream = stream
-        return replace(stream, blocks=self._seen(stream.blocks))
+        return replace(stream, blocks=self._recorded(stream.blocks))
 
     def see(self, codes: FloatArray) -> None:
         """Keep time codes of frames that are written ``(F,)``."""
@@ -244,19 +244,19 @@ class CharacterWatch:
         stream = self._stream
         if stream is None:
             return None
-        motion = self._whole(stream)
+        motion = self._complete(stream)
         start = Fraction(1) if stream.start is None else stream.start
         clock = Clock(stream.fps, start, stream.step, motion.frames)
         return motion_of(path, Take(stream.rig, clock, motion))
 
-    def _whole(self, stream: TakeStream) -> Motion:
+    def _complete(self, stream: TakeStream) -> Motion:
         if self._blocks:
             return Motion.concatenate(self._blocks)
         assert stream.curve is not None
         start = Fraction(1) if stream.start is None else stream.start
         return _bare(stream.curve(time_codes(start, stream.step, stream.count)))
 
-    def _seen(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    def _recorded(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:
             self._blocks.append(_bare(block))
             yield block

@@ -25,7 +25,7 @@ from animtool.documents.document import Document, Location, location_of
 from animtool.motion.frames import MeshFrame
 from animtool.motion.physics import Physics
 from animtool.motion.transforms import PropRequest
-from animtool.scene.file.entries import SystemSetup, place_of_entry
+from animtool.scene.file.entries import SystemSetup, entry_location
 from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import PLACING, EntryReader
@@ -78,7 +78,9 @@ class Prototype:
         at, span = self._of_rig() if self.prim is None else self._of_stage()
         shares = [0.0] if span is None else np.arange(self.samples) / self.samples
         first, last = span or (0.0, 0.0)
-        return tuple(at(first + (last - first) * float(share)) for share in shares)
+        return tuple(
+            at(first + (last - first) * float(fraction)) for fraction in shares
+        )
 
     def _of_stage(self) -> _Moving:
         from animtool.usd.caches.reader import open_mesh
@@ -87,8 +89,8 @@ class Prototype:
         source = open_mesh(self.path, self.prim, UpAxis.Y)
 
         def at(code: float) -> MeshFrame:
-            found = source.at(None if source.span is None else code)
-            return _frame(found.points, found.counts, found.indices)
+            surface = source.at(None if source.span is None else code)
+            return _frame(surface.points, surface.counts, surface.indices)
 
         return at, source.span
 
@@ -174,8 +176,8 @@ class PartReader(EntryReader):
         parts = self.parts(at, model)
         if not isinstance(model, RecordModel):
             return parts
-        whole = all(part is not None for part in parts.values())
-        record = model.record(parts) if whole else None
+        complete = all(part is not None for part in parts.values())
+        record = model.record(parts) if complete else None
         return self.checked(at, record, model)
 
     def _reader(
@@ -195,9 +197,9 @@ class PartReader(EntryReader):
             marks = annotation.__metadata__
             return self._reader(annotation.__origin__, marks, check=check)
         if isinstance(annotation, type) and issubclass(annotation, FileModel):
-            own = (READERS[one] for one in annotation.__mro__ if one in READERS)
-            found: Reader = getattr(self, next(own, "entry"))
-            return found
+            readers = (READERS[one] for one in annotation.__mro__ if one in READERS)
+            reader: Reader = getattr(self, next(readers, "entry"))
+            return reader
         inner = (self._reader(one, check=check) for one in get_args(annotation))
         return next((read for read in inner if read is not None), None)
 
@@ -211,10 +213,10 @@ class PartReader(EntryReader):
         path = self.followed((*at, "file"), model.file)
         if path is None:
             return None
-        made = Prototype(path, model.prim, model.mesh, model.samples)
+        prototype = Prototype(path, model.prim, model.mesh, model.samples)
         if model.prim is not None:
-            self.opened((*at, "prim"), made, "SIM051")
-        return made
+            self.opened((*at, "prim"), prototype, "SIM051")
+        return prototype
 
     def gaits(self, at: Location, model: GaitsModel) -> GaitsSource | None:
         """Return clips of a rig; they are looked at now, once for all of one rig."""
@@ -224,9 +226,9 @@ class PartReader(EntryReader):
         clips = self.each((*at, "clips"), model.clips, self.followed)
         if rig is None or len(clips) < len(model.clips):
             return None
-        made = GaitsSource(rig, tuple(clips))
-        made = self._gaits.setdefault(made, made)
-        return None if self.opened(at, made) is None else made
+        source = GaitsSource(rig, tuple(clips))
+        source = self._gaits.setdefault(source, source)
+        return None if self.opened(at, source) is None else source
 
     def physics(self, at: Location, model: PhysicsStageModel) -> Physics | None:
         """Return what UsdPhysics says of a stage."""
@@ -252,7 +254,7 @@ class PartReader(EntryReader):
         values = self.array(at, entry, above[-1])
         return [] if values is None else [int(n) for n in values.ravel().tolist()]
 
-    def still_mesh(self, at: Location, model: PrimMeshModel) -> StillMesh | None:
+    def rest_mesh(self, at: Location, model: PrimMeshModel) -> StillMesh | None:
         """Return a mesh of a USD file as it is at its first frame."""
         from animtool.usd.caches.reader import read_still_mesh
 
@@ -275,12 +277,12 @@ class PartReader(EntryReader):
         path = self.character(at, model)
         if path is None:
             return None
-        place = place_of_entry(self.document, at, model)
+        location = entry_location(self.document, at, model)
         carrier: OnJoint | OnVertex
         if isinstance(model, CarryingJointModel):
-            carrier = OnJoint(path, model.joint, place)
+            carrier = OnJoint(path, model.joint, location)
         else:
-            carrier = OnVertex(path, model.mesh, model.vertex, place)
+            carrier = OnVertex(path, model.mesh, model.vertex, location)
         self.carriers.append(path)
         if path == self.document.path:
             return carrier
@@ -325,12 +327,12 @@ READERS: Mapping[Any, str] = {
     Part.ARRAY: "array",
     Part.NAMES: "names",
     Part.FORCE: "force",
-    Part.PLACE: "emitter_place",
+    Part.PLACE: "emitter_shape",
     Part.SHAPE: "shape",
     PrototypeModel: "prototype",
     GaitsModel: "gaits",
     PhysicsStageModel: "physics",
-    PrimMeshModel: "still_mesh",
+    PrimMeshModel: "rest_mesh",
     CarryingJointModel: "carrying_character",
     CarryingVertexModel: "carrying_character",
     CarryingPrimModel: "carrying_prim",
@@ -345,8 +347,8 @@ READERS: Mapping[Any, str] = {
 def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
     """Return what marks a type, or one that it may be."""
     inner = [_marks(one, ()) for one in get_args(annotation)]
-    own = getattr(annotation, "__metadata__", ())
-    return [*marks, *own, *(mark for found in inner for mark in found)]
+    metadata = getattr(annotation, "__metadata__", ())
+    return [*marks, *metadata, *(mark for part in inner for mark in part)]
 
 
 def read_spec(
@@ -373,10 +375,10 @@ def read_spec(
     reader.note_ranges(at, spec)
     record, faults = spec.made(parts)
     for fault in faults:
-        place = (*at, *location_of(fault.where or ""))
-        document.add(fault.code, place, fault.message, fault.hint)
+        at_key = (*at, *location_of(fault.where or ""))
+        document.add(fault.code, at_key, fault.message, fault.hint)
     if reader.sound:
-        reader.note_whole(at, spec, spec.faults(parts))
+        reader.note_entry(at, spec, spec.faults(parts))
     resume = None
     if spec.resume is not None:
         resume = reader.input((*at, "resume"), spec.resume)

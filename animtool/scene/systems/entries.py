@@ -80,8 +80,8 @@ class EntryReader:
 
     def note_all(self, at: Location, faults: Located) -> None:
         """Note faults, each at its place below another."""
-        for place, fault in faults:
-            self.note((*at, *place), fault)
+        for key, fault in faults:
+            self.note((*at, *key), fault)
 
     def note_ranges(self, at: Location, model: FileModel) -> None:
         """Note the numbers of an entry that are out of their ranges."""
@@ -114,12 +114,12 @@ class EntryReader:
             self.sound = False
             return None
         problems = record.problems()
-        self.note_whole(
+        self.note_entry(
             at, model, [Fault(record.code, why, where=key) for key, why in problems]
         )
         return record
 
-    def note_whole(
+    def note_entry(
         self, at: Location, model: FileModel, faults: Sequence[Fault]
     ) -> None:
         """Note faults of a whole entry, each at its key where that is given."""
@@ -131,8 +131,8 @@ class EntryReader:
         self, at: Location, models: Iterable[Any], read: Callable[[Location, Any], Any]
     ) -> list[Any]:
         """Return what entries of a list are read as, without those that leave none."""
-        found = [read((*at, i), model) for i, model in enumerate(models)]
-        return [part for part in found if part is not None]
+        parts = [read((*at, i), model) for i, model in enumerate(models)]
+        return [part for part in parts if part is not None]
 
     def around(self, at: Location, key: str, models: Iterable[Any]) -> tuple[Any, ...]:
         """Return what is run into, as one of the keys of `AROUND` lists it."""
@@ -142,17 +142,17 @@ class EntryReader:
             "systems": self.surface,
             "meshes": self.mesh,
         }
-        made = map(self.units.converted, models)
-        return tuple(self.each((*at, key), made, readers[key]))
+        converted = map(self.units.converted, models)
+        return tuple(self.each((*at, key), converted, readers[key]))
 
     def collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
         """Return the collider of an entry that makes sense."""
         shape = self.shape((*at, "shape"), model.shape)
         poses = None if shape is None else self.poses(at, model, "SIM020")
-        made = None
+        collider = None
         if poses is not None:
-            made = record_of(Collider, model, shape=shape, poses=poses)
-        return self.checked(at, made, model)
+            collider = record_of(Collider, model, shape=shape, poses=poses)
+        return self.checked(at, collider, model)
 
     def shape(self, at: Location, entry: Named) -> Any:
         """Return a shape of colliders."""
@@ -172,12 +172,12 @@ class EntryReader:
             self.note((*at, name, *key), Fault("SIM022", f"its {option} {why}"))
         return force
 
-    def emitter_place(self, at: Location, entry: Named) -> Any:
+    def emitter_shape(self, at: Location, entry: Named) -> Any:
         """Return where particles are made: a place, on the surface of a mesh too."""
         from animtool.systems.particles.places import PLACES, MeshSurface
 
-        place = self.named(at, entry, PLACES, "place", "SIM021")
-        return MeshSurface(place) if isinstance(place, Mesh) else place
+        shape = self.named(at, entry, PLACES, "place", "SIM021")
+        return MeshSurface(shape) if isinstance(shape, Mesh) else shape
 
     def mesh(self, at: Location, model: MovingMeshModel) -> MovingMeshModel | None:
         """Return the mesh of a USD file, whose points may move, with its whole path."""
@@ -198,11 +198,11 @@ class EntryReader:
             code: Of what makes no sense.
         """
         w, x, y, z = model.rotate
-        own = Poses.fixed(model.at, (x, y, z, w))
-        if own.faults():
-            return own
+        entry_poses = Poses.fixed(model.at, (x, y, z, w))
+        if entry_poses.faults():
+            return entry_poses
         if model.prim is not None:
-            return self._followed(at, model, own, code)
+            return self._followed(at, model, entry_poses, code)
         sound = True
         for key in ("moves", "turns"):
             rows = np.array(getattr(model, key)).reshape(-1, 5 if key == "turns" else 4)
@@ -214,13 +214,13 @@ class EntryReader:
             if message:
                 sound = False
                 self.note((*at, key), Fault(code, message))
-        return moved_poses(model, own) if sound else None
+        return moved_poses(model, entry_poses) if sound else None
 
     def _followed(
         self,
         at: Location,
         model: PlacedModel,
-        own: Poses,
+        entry_poses: Poses,
         code: str,
     ) -> Poses | None:
         """Return the poses of what goes with a prim."""
@@ -236,12 +236,12 @@ class EntryReader:
         carrier = self.opened((*at, "prim", "prim"), prim.over_time, "SIM053")
         if carrier is None:
             return None
-        place = own.rows[0]
-        turns = carrier.rows[:, 3:]
+        offset = entry_poses.rows[0]
+        rotations = carrier.rows[:, 3:]
         return Poses(
             carrier.moments,
-            carrier.rows[:, :3] + so3.rotate(turns, place[:3]),
-            so3.multiply(turns, place[3:]),
+            carrier.rows[:, :3] + so3.rotate(rotations, offset[:3]),
+            so3.multiply(rotations, offset[3:]),
         )
 
     def character_collider(
@@ -291,30 +291,30 @@ class EntryReader:
         code: str,
     ) -> Any:
         """Return the record of an entry that names one of a table."""
-        ((name, given),) = entry.items()
+        ((name, values),) = entry.items()
         if name not in table:
             hint = nearest(name, list(table))
             self.note((*at, name), Fault(code, f"no {what} is {name!r}", hint=hint))
             return None
         if table[name] is Mesh:
-            return self._mesh((*at, name), given or {})
+            return self._mesh((*at, name), values or {})
         if table[name] is HeightField:
-            return self._height_field((*at, name), given or {})
-        return self.record((*at, name), table[name], given or {}, name)
+            return self._height_field((*at, name), values or {})
+        return self.record((*at, name), table[name], values or {}, name)
 
     def record(
-        self, at: Location, kind: type[Kind], given: dict[str, Any], name: str
+        self, at: Location, kind: type[Kind], values: dict[str, Any], name: str
     ) -> Kind | None:
         """Return a record of options, all of which are checked."""
-        made, faults = record_of_options(kind, given, name)
+        record, faults = record_of_options(kind, values, name)
         self.note_all(at, faults)
-        return None if faults else made
+        return None if faults else record
 
-    def _mesh(self, at: Location, given: dict[str, Any]) -> Mesh | None:
+    def _mesh(self, at: Location, values: dict[str, Any]) -> Mesh | None:
         """Return the mesh whose arrays a file has."""
-        unknown = unknown_options(given, ["points", "triangles", "closed"], "mesh")
+        unknown = unknown_options(values, ["points", "triangles", "closed"], "mesh")
         self.note_all(at, unknown)
-        closed = given.get("closed", False)
+        closed = values.get("closed", False)
         if not isinstance(closed, bool):
             fault = Fault(
                 "SCN002", f"must be true or false, not {excerpt(repr(closed))}"
@@ -322,7 +322,9 @@ class EntryReader:
             self.note((*at, "closed"), fault)
             return None
         points, triangles = (
-            self._named_array(at, given, key, f"a mesh needs {key}, such as stairs.npz")
+            self._named_array(
+                at, values, key, f"a mesh needs {key}, such as stairs.npz"
+            )
             for key in ("points", "triangles")
         )
         if unknown or points is None or triangles is None:
@@ -330,13 +332,13 @@ class EntryReader:
         points = points * self.units.length
         return Mesh(points, np.asarray(triangles, np.int64), closed)
 
-    def _height_field(self, at: Location, given: dict[str, Any]) -> Mesh | None:
+    def _height_field(self, at: Location, values: dict[str, Any]) -> Mesh | None:
         """Return the mesh of the heights that a file has."""
         what = "a height field needs heights, such as hill.npz"
-        heights = self._named_array(at, given, "heights", what)
+        heights = self._named_array(at, values, "heights", what)
         if heights is not None:
             heights = heights * self.units.length
-        rest = {key: value for key, value in given.items() if key != "heights"}
+        rest = {key: value for key, value in values.items() if key != "heights"}
         field = self.record(at, HeightField, rest, "height_field")
         if heights is None or field is None:
             return None
@@ -347,14 +349,14 @@ class EntryReader:
         return None if faults else field.mesh(heights)
 
     def _named_array(
-        self, at: Location, given: dict[str, Any], key: str, what: str
+        self, at: Location, values: dict[str, Any], key: str, what: str
     ) -> npt.NDArray[np.float64] | None:
         """Return the array that an option names, which must be given."""
-        text = given.get(key)
+        text = values.get(key)
         if isinstance(text, str):
             return self.array((*at, key), text, key)
-        place = (*at, key) if key in given else at
-        self.note(place, Fault("SCN002", f"{what}#{key}"))
+        at_key = (*at, key) if key in values else at
+        self.note(at_key, Fault("SCN002", f"{what}#{key}"))
         return None
 
     def array(
@@ -392,8 +394,8 @@ class EntryReader:
 
     def output(self, at: Location, name: str) -> None:
         """Note what keeps a file from being written."""
-        found = referred(self.document, at, name, self.roots, written=True)
-        self.sound &= found is not None
+        path = referred(self.document, at, name, self.roots, written=True)
+        self.sound &= path is not None
 
 
 def _array_fault(values: npt.NDArray[np.float64]) -> str | None:

@@ -43,9 +43,9 @@ class GaitsSource:
                 none of the clips walks (SIM149).
         """
         rig = at_origin(open_rig(self.rig)[0])
-        turn = up_from_up(UpAxis.Y, rig.up)
-        if turn is not None:
-            rig = turned_rig(rig, np.array(turn), UpAxis.Y)
+        rotation = up_from_up(UpAxis.Y, rig.up)
+        if rotation is not None:
+            rig = turned_rig(rig, np.array(rotation), UpAxis.Y)
         return gaits_of(rig, [(path.stem, _on_rig(path, rig)) for path in self.clips])
 
 

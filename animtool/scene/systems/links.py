@@ -41,20 +41,22 @@ def needed(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
     Those that they need, and what these need, each with what it is joined to.
     """
     groups = in_order(systems)
-    wanted = {name for i in group for name, _ in systems[i].setup.around.needs}
-    found: list[int] = []
+    names = {name for i in group for name, _ in systems[i].setup.around.needs}
+    numbers: list[int] = []
     for other in reversed(groups[: groups.index(list(group))]):
-        if any(systems[i].name in wanted for i in other):
-            found += other
-            wanted |= {name for i in other for name, _ in systems[i].setup.around.needs}
-    return sorted(found)
+        if any(systems[i].name in names for i in other):
+            numbers += other
+            names |= {name for i in other for name, _ in systems[i].setup.around.needs}
+    return sorted(numbers)
 
 
-def simulated_with(systems: Sequence[SceneSystem], wanted: Sequence[int]) -> list[int]:
+def simulated_with(
+    systems: Sequence[SceneSystem], requested: Sequence[int]
+) -> list[int]:
     """Return some systems, what they are joined to, and what these need."""
-    every, found = in_order(systems), {*wanted}
+    every, included = in_order(systems), {*requested}
     while True:
-        groups = [group for group in every if not found.isdisjoint(group)]
+        groups = [group for group in every if not included.isdisjoint(group)]
         more = {i for group in groups for i in (*group, *needed(systems, group))}
         names = {systems[i].name for i in more}
         # Who pushes one of them moves it.
@@ -63,9 +65,9 @@ def simulated_with(systems: Sequence[SceneSystem], wanted: Sequence[int]) -> lis
             for i, system in enumerate(systems)
             if any(name in names for name, _ in system.setup.around.pushes)
         }
-        if more == found:
-            return sorted(found)
-        found = more
+        if more == included:
+            return sorted(included)
+        included = more
 
 
 def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
@@ -118,7 +120,7 @@ def check_met(
 ) -> None:
     """Note what passes name that cannot be run into (SIM183, SIM184, SCN063)."""
     for entry in passes:
-        at = location_of(entry.place.where)
+        at = location_of(entry.location.where)
         for i, one in enumerate(getattr(entry.options, "characters", ())):
             if one.source:
                 message = (
@@ -130,10 +132,10 @@ def check_met(
         for i, one in enumerate(getattr(entry.options, "systems", ())):
             if not isinstance(one, SystemSurfaceModel):
                 continue
-            place = (*at, "systems", i)
+            at_key = (*at, "systems", i)
             _check_name(
                 document,
-                (*place, "system"),
+                (*at_key, "system"),
                 one.system,
                 None,
                 systems,
@@ -143,7 +145,7 @@ def check_met(
             if one.two_way:
                 message = "what a pass simulates does not push bodies of systems"
                 hint = "remove two_way, or simulate it as a system"
-                document.add("SIM184", (*place, "two_way"), message, hint)
+                document.add("SIM184", (*at_key, "two_way"), message, hint)
 
 
 def _check_body(
@@ -179,8 +181,8 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
     for system in systems:
         record = system.setup.record
         for fault in [] if record is None else record.joined_faults(members):
-            place = (*system.setup.at, *location_of(fault.where or ""))
-            document.add(fault.code, place, fault.message, fault.hint)
+            at_key = (*system.setup.at, *location_of(fault.where or ""))
+            document.add(fault.code, at_key, fault.message, fault.hint)
     meets = any(system.setup.around.anything for system in systems)
     first: dict[str, tuple[str, Any]] = {}
     for system in systems:
@@ -212,11 +214,11 @@ def _check_circles(document: Document, systems: Sequence[SceneSystem]) -> bool:
 
 
 def check_names(
-    document: Document, at: Location, wanted: Sequence[str], names: Sequence[str]
+    document: Document, at: Location, requested: Sequence[str], names: Sequence[str]
 ) -> None:
     """Note names of systems for an output that there are none of."""
     known = sorted({*names})
-    for i, name in enumerate(wanted):
+    for i, name in enumerate(requested):
         if name not in names:
             hint = nearest(name, known) or f"the scene has {listed(known)}"
             hint = hint if known else "the scene has no systems"
@@ -234,19 +236,19 @@ def _check_name(
     having: str,
 ) -> bool:
     """Note a name that is none of another system that can serve."""
-    own = None if system is None else system.name
+    self_name = None if system is None else system.name
     named = [other for other in systems if other.name == name]
     message, hint = "", None
     if name not in names:
-        others = sorted({*names} - {own})
+        others = sorted({*names} - {self_name})
         message = f"unknown system {name!r}"
         hint = nearest(name, others) or f"the scene has {listed(others)}"
-        none = "there is no other" if own else "the scene has no systems"
+        none = "there is no other" if self_name else "the scene has no systems"
         hint = hint if others else none
     elif list(names).count(name) > 1:
         message = f"{list(names).count(name)} systems are named {name!r}"
         hint = "give each a unique name"
-    elif name == own:
+    elif name == self_name:
         message = f"{name!r} is the system itself"
     elif named and not getattr(SYSTEM_KINDS[named[0].kind], having):
         kinds = [kind for kind, it in SYSTEM_KINDS.items() if getattr(it, having)]

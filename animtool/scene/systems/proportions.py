@@ -51,20 +51,20 @@ def misplaced(
     faults = []
     for system in systems:
         counted = system.unit or LengthUnit.M
-        found: list[Fault] = []
+        warnings: list[Fault] = []
         for pinned in getattr(system.setup.record, "pinned", ()):
             if not isinstance(pinned.carrier, OnJoint | OnVertex):
                 continue
             path = pinned.carrier.file
             if path not in first.by_path:
                 first.by_path[path] = _first_frame(characters.of(path))
-            found += _faults(pinned, first, counted)
+            warnings += _faults(pinned, first, counted)
         rigs = [characters.of(path).rig for path in _characters(system)]
         rigs = [main_rig, *rigs] if main_rig is not None else rigs
         scaled = (_out_of_scale(system, rig, counted) for rig in rigs)
-        if not found:
-            found += next(filter(None, map(list, scaled)), [])
-        faults += [system.place.put(fault) for fault in found]
+        if not warnings:
+            warnings += next(filter(None, map(list, scaled)), [])
+        faults += [system.location.locate(fault) for fault in warnings]
     return faults
 
 
@@ -87,9 +87,9 @@ def _out_of_scale(
     if not size or not len(points) or np.isclose(scale, 1.0):
         return
     around = rest_world(rig).positions[0]
-    turn = up_from_up(UpAxis.Y, rig.up)
-    if turn is not None:
-        around = so3.rotate(turn, around)
+    rotation = up_from_up(UpAxis.Y, rig.up)
+    if rotation is not None:
+        around = so3.rotate(rotation, around)
     away, length = _gap(points, around), float(np.ptp(points, axis=0).max())
     fits = _gap(points * scale, around) <= NEAR * size
     if not fits or length * scale > FITTING * size:
@@ -116,22 +116,22 @@ def _points(system: SceneSystem) -> FloatArray:
     if positions is not None:
         return positions
     spec = system.setup.spec
-    places = [
+    corners = [
         entry.at
         for key in type(spec).model_fields.keys() - {*AROUND}
         if isinstance(entries := getattr(spec, key), list)
         for entry in entries
         if isinstance(entry, PlacedModel) and "at" in entry.model_fields_set
     ]
-    return np.array(places, np.float64).reshape(-1, 3)
+    return np.array(corners, np.float64).reshape(-1, 3)
 
 
 def _gap(points: FloatArray, others: FloatArray) -> float:
     """Return the distance between the bounds of two sets of points [m]."""
-    apart = np.maximum(
+    gaps = np.maximum(
         points.min(axis=0) - others.max(axis=0), others.min(axis=0) - points.max(axis=0)
     )
-    return float(np.linalg.norm(np.maximum(apart, 0.0)))
+    return float(np.linalg.norm(np.maximum(gaps, 0.0)))
 
 
 def _first_frame(character: CharacterMotion) -> CharacterMotion:

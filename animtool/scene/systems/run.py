@@ -38,9 +38,9 @@ from animtool.usd.props.simulated import SimulatedJob
 
 def last_states(
     systems: Sequence[SceneSystem],
-    wanted: Sequence[int],
+    requested: Sequence[int],
     times: Sequence[float],
-    own: CharacterMotion | None = None,
+    character: CharacterMotion | None = None,
     progress: Progress = None,
 ) -> Mapping[int, Any]:
     """Return the states that some systems end in, by number.
@@ -51,16 +51,18 @@ def last_states(
 
     ``times`` [s].
     """
-    numbers = simulated_with(systems, wanted)
-    opened = open_systems([systems[i] for i in numbers], times[-1], own)
-    found = {i: one for i, one in zip(numbers, opened, strict=True) if i in wanted}
+    numbers = simulated_with(systems, requested)
+    opened = open_systems([systems[i] for i in numbers], times[-1], character)
+    final_runs = {
+        i: one for i, one in zip(numbers, opened, strict=True) if i in requested
+    }
     for k, t in enumerate(times):
-        for i, one in found.items():
+        for i, one in final_runs.items():
             with located_systems([systems[i]]):
                 one.run.reach(t)
         if progress is not None:
             progress((k + 1) / len(times))
-    return {i: one.run.state.state for i, one in found.items()}
+    return {i: one.run.state.state for i, one in final_runs.items()}
 
 
 # Steps of one system, from its pre-roll to the last frame; more take hours.
@@ -87,7 +89,7 @@ class SystemRun:
         self,
         systems: Sequence[SceneSystem],
         last: float,
-        own: CharacterMotion | None = None,
+        character: CharacterMotion | None = None,
         progress: Progress = None,
         main_rig: Rig | None = None,
     ) -> None:
@@ -98,7 +100,7 @@ class SystemRun:
         self.written = [i for i, system in enumerate(systems) if system.written]
         self.stopped: ToleranceError | None = None
         self.done = 0
-        self._own = own
+        self._character = character
         self._phases: Phases | None = None
         self._frames: Progress = None
         # Of systems whose states are to be saved the time codes, and what was kept.
@@ -113,7 +115,7 @@ class SystemRun:
             progress(0.0)
             self._phases = Phases(progress)
         self._open: list[EntryRun] = open_systems(
-            systems, last, own, self._shown(last), self._warnings, main_rig
+            systems, last, character, self._shown(last), self._warnings, main_rig
         )
 
     def _shown(self, last: float) -> SystemProgress | None:
@@ -121,22 +123,22 @@ class SystemRun:
         if self._phases is None:
             return None
 
-        def tell(share: float) -> None:
+        def tell(fraction: float) -> None:
             # While the first frame is made: a pre-roll, or what others look back to.
             if self._frames is not None:
-                self._frames(share)
+                self._frames(fraction)
 
         return SystemProgress(self._phases, TimeProgress(tell, last))
 
     @property
     def notices(self) -> list[Fault]:
         """What is odd so far, each at the place of its system."""
-        alike = named_alike([self.systems[i] for i in self.written])
+        duplicates = duplicate_prims([self.systems[i] for i in self.written])
         return (
-            alike
+            duplicates
             + self._warnings
             + [
-                system.place.put(notice)
+                system.location.locate(notice)
                 for system, opened in zip(self.systems, self._open, strict=True)
                 for notice in opened.notices
             ]
@@ -162,7 +164,7 @@ class SystemRun:
         """
         times = [float((code - first) / fps) for code in codes]
         self._check_resumed(codes, times, fps)
-        self._see_ahead(times)
+        self._run_tear_pre_pass(times)
         show = None if self._phases is None else self._phases.last()
         self._frames = show
         for k, (code, t) in enumerate(zip(codes, times, strict=True)):
@@ -197,7 +199,7 @@ class SystemRun:
                 message += f"{float(codes[0]):g} is requested"
                 frames = f"{math.ceil(frame - ON_STEP)}-{float(codes[-1]):g}"
                 hint = argument("frame_range", frames)
-                faults.append(system.place.fault("SIM035", message, hint))
+                faults.append(system.location.fault("SIM035", message, hint))
         if faults:
             raise FormatError(faults)
 
@@ -208,27 +210,27 @@ class SystemRun:
             if at is not None and code != at:
                 saved = "nothing" if code is None else f"the state of frame {code:g}"
                 message = f"save_at is {at:g}, which is not a frame: {saved} is saved"
-                place = self.systems[i].place
+                location = self.systems[i].location
                 hint = "use one of the frames that are written"
-                fault = place.fault("SIM185", message, hint, Severity.WARNING)
+                fault = location.fault("SIM185", message, hint, Severity.WARNING)
                 self._warnings.append(fault)
 
-    def _see_ahead(self, times: Sequence[float]) -> None:
+    def _run_tear_pre_pass(self, times: Sequence[float]) -> None:
         """Let systems whose frames need to know how they end see that."""
         runs = {i: self._open[i].run for i in self.written}
-        ahead = {
+        predicted = {
             i: run
             for i, run in runs.items()
             if isinstance(run.simulation, NeedsFinalState) and run.simulation.ahead
         }
-        if not ahead:
+        if not predicted:
             return
         began = time.perf_counter()
         phase = None if self._phases is None else self._phases.phase()
-        last = last_states(self.systems, list(ahead), times, self._own, phase)
-        for i, run in ahead.items():
+        last = last_states(self.systems, list(predicted), times, self._character, phase)
+        for i, run in predicted.items():
             run.simulation.see(last[i])
-        self.seconds[min(ahead)] += time.perf_counter() - began
+        self.seconds[min(predicted)] += time.perf_counter() - began
 
     def _before(self, code: Fraction, error: ToleranceError) -> list[Fault]:
         """Return the faults of a system that stopped, the last with the frame."""
@@ -236,7 +238,7 @@ class SystemRun:
         message = last.message + f", before frame {float(code):g}"
         hints = [last.hint] if last.hint else []
         for system in self.systems if last.code == "SIM102" else ():
-            if last.where is not None and last.where.startswith(system.place.where):
+            if last.where is not None and last.where.startswith(system.location.where):
                 hints += _unlikely(system)
         return [*others, replace(last, message=message, hint=", ".join(hints) or None)]
 
@@ -271,9 +273,9 @@ class SystemRun:
     def note(self, written: Sequence[CachedMesh]) -> None:
         """Add what is odd about prims to the notices, each at its system."""
         self._warnings += [
-            self.systems[i].place.put(notice)
-            for i, found in zip(self.written, written, strict=True)
-            for notice in found.notices
+            self.systems[i].location.locate(notice)
+            for i, prim in zip(self.written, written, strict=True)
+            for notice in prim.notices
         ]
 
     def reports(self, written: Sequence[CachedMesh], scene: str) -> list[MeshReport]:
@@ -281,22 +283,22 @@ class SystemRun:
         return [
             MeshReport(
                 self.systems[i].name,
-                found,
+                prim,
                 self.seconds[i],
-                found.samples,
+                prim.samples,
                 self.systems[i].kind,
                 True,
                 scene,
             )
-            for i, found in zip(self.written, written, strict=True)
+            for i, prim in zip(self.written, written, strict=True)
         ]
 
 
 def _unlikely(system: SceneSystem) -> list[str]:
     """Return a hint at the number of a system that is farthest from those of scenes."""
-    given = system.setup.spec.model_dump(exclude_unset=True, by_alias=True)
-    found = [*_sizes(given, ""), *_sizes(system.setup.parts, "")]
-    far = [(abs(math.log10(size)), name, size) for name, size in found if size > 0]
+    values = system.setup.spec.model_dump(exclude_unset=True, by_alias=True)
+    sizes = [*_sizes(values, ""), *_sizes(system.setup.parts, "")]
+    far = [(abs(math.log10(size)), name, size) for name, size in sizes if size > 0]
     most, name, size = max(far, default=(0.0, "", 0.0))
     return [f"check the unit of {name}: {size:g}"] if most > LIKELY else []
 
@@ -340,7 +342,7 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
             message = f"{plain(seconds)} s in steps of {plain(step)} s are "
             message += f"{seconds / step:.3g} steps; the limit is {MAX_STEPS}"
             hint = "use longer steps, a shorter pre-roll or fewer frames"
-            faults.append(system.place.fault("SCN091", message, hint))
+            faults.append(system.location.fault("SCN091", message, hint))
     if faults:
         raise FormatError(faults)
 
@@ -353,18 +355,18 @@ def system_job(
     up: UpAxis,
 ) -> SimulatedJob:
     """Return what is to be written of systems: ``meters_per_unit`` [m]."""
-    turn = up_from_up(up, UpAxis.Y)
+    rotation = up_from_up(up, UpAxis.Y)
     written = [system for system in systems if system.written]
     return SimulatedJob(
         model,
         _prim_names(written),
         metadata,
         meters_per_unit,
-        None if turn is None else np.array(turn),
+        None if rotation is None else np.array(rotation),
     )
 
 
-def named_alike(systems: Sequence[SceneSystem]) -> list[Fault]:
+def duplicate_prims(systems: Sequence[SceneSystem]) -> list[Fault]:
     """Return a warning for every system whose prim another's name has (SCN090)."""
     said = []
     for system, prim in zip(systems, _prim_names(systems), strict=True):
@@ -372,7 +374,9 @@ def named_alike(systems: Sequence[SceneSystem]) -> list[Fault]:
             message = f"another system is already named {excerpt(system.name)}: its "
             message += f"prim is {excerpt(prim)}"
             hint = "give each a unique name"
-            said.append(system.place.fault("SCN090", message, hint, Severity.WARNING))
+            said.append(
+                system.location.fault("SCN090", message, hint, Severity.WARNING)
+            )
     return said
 
 

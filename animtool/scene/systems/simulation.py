@@ -76,8 +76,8 @@ def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
     """
 
     def put(fault: Fault) -> Fault:
-        having = (one for one in members if one.place.key_of(fault))
-        return next(having, members[0]).place.put(fault)
+        having = (one for one in members if one.location.key_of(fault))
+        return next(having, members[0]).location.locate(fault)
 
     try:
         yield
@@ -148,8 +148,8 @@ def run_entries(
     def poses(carrier: Any) -> Poses:
         if isinstance(carrier, OnBody):
             return carriers[carrier.system].start(carrier)
-        found: Poses = carrier.poses(context.characters)
-        return found
+        poses_over_time: Poses = carrier.poses(context.characters)
+        return poses_over_time
 
     build = cast(
         Callable[[SystemSpec, SimContext], Simulation[Any]],
@@ -178,7 +178,7 @@ def run_entries(
 def open_systems(
     systems: Sequence[SceneSystem],
     last: float = 0.0,
-    own: CharacterMotion | None = None,
+    character: CharacterMotion | None = None,
     progress: SystemProgress | None = None,
     warnings: list[Fault] | None = None,
     main_rig: Rig | None = None,
@@ -188,7 +188,7 @@ def open_systems(
     ``last`` [s]; what is odd about how they begin, and beside a rig, is added to
     ``warnings``.
     """
-    context = BuildContext(last, characters_with(own), progress=progress)
+    context = BuildContext(last, characters_with(character), progress=progress)
     built = build_systems(systems, context)
     if warnings is not None:
         warnings += misplaced(systems, context.characters, main_rig)
@@ -204,7 +204,7 @@ def build_systems(
         FormatError: What is wrong with any of them; those that need one that is wrong
             are left out.
     """
-    found: dict[int, EntryRun] = {}
+    built: dict[int, EntryRun] = {}
     faults: list[Fault] = []
     for group in in_order(systems):
         members = [systems[i] for i in group]
@@ -213,16 +213,16 @@ def build_systems(
             continue
         try:
             with located_systems(members):
-                made = build_entries(members, context)
+                runs = build_entries(members, context)
         except FormatError as error:
             faults += error.faults
             continue
-        found |= dict(zip(group, made, strict=True))
-        named = zip(members, made, strict=True)
+        built |= dict(zip(group, runs, strict=True))
+        named = zip(members, runs, strict=True)
         context.built |= {member.name: one for member, one in named}
     if faults:
         raise FormatError(list(dict.fromkeys(faults)))
-    return [one for _, one in sorted(found.items())]
+    return [one for _, one in sorted(built.items())]
 
 
 def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
@@ -235,7 +235,7 @@ def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
     if any(where.startswith("units") for where in wrong):
         return []
     sound = [
-        not any(where.startswith(system.place.where) for where in wrong)
+        not any(where.startswith(system.location.where) for where in wrong)
         and document.path not in system.setup.files
         for system in systems
     ]
@@ -252,9 +252,9 @@ def refused(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
     return []
 
 
-def characters_with(own: CharacterMotion | None) -> CharacterMotions:
+def characters_with(character: CharacterMotion | None) -> CharacterMotions:
     """Return characters that are read when asked for, that of the scene known."""
     characters = CharacterMotions()
-    if own is not None:
-        characters.by_path[own.path] = own
+    if character is not None:
+        characters.by_path[character.path] = character
     return characters

@@ -66,9 +66,9 @@ class _Motion:
         span = source.span or (0.0, 0.0)
         self._first, self._last = span
         self._start = self._first if frame is None else frame
-        still = source.at(None if source.span is None else self._first)
-        self._count = len(still.points)
-        self._faces = triangulated(still.counts, still.indices)
+        first = source.at(None if source.span is None else self._first)
+        self._count = len(first.points)
+        self._faces = triangulated(first.counts, first.indices)
         self._at = lru_cache(KEPT)(self._points)
 
     def points(self, t: float) -> FloatArray:
@@ -77,11 +77,11 @@ class _Motion:
         return self._at(min(max(code, self._first), self._last))
 
     def _points(self, code: float) -> FloatArray:
-        found = self._source.at(None if self._source.span is None else code).points
-        if len(found) != self._count:
-            message = f"it has {len(found)} points at {code:g}, but had {self._count}"
+        points = self._source.at(None if self._source.span is None else code).points
+        if len(points) != self._count:
+            message = f"it has {len(points)} points at {code:g}, but had {self._count}"
             refuse("SIM051", message)
-        return found
+        return points
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
         """Return corners of its triangles ``(T, 3)``: always the same."""
@@ -201,12 +201,16 @@ class Surroundings:
         for one in self.systems:
             other = opened[one.system]
             if other.rigid:
-                own = record_of(Material, one)
-                made = other.bodies(own.restitution, own.friction, two_way=one.two_way)
-                bodies.append(made)
+                material = record_of(Material, one)
+                bodies_of_system = other.bodies(
+                    material.restitution, material.friction, two_way=one.two_way
+                )
+                bodies.append(bodies_of_system)
                 continue
-            seen = other.surface()
-            thick = {"radius": seen.radius, "closed": seen.closed}
-            sheets.append(record_of(Sheet, one, motion=seen, name=one.system, **thick))
+            surface = other.surface()
+            thick = {"radius": surface.radius, "closed": surface.closed}
+            sheets.append(
+                record_of(Sheet, one, motion=surface, name=one.system, **thick)
+            )
         sheets += [*map(moving_sheet, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)

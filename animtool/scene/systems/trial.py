@@ -56,14 +56,14 @@ MAX_EVALUATIONS = 1000
 def system_trials(
     systems: Sequence[SceneSystem],
     times: FloatArray,
-    own: CharacterMotion | None = None,
+    character: CharacterMotion | None = None,
 ) -> list[tuple[list[SceneSystem], Trial]]:
     """Return what can be simulated in several ways, with the systems of each.
 
     ``times`` ``(F,)`` [s].
     """
-    last, characters = float(times[-1]), characters_with(own)
-    found = []
+    last, characters = float(times[-1]), characters_with(character)
+    trials = []
     for group in in_order(systems):
         members = [systems[i] for i in group]
         others = [systems[i] for i in needed(systems, group)]
@@ -74,8 +74,8 @@ def system_trials(
             return context
 
         with located_systems(members):
-            found.append((members, _trial(members, rebuild, times)))
-    return found
+            trials.append((members, _trial(members, rebuild, times)))
+    return trials
 
 
 def _trial(
@@ -128,21 +128,23 @@ def _scene_text(system: SceneSystem, changes: Mapping[str, Any]) -> str:
     return f"{system.kind}: {{{keys}}}"
 
 
-def _trial_settings(spec: SystemSpec, own: str) -> TrialSettings:
+def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
     """Return methods, steps and tolerances about those of a file."""
     tolerance = getattr(spec, "tolerance", None)
-    usual = TOLERANCE if tolerance is None else tolerance
-    options = {} if _is_fixed(own) else {"tolerance": usual}
+    default = TOLERANCE if tolerance is None else tolerance
+    options = {} if _is_fixed(spec_method) else {"tolerance": default}
 
     def settings() -> list[Setting]:
         """Return each method with several steps or tolerances."""
         tried: list[Setting] = []
-        for method in INTEGRATORS if spec.methods is None else spec.methods or [own]:
+        for method in (
+            INTEGRATORS if spec.methods is None else spec.methods or [spec_method]
+        ):
             if _is_fixed(method):
                 tried += stepwise(method, spec.step)
                 continue
-            longest = spec.step if method == own else LONGER * spec.step
-            values = ladder(usual if method == own else TOLERANCE, TOLERANCES)
+            longest = spec.step if method == spec_method else LONGER * spec.step
+            values = ladder(default if method == spec_method else TOLERANCE, TOLERANCES)
             tried += [Setting.of(method, step=longest, tolerance=v) for v in values]
         return tried
 
@@ -151,24 +153,26 @@ def _trial_settings(spec: SystemSpec, own: str) -> TrialSettings:
 
         Where the exact one is not stable, those of the file's own, or far shorter ones.
         """
-        exact = spec.exact or own
+        exact = spec.exact or spec_method
         shares = [(exact, 1.0)]
-        if own != exact:
-            shares += [(own, 1.0)] if _is_fixed(own) else []
+        if spec_method != exact:
+            shares += [(spec_method, 1.0)] if _is_fixed(spec_method) else []
         if spec.exact:
             shares.append((exact, MUCH_FINER))
-        return [stepwise(method, share * spec.step, FINER) for method, share in shares]
+        return [
+            stepwise(method, fraction * spec.step, FINER) for method, fraction in shares
+        ]
 
     def changes(setting: Setting) -> dict[str, Any]:
         keys = type(spec).model_fields
         changes: dict[str, Any] = dict(setting.options)
         changes |= {spec.method_key: setting.method} if spec.method_key in keys else {}
         if "tolerance" in keys:
-            stated = tolerance if setting.method == own else None
+            stated = tolerance if setting.method == spec_method else None
             changes.setdefault("tolerance", stated)
         return changes
 
-    chosen = Setting.of(own, step=spec.step, **options)
+    chosen = Setting.of(spec_method, step=spec.step, **options)
     return TrialSettings(chosen, settings, references, changes)
 
 
@@ -211,7 +215,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> Outcome:
     seconds = time.perf_counter() - began
     last = run.simulation.diagnostics(run.state.state, run.time(run.state.steps))
     known = [energy for energy in energies if energy is not None]
-    whole = len(known) == len(shots) and _same(shots)
+    complete = len(known) == len(shots) and _same(shots)
     return Outcome(
         seconds,
         run.taken if last.steps is None else last.steps,
@@ -219,7 +223,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> Outcome:
         status,
         reason,
         last.stable_step() if stable is None else stable,
-        known if whole else None,
+        known if complete else None,
         figures={} if last.stretch is None else {Figure.STRETCH: last.stretch},
     )
 

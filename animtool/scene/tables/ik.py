@@ -47,7 +47,7 @@ def job_trial(job: IkJob) -> Trial:
             context.take,
             context.tracks,
             options,
-            still=context.still,
+            still=context.at_rest,
             only=context.only,
         )
 
@@ -130,13 +130,13 @@ def _where(solved: TakeIk, shot: int, point: int) -> str:
 
 def _compared(solved: TakeIk) -> list[tuple[int, int, FloatArray]]:
     """Return the points that are compared: of which goal and joint, and where on it."""
-    found = []
+    points = []
     for i, track in enumerate(solved.tracks.goals):
         goal, joint = track.goal, solved.take.rig.index(track.goal.joint)
         offset = np.asarray(goal.offset, np.float64)
         arms = REACH * np.eye(3)[:2] if goal.orientation else np.zeros((0, 3))
-        found += [(i, joint, offset + arm) for arm in (np.zeros(3), *arms)]
-    return found
+        points += [(i, joint, offset + arm) for arm in (np.zeros(3), *arms)]
+    return points
 
 
 def _outcome(solved: TakeIk) -> Outcome:

@@ -23,7 +23,7 @@ from animtool.scene.bake.bake import run_stage
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.plan import plan_stage
 from animtool.scene.bake.prims import BakePlan
-from animtool.scene.file.entries import Place, ScenePass, SceneSystem
+from animtool.scene.file.entries import EntryLocation, ScenePass, SceneSystem
 from animtool.scene.scene import Scene
 from animtool.scene.systems.bake import SystemPrims
 from animtool.scene.systems.character_motion import CharacterMotion, motion_of
@@ -60,7 +60,7 @@ def simulates(scene: Scene) -> bool:
 
 def simulation_trials(
     scene: Scene, options: BakeOptions | None = None
-) -> list[tuple[Place, Trial]]:
+) -> list[tuple[EntryLocation, Trial]]:
     """Return ways to simulate what a scene does, and to reach its targets, in order.
 
     Args:
@@ -71,16 +71,16 @@ def simulation_trials(
         FormatError: A source is malformed, or a pass cannot be applied to it.
         OptionError: An option makes no sense.
     """
-    trials: list[tuple[Place, Trial]] = []
+    trials: list[tuple[EntryLocation, Trial]] = []
     if scene.sources:
         trials += _pass_trials(scene, MAX_INSTANTS)
     if scene.systems:
-        times, own = _times(scene, options or BakeOptions())
+        times, character = _times(scene, options or BakeOptions())
         picked = np.linspace(0, len(times) - 1, min(len(times), MAX_INSTANTS))
         looked = times[picked.astype(np.int64)]
-        for members, trial in system_trials(scene.systems, looked, own):
+        for members, trial in system_trials(scene.systems, looked, character):
             write = partial(_write_systems, scene, members, trial)
-            trials.append((members[0].place, replace(trial, write=write)))
+            trials.append((members[0].location, replace(trial, write=write)))
     return trials
 
 
@@ -131,8 +131,8 @@ def _times(
     plain = replace(first, bake=replace(first.bake, chunk=None))
     plan = plan_stage(replace(scene, outputs=(plain,)), None, options)
     if plan.takes:
-        own = motion_of(scene.path, plan.takes[0].stream.collect())
-        return _within(own.times, plan), own
+        character = motion_of(scene.path, plan.takes[0].stream.collect())
+        return _within(character.times, plan), character
     (systems,) = plan.prims
     assert isinstance(systems, SystemPrims)
     return np.array([systems.seconds(code) for code in systems.codes]), None
@@ -148,35 +148,35 @@ def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
     return times[inside] if inside.any() else times
 
 
-def _pass_trials(scene: Scene, instants: int) -> list[tuple[Place, Trial]]:
+def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial]]:
     """Return what passes of a scene simulate or bring to targets, at their entries.
 
     Raises:
         FormatError: A source is malformed, or a pass cannot be applied to it.
         OptionError: An option does not apply to the source.
     """
-    whole = scene
+    full_scene = scene
     measured = [i for i, entry in enumerate(scene.passes) if _is_measured(entry)]
     scene = replace(scene, passes=scene.passes[: max(measured, default=-1) + 1])
     trials = []
     steps = zip(scene.passes, scene.steps(), strict=False)
     for at, (entry, (take, _)) in enumerate(steps):
         if _solves(entry):
-            with entry.place.located():
+            with entry.location.located():
                 asked = asked_of(take, entry.options, scene.path.resolve().parent)
                 trials.append(
-                    (entry.place, pass_trial(*asked, settings_of(entry.options)))
+                    (entry.location, pass_trial(*asked, settings_of(entry.options)))
                 )
         if not _simulates(entry):
             continue
-        with entry.place.located():
+        with entry.location.located():
             bodies = bodies_of(take.rig, entry.options.what)
         for body in bodies:
             options = replace(entry.options, what=(body.name,))
-            own = replace(entry, options=options)
-            trial = _attach_trial(scene, own, take, body, instants)
-            write = partial(_write_pass, whole, at, name="rate")
-            trials.append((entry.place, replace(trial, write=write)))
+            pass_entry = replace(entry, options=options)
+            trial = _attach_trial(scene, pass_entry, take, body, instants)
+            write = partial(_write_pass, full_scene, at, name="rate")
+            trials.append((entry.location, replace(trial, write=write)))
     return trials
 
 
@@ -215,7 +215,7 @@ def _attach_trial(
 
     def settings(shares: Sequence[float]) -> list[Setting]:
         # A frame has a whole number of steps.
-        steps = [math.ceil(rate / share / frame_rate - 1e-9) for share in shares]
+        steps = [math.ceil(rate / fraction / frame_rate - 1e-9) for fraction in shares]
         counts = dict.fromkeys(steps)
         return [Setting.of(METHOD, rate=count * frame_rate) for count in counts]
 
@@ -265,5 +265,5 @@ def _attached(rig: Rig, body: Body, motion: Motion) -> FloatArray:
     shell = attached_points(rig, SHELL)[body.joints, :, None]
     turned = world.linear[:, body.joints, None] * shell
     points = world.positions[:, body.joints, None] + turned.sum(axis=-1)
-    whole: FloatArray = points.reshape(motion.frames, -1, 3)
-    return whole
+    all_points: FloatArray = points.reshape(motion.frames, -1, 3)
+    return all_points

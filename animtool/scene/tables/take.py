@@ -81,14 +81,14 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         raise OptionError(Fault("SCN062", message, str(source_file(source))))
     stream = plan.takes[0].stream
     curved = stream.curve is not None and not stream.altered
-    whole = stream.collect()
-    take = _in_range(whole, plan)
+    full_take = stream.collect()
+    take = _in_range(full_take, plan)
     known = _Known.of(take, plan.options.fps or take.clock.rate, curved=curved)
     path = source_file(source)
     beyond = tuple(
         replace(notice, path=notice.path or str(path))
         for notice in take.notices
-        if notice not in whole.notices
+        if notice not in full_take.notices
     )
 
     def opened() -> Source:
@@ -158,16 +158,18 @@ def _shots(rig: Rig, world: WorldTransforms) -> list[Shot]:
     attached = attached_points(rig, SHELL)
     return [
         Shot(
-            (place[:, None] + np.einsum("jab,jpb->jpa", turn, attached)).reshape(-1, 3)
+            (position[:, None] + np.einsum("jab,jpb->jpa", linear, attached)).reshape(
+                -1, 3
+            )
         )
-        for place, turn in zip(world.positions, world.linear, strict=True)
+        for position, linear in zip(world.positions, world.linear, strict=True)
     ]
 
 
 def _tolerances(rig: Rig) -> list[float]:
     size = rest_size(rig) or 1.0
     scale = 10.0 ** math.floor(math.log10(size))
-    return [float(f"{share * scale:.12g}") for share in TOLERANCES]
+    return [float(f"{fraction * scale:.12g}") for fraction in TOLERANCES]
 
 
 def _samples(
@@ -183,7 +185,7 @@ def _samples(
     requested = plan.options
     plain = BakeOptions(source=requested.source, to_up=requested.to_up)
     rate = take.clock.rate if requested.fps is None else requested.fps
-    rates = [rate * share for share in (CURVE_RATES if curved else SAMPLE_RATES)]
+    rates = [rate * fraction for fraction in (CURVE_RATES if curved else SAMPLE_RATES)]
     by_label = {float(one): one for one in rates}
 
     def options_of(setting: Setting) -> BakeOptions:
@@ -280,13 +282,13 @@ def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:
         where = f"{reduction.joint} at {at:.2f} s"
         return Outcome(seconds, reduction.keys, [], error=error, worst=where)
 
-    usual = parse_length(KEY_TOLERANCE)
-    tolerances = sorted({*_tolerances(take.rig), usual}, reverse=True)
+    default = parse_length(KEY_TOLERANCE)
+    tolerances = sorted({*_tolerances(take.rig), default}, reverse=True)
     return Trial(
         path.name,
         "keys of a clip",
         float(take.clock.duration),
-        Setting.of(KEYS, reduce=usual),
+        Setting.of(KEYS, reduce=default),
         lambda: [Setting.of(KEYS, reduce=each) for each in tolerances],
         lambda: [[SOURCE]],
         run,

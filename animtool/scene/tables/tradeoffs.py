@@ -12,9 +12,9 @@ from animtool.core.names import is_named
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.progress import Progress, share_of
+from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source, source_file
-from animtool.scene.file.entries import Place
+from animtool.scene.file.entries import EntryLocation
 from animtool.scene.file.read import load_scene
 from animtool.scene.scene import Scene
 from animtool.scene.solves.ik import IkJob
@@ -105,7 +105,7 @@ def suite_tradeoffs(
     for i, name in enumerate(SUITE):
         path = SUITE_FOLDER / name
         source = load_scene(path) if is_named(path, "scene") else path
-        shown = share_of(progress, i, len(SUITE))
+        shown = part_progress(progress, i, len(SUITE))
         report = measure_tradeoffs(source, budget=budget, progress=shown)
         tables += report.tables
         notices += report.notices
@@ -124,7 +124,7 @@ def take_tradeoffs(
     source: Source, options: BakeOptions | None = None, *, progress: Progress = None
 ) -> Tradeoffs:
     """Measure ways to write the take of a source, as `measure_tradeoffs` does."""
-    trials: list[tuple[Place | None, Trial]] = [
+    trials: list[tuple[EntryLocation | None, Trial]] = [
         (None, trial) for trial in take_trials(source, options)
     ]
     return _measured(source_file(source), trials, None, progress)
@@ -137,8 +137,8 @@ def ik_tradeoffs(job: IkJob, *, progress: Progress = None) -> Tradeoffs:
 
 def _trials(
     source: Source, options: BakeOptions | None
-) -> Sequence[tuple[Place | None, Trial]]:
-    trials: list[tuple[Place | None, Trial]] = []
+) -> Sequence[tuple[EntryLocation | None, Trial]]:
+    trials: list[tuple[EntryLocation | None, Trial]] = []
     if isinstance(source, Scene):
         trials += simulation_trials(source, options)
         if not source.sources or source.outputs[0].bake.deform:
@@ -148,7 +148,7 @@ def _trials(
 
 def _measured(
     path: Path,
-    trials: Sequence[tuple[Place | None, Trial]],
+    trials: Sequence[tuple[EntryLocation | None, Trial]],
     budget: float | None,
     progress: Progress,
 ) -> Tradeoffs:
@@ -157,21 +157,21 @@ def _measured(
         hint = "it has no systems, and no simulate pass with something to move"
         raise OptionError(Fault("SCN071", message, str(path), (), hint))
     tables = []
-    for i, (place, trial) in enumerate(trials):
-        shown = share_of(progress, i, len(trials))
-        if place is None:
+    for i, (location, trial) in enumerate(trials):
+        shown = part_progress(progress, i, len(trials))
+        if location is None:
             tables.append(measure(trial, budget=budget, progress=shown))
             continue
-        with place.located():
+        with location.located():
             table = measure(trial, budget=budget, progress=shown)
-        notices = [place.put(notice) for notice in table.notices]
+        notices = [location.locate(notice) for notice in table.notices]
         tables.append(replace(table, notices=notices))
     notices = [notice for table in tables for notice in table.notices]
     return Tradeoffs(path, tables, notices + _beyond(path, tables), budget)
 
 
 def _pairs(
-    trials: Sequence[tuple[Place | None, Trial]],
+    trials: Sequence[tuple[EntryLocation | None, Trial]],
     tables: Sequence[TrialTable],
     folder: Path,
 ) -> list[Pair]:

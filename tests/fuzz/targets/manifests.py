@@ -16,7 +16,7 @@ from animtool.batch.cluster import _address
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
 from animtool.batch.item import mapped_path, read_rules
-from animtool.batch.ledger import _Files, _owner, held_ledger, read_history
+from animtool.batch.ledger import _Files, _owner, locked_ledger, read_history
 from animtool.batch.manifest import ItemRecord, record_of
 from animtool.batch.plan import Planner
 from animtool.batch.run import RunOptions, run_batch
@@ -92,7 +92,7 @@ class _Recorded:
 
     def _record(self, part: str) -> None:
         batch = self.batch
-        with held_ledger(batch.records, batch.name, part) as ledger:
+        with locked_ledger(batch.records, batch.name, part) as ledger:
             planner = Planner(batch, ledger.history)
             for item in batch.items[:2] if part else batch.items[2:]:
                 item.output.write_bytes(b"made")
@@ -136,7 +136,7 @@ class _Recorded:
     def _settled(self) -> None:
         """Write records anew, which then are whole."""
         batch = self.batch
-        with held_ledger(batch.records, batch.name) as ledger:
+        with locked_ledger(batch.records, batch.name) as ledger:
             ledger.failed("another.usdc", "why")
             ledger.settle(lambda _: True)
             made = ledger.history.manifest.items

@@ -15,7 +15,7 @@ from support.suite import some_quick
 
 from animtool.core.clock import Clock
 from animtool.core.rates import parse_rate
-from animtool.scene.bake.first_frame import frame_start, whole_frames
+from animtool.scene.bake.first_frame import frame_start, integer_frames
 from animtool.usd.takes.read import read_usd
 
 FIRST, FRAMES = 1001, 24
@@ -118,4 +118,4 @@ def test_a_whole_start_keeps_its_number() -> None:
 
 def test_one_sample_a_frame_has_no_whole_frames() -> None:
     clock = Clock(Fraction(24), Fraction(3, 2), Fraction(1), 4)
-    assert whole_frames(clock, Fraction(24), clock.start) is None
+    assert integer_frames(clock, Fraction(24), clock.start) is None
