@@ -24,7 +24,7 @@ from animtool.batch.records import (
     object_of,
     text_in,
 )
-from animtool.batch.work import Status
+from animtool.batch.work import ItemStatus
 from animtool.core.arguments import argument, flag
 from animtool.core.errors import Fault, FormatError
 from animtool.core.files.output import atomic_outputs, check_outputs, write_parts
@@ -102,7 +102,7 @@ def mean_seconds(path: Path) -> float:
         seconds = [
             number_in(item, "seconds")
             for item in map(object_of, items)
-            if text_in(item, "status") == Status.DONE
+            if text_in(item, "status") == ItemStatus.DONE
         ]
     except RecordError as error:
         options = (flag("items", "1-20"), flag("force"), flag("format", "json"))

@@ -33,7 +33,7 @@ from animtool.batch.executors import Work
 from animtool.batch.item import Item
 from animtool.batch.manifest import file_digest
 from animtool.batch.records import RecordError, json_of_file, text_in
-from animtool.batch.work import Outcome, Status
+from animtool.batch.work import ItemOutcome, ItemStatus
 from animtool.batch.worker_process import WorkerTask
 from animtool.core.errors import (
     AnimtoolError,
@@ -72,7 +72,7 @@ ADDRESS = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
 RESUME = "finished items are recorded; run the same command again to resume"
 
 
-def dask(work: Work) -> Iterator[Outcome | Fault]:
+def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
     """Yield outcomes of items that the workers of a dask cluster build.
 
     Each thread of a worker has a subprocess that builds one item after another: limits,
@@ -107,7 +107,7 @@ def _address(path: Path) -> str:
     return address
 
 
-def _outcomes(work: Work, address: str) -> Iterator[Outcome | Fault]:
+def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
     client = _client(address)
     name = f"animtool-{uuid4().hex}"
     try:
@@ -260,10 +260,10 @@ def _asking(
     return ask
 
 
-def _building(name: str) -> Callable[[bytes], Outcome | None]:
+def _building(name: str) -> Callable[[bytes], ItemOutcome | None]:
     """Return what builds an item, on a worker that was checked; sent by its code."""
 
-    def build(pickled: bytes) -> Outcome | None:
+    def build(pickled: bytes) -> ItemOutcome | None:
         import pickle
 
         from distributed import get_worker
@@ -276,7 +276,7 @@ def _building(name: str) -> Callable[[bytes], Outcome | None]:
 
 
 @dataclass(slots=True, eq=False)
-class _Worker:
+class _ClusterWorker:
     """A worker of the cluster, as far as it is known."""
 
     address: str  # of the worker
@@ -298,7 +298,7 @@ class _Worker:
 class _Sent:
     """A task that is on its way: an item, or without one the check of a worker."""
 
-    worker: _Worker  # to whom
+    worker: _ClusterWorker  # to whom
     item: Item | None = None
 
 
@@ -310,18 +310,20 @@ class _Farm:
     name: str  # of the run
     work: Work  # what it is given
     tokens: Mapping[str, str]  # files by which workers know the disks of outputs
-    workers: dict[str, _Worker] = field(default_factory=dict)  # those that live
+    workers: dict[str, _ClusterWorker] = field(default_factory=dict)  # those that live
     sent: dict[Any, _Sent] = field(default_factory=dict)  # by future
     finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # futures
     ended: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # and their results
     again: list[Item] = field(default_factory=list)  # to be sent to another worker
     losses: dict[int, int] = field(default_factory=dict)  # by item number
     # Outcomes whose files are not seen yet, and until when they are waited for.
-    unseen: list[tuple[float, Item, _Worker, Outcome]] = field(default_factory=list)
+    unseen: list[tuple[float, Item, _ClusterWorker, ItemOutcome]] = field(
+        default_factory=list
+    )
     said: list[Fault] = field(default_factory=list)  # warnings that are due
     delivery: Delivery = field(init=False)
     check: bytes = field(init=False)
-    build: Callable[[bytes], Outcome | None] = field(init=False)
+    build: Callable[[bytes], ItemOutcome | None] = field(init=False)
     _had_workers: float = field(default_factory=time.monotonic)
     _waits: bool = False  # whether it was said that there is no worker
 
@@ -332,7 +334,7 @@ class _Farm:
         inputs = tuple(_inputs(self.work, self.delivery))
         self.check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
 
-    def outcomes(self) -> Iterator[Outcome | Fault]:
+    def outcomes(self) -> Iterator[ItemOutcome | Fault]:
         """Yield outcomes and warnings until all items are built."""
         counted_at = -POLL_INTERVAL
         while True:
@@ -379,7 +381,7 @@ class _Farm:
             self.said.append(Fault("BAT076", message, None, (), hint, Severity.WARNING))
         return threads
 
-    def _lost(self, addresses: Mapping[str, int]) -> Iterator[Outcome]:
+    def _lost(self, addresses: Mapping[str, int]) -> Iterator[ItemOutcome]:
         """Take back what lost workers had, and begin to check new ones."""
         for address in self.workers.keys() - addresses.keys():
             worker = self.workers.pop(address)
@@ -387,10 +389,10 @@ class _Farm:
                 future.cancel()
                 yield from self._loss(self.sent.pop(future), "the worker has stopped")
         for address in addresses.keys() - self.workers.keys():
-            self.workers[address] = _Worker(address, addresses[address])
+            self.workers[address] = _ClusterWorker(address, addresses[address])
             self._ask(self.workers[address])
 
-    def _loss(self, sent: _Sent, why: str) -> Iterator[Outcome]:
+    def _loss(self, sent: _Sent, why: str) -> Iterator[ItemOutcome]:
         """Send the item of a lost worker again, unless that happens each time."""
         sent.worker.going -= sent.item is not None
         if sent.item is None:
@@ -406,9 +408,9 @@ class _Farm:
             "out of memory or over a time limit of the cluster; see the workers' logs"
         )
         fault = Fault("BAT020", message, str(sent.item.file.path), (), hint)
-        yield Outcome.failed(sent.item, fault)
+        yield ItemOutcome.failed(sent.item, fault)
 
-    def _ask(self, worker: _Worker) -> None:
+    def _ask(self, worker: _ClusterWorker) -> None:
         self._submit(
             _asking(self.name, builder_versions()), self.check, _Sent(worker, None)
         )
@@ -449,7 +451,7 @@ class _Farm:
         why = f"{count}, all excluded: the warnings say why"
         raise _unusable(self.work.argument, why, RESUME)
 
-    def _heard(self, sent: _Sent, value: object) -> Iterator[Outcome | Fault]:
+    def _heard(self, sent: _Sent, value: object) -> Iterator[ItemOutcome | Fault]:
         """Take the answer of a worker: of its check, or the outcome of an item."""
         worker, item = sent.worker, sent.item
         if item is None:
@@ -465,16 +467,16 @@ class _Farm:
             worker.fit = None
             self.again.append(item)
             self._ask(worker)
-        elif not (isinstance(value, Outcome) and value.number == item.number):
+        elif not (isinstance(value, ItemOutcome) and value.number == item.number):
             message = f"worker {worker} returned something other than a result"
             fault = Fault("BAT020", message, str(item.file.path))
-            yield Outcome.failed(item, fault)
-        elif value.status is Status.DONE:
+            yield ItemOutcome.failed(item, fault)
+        elif value.status is ItemStatus.DONE:
             yield from self._built(worker, item, value)
         else:
             yield from self._failed(worker, item, value)
 
-    def _checked(self, worker: _Worker, value: object) -> Iterator[Fault]:
+    def _checked(self, worker: _ClusterWorker, value: object) -> Iterator[Fault]:
         if isinstance(value, tuple):
             worker.host, code, why = value
             worker.fit = not code
@@ -486,15 +488,17 @@ class _Farm:
         if not worker.fit:
             yield from self._leave_out(worker, code, why)
 
-    def _leave_out(self, worker: _Worker, code: str, why: str) -> Iterator[Fault]:
+    def _leave_out(
+        self, worker: _ClusterWorker, code: str, why: str
+    ) -> Iterator[Fault]:
         """Give a worker no more items, and say so once."""
         worker.fit = False
         message = f"worker {worker} is excluded: {excerpt(why, 400)[1:-1]}"
         yield Fault(code, message, None, (), _HINTS[code], Severity.WARNING)
 
     def _built(
-        self, worker: _Worker, item: Item, outcome: Outcome
-    ) -> Iterator[Outcome | Fault]:
+        self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
+    ) -> Iterator[ItemOutcome | Fault]:
         """Take an outcome whose inputs are those of this machine; wait for its files.
 
         Where inputs are others, another worker builds the item.
@@ -502,7 +506,7 @@ class _Farm:
         other = self.delivery.other_inputs(outcome)
         changed = self.delivery.changed(other)
         if changed:
-            yield Outcome.failed(item, *changed_error(*changed).faults)
+            yield ItemOutcome.failed(item, *changed_error(*changed).faults)
         elif other:
             why = f"it has different files with the same names: {listed(other, 2)}"
             yield from self._leave_out(worker, INPUTS, why)
@@ -511,7 +515,7 @@ class _Farm:
             until = time.monotonic() + UNSEEN
             self.unseen.append((until, item, worker, outcome))
 
-    def _delivered(self) -> Iterator[Outcome | Fault]:
+    def _delivered(self) -> Iterator[ItemOutcome | Fault]:
         """Yield the outcomes whose files are seen here, with the content written."""
         now, waiting = time.monotonic(), self.unseen
         self.unseen = []
@@ -532,8 +536,8 @@ class _Farm:
                     yield from self._leave_out(worker, DISK, why)
 
     def _failed(
-        self, worker: _Worker, item: Item, outcome: Outcome
-    ) -> Iterator[Outcome | Fault]:
+        self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
+    ) -> Iterator[ItemOutcome | Fault]:
         """Take a failure, unless another worker can do what this one cannot."""
         unread = [
             fault.path

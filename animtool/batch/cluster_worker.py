@@ -19,7 +19,7 @@ import animtool
 from animtool.batch.item import Item
 from animtool.batch.manifest import file_digest
 from animtool.batch.spec import package_versions
-from animtool.batch.work import Outcome
+from animtool.batch.work import ItemOutcome
 from animtool.batch.worker_process import WorkerProcess, WorkerTask
 from animtool.core.errors import AnimtoolError, Fault, excerpt, listed
 from animtool.core.files.reading import read_input
@@ -134,7 +134,7 @@ def _is_same(one: InputCheck) -> bool:
         return False
 
 
-def build_on(worker: Any, name: str, item: Item) -> Outcome | None:
+def build_on(worker: Any, name: str, item: Item) -> ItemOutcome | None:
     """Return the outcome of an item; None where the worker is not prepared."""
     processes: WorkerProcesses | None = worker.plugins.get(name)
     return None if processes is None else processes.build(item)
@@ -155,7 +155,7 @@ class WorkerProcesses:
     _idle: list[WorkerProcess] = field(default_factory=list)
     _busy: list[WorkerProcess] = field(default_factory=list)
 
-    def build(self, item: Item) -> Outcome:
+    def build(self, item: Item) -> ItemOutcome:
         """Return the outcome of an item."""
         # Both are atomic among threads.
         process = self._idle.pop() if self._idle else WorkerProcess(self.task)
@@ -166,7 +166,9 @@ class WorkerProcesses:
             self._busy.remove(process)
             process.end()
             message = f"cannot be built there: {error}"
-            return Outcome.failed(item, Fault("BAT020", message, str(item.file.path)))
+            return ItemOutcome.failed(
+                item, Fault("BAT020", message, str(item.file.path))
+            )
         self._busy.remove(process)
         self._idle.append(process)
         return outcome

@@ -22,7 +22,7 @@ from animtool.batch.cut_frames import (
 )
 from animtool.batch.edl import Edl, edl_timeline, read_edl
 from animtool.batch.spans import (
-    Shown,
+    ShownClip,
     Span,
     UnsupportedTimeError,
     Walk,
@@ -210,17 +210,20 @@ def read_cuts(
     that is not there, has that of ``media`` that is called like it, or like that file.
     Its times are seconds of the media; a shot counts frames at the timeline's rate.
     """
-    return _Reader(path, media, options or CutOptions(), left_out).read()
+    return _CutReader(path, media, options or CutOptions(), left_out).read()
 
 
 def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
     """Return the shot of a name, or the only one (else BAT048); see `read_cuts`."""
-    return _Reader(path, (), options).read_one(name)
+    return _CutReader(path, (), options).read_one(name)
 
 
 def _named(
-    entries: Sequence[Shown], name: str | None, path: Path, skipped: Mapping[str, str]
-) -> list[Shown]:
+    entries: Sequence[ShownClip],
+    name: str | None,
+    path: Path,
+    skipped: Mapping[str, str],
+) -> list[ShownClip]:
     """Return the clip that is the shot of a name; without one the only clip."""
     names = [entry.name for entry in entries]
     if name is not None and name not in names and name in skipped:
@@ -243,7 +246,7 @@ def _named(
     return [entry for entry in entries if entry.name == name]
 
 
-class _Reader:
+class _CutReader:
     """Reads a timeline."""
 
     def __init__(
@@ -309,7 +312,7 @@ class _Reader:
         self.cuts.notices += notices
         return timeline
 
-    def taken_from(self, entries: Sequence[Shown]) -> CutList:
+    def taken_from(self, entries: Sequence[ShownClip]) -> CutList:
         """Return the shots of clips."""
         for entry in entries:
             self.clip(entry)
@@ -341,13 +344,13 @@ class _Reader:
             self.fault("BAT047", message, hint)
         return metadata
 
-    def entry(self, shown: Shown) -> Shown:
+    def entry(self, shown: ShownClip) -> ShownClip:
         """Return a clip with the name of its shot."""
         path = self.referred(shown.clip)
         name = shown.clip.name or ("" if path is None else source_stem(path))
         return replace(shown, name=self.name(name, shown.named))
 
-    def clip(self, entry: Shown) -> None:
+    def clip(self, entry: ShownClip) -> None:
         """Take a clip."""
         # It imports numpy, and a batch of files is planned without.
         from animtool.core.clock import MAX_FRAMES
@@ -433,7 +436,7 @@ class _Reader:
             self.note("BAT043", message, Severity.WARNING)
         return None
 
-    def overlaps(self, entry: Shown, span: Span) -> tuple[int, int]:
+    def overlaps(self, entry: ShownClip, span: Span) -> tuple[int, int]:
         """Return the frames that transitions show before and after a clip's cut."""
         sides = zip(transition_sides(entry), (span.head, span.tail), strict=True)
         before, after = (

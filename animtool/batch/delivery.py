@@ -10,7 +10,7 @@ from pathlib import Path
 
 from animtool.batch.manifest import FileRecord, file_digest
 from animtool.batch.spec import path_of_name
-from animtool.batch.work import Outcome
+from animtool.batch.work import ItemOutcome
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import FileState
 from animtool.core.record import dataclass
@@ -32,7 +32,7 @@ class Delivery:
             self._states[where] = FileState.of(where)
         return self._states[where]
 
-    def other_inputs(self, outcome: Outcome) -> list[Path]:
+    def other_inputs(self, outcome: ItemOutcome) -> list[Path]:
         """Return the inputs that are not, here, what an item was built from."""
         paths = [(path_of_name(one.path, self.root), one) for one in outcome.inputs]
         return [path for path, one in paths if not self._is_same(path, one)]
@@ -41,7 +41,7 @@ class Delivery:
         """Return the inputs that changed here since they were first looked at."""
         return [path for path in paths if self.note(path) != FileState.of(path)]
 
-    def delivered(self, outcome: Outcome) -> Outcome | None:
+    def delivered(self, outcome: ItemOutcome) -> ItemOutcome | None:
         """Return an outcome with its outputs as they are here; None if they are not.
 
         They are looked up afresh: a network disk may remember for a minute that a file

@@ -164,7 +164,7 @@ def edl_timeline(edl: Edl, rate: Fraction) -> tuple[Any, list[Fault]]:
     Raises:
         FormatError: Time codes are none of the rate (BAT041).
     """
-    return _Builder(edl, rate).built()
+    return _TimelineBuilder(edl, rate).built()
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +177,7 @@ class _Times:
     shown: int
 
 
-class _Builder:
+class _TimelineBuilder:
     def __init__(self, edl: Edl, rate: Fraction) -> None:
         import opentimelineio as otio
 

@@ -9,7 +9,7 @@ from typing import ClassVar, TypeAlias, cast
 from animtool.batch.item import Item, ItemTask
 from animtool.batch.pool import run_processes
 from animtool.batch.spec import Limits
-from animtool.batch.work import ItemBuilder, Outcome
+from animtool.batch.work import ItemBuilder, ItemOutcome
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
 from animtool.core.names import check_known
@@ -53,7 +53,7 @@ class Work:
 
 # Yields the outcome of each item as it ends, and warnings about what builds them;
 # closing the iterator ends the work.
-Run: TypeAlias = Callable[[Work], Iterator[Outcome | Fault]]
+Run: TypeAlias = Callable[[Work], Iterator[ItemOutcome | Fault]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,14 +98,14 @@ EXECUTORS = {
 }
 
 
-def processes(work: Work) -> Iterator[Outcome]:
+def processes(work: Work) -> Iterator[ItemOutcome]:
     """Yield what becomes of items, made by several processes of this machine."""
     if work.argument:
         raise _argument("processes", f"{argument('jobs')} sets how many")
     return run_processes(work.builder, work.items, work.limits, work.jobs)
 
 
-def serial(work: Work) -> Iterator[Outcome]:
+def serial(work: Work) -> Iterator[ItemOutcome]:
     """Yield what becomes of items, made one after another in this process."""
     if work.argument:
         raise _argument("serial", "it takes no argument")

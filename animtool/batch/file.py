@@ -235,7 +235,7 @@ def rows_of_document(
     document: Document, variants: Any, taken: Collection[str]
 ) -> Variants | None:
     """Return the table of values in a batch file; None, and its faults, without one."""
-    reader = _Reader(document, taken)
+    reader = _VariantReader(document, taken)
     before = len(document.faults)
     if isinstance(variants, list):
         table = reader.rows(variants)
@@ -246,7 +246,7 @@ def rows_of_document(
     return None if len(document.faults) > before or document.doubtful(AT) else table
 
 
-class _Reader:
+class _VariantReader:
     def __init__(self, document: Document, taken: Collection[str]) -> None:
         self.document, self.taken = document, taken
 

@@ -22,7 +22,7 @@ from animtool.core.record import dataclass
 from animtool.motion.scores import PassScores
 
 
-class Reason(StrEnum):
+class BuildReason(StrEnum):
     """Why an item is made, or not."""
 
     NEW = "new"
@@ -40,7 +40,7 @@ class Decision:
     """What becomes of an item."""
 
     item: Item  # the item
-    reason: Reason  # why
+    reason: BuildReason  # why
     detail: str = ""  # the file that changed, or what happened last time
     # The item's record with what files are now, where they were touched and are still
     # the same.
@@ -50,7 +50,7 @@ class Decision:
     @property
     def due(self) -> bool:
         """Whether it is to be made."""
-        return self.reason is not Reason.UP_TO_DATE
+        return self.reason is not BuildReason.UP_TO_DATE
 
 
 class Planner:
@@ -99,42 +99,42 @@ class Planner:
         record = self._history.manifest.items.get(key)
         failed = self._history.failed.get(key)
         if self._force:
-            return Decision(item, Reason.FORCED)
+            return Decision(item, BuildReason.FORCED)
         if record is None:
             if failed is not None:
-                return Decision(item, Reason.FAILED, failed)
-            return Decision(item, Reason.NEW)
+                return Decision(item, BuildReason.FAILED, failed)
+            return Decision(item, BuildReason.NEW)
         decision = self._compared(item, record)
         if decision.due and failed is not None:
-            return Decision(item, Reason.FAILED, failed)
+            return Decision(item, BuildReason.FAILED, failed)
         return decision
 
     def _compared(self, item: Item, record: ItemRecord) -> Decision:
         if record.how != self.how(item):
-            return Decision(item, Reason.OPTIONS)
+            return Decision(item, BuildReason.OPTIONS)
         if record.versions != self.versions:
-            return Decision(item, Reason.VERSION)
+            return Decision(item, BuildReason.VERSION)
         inputs: list[FileRecord] = []
         outputs: list[FileRecord] = []
         for reason, files, now in (
-            (Reason.INPUT, record.inputs, inputs),
-            (Reason.OUTPUT, record.outputs, outputs),
+            (BuildReason.INPUT, record.inputs, inputs),
+            (BuildReason.OUTPUT, record.outputs, outputs),
         ):
             for file in files:
                 # What is as young may have changed after the record without a sign.
-                state = file.state if reason is Reason.INPUT else None
+                state = file.state if reason is BuildReason.INPUT else None
                 young = state is not None and state.changed >= record.at
                 same = self._same(file, young=young)
                 if same is None:
                     return Decision(item, reason, file.path)
                 now.append(same)
         if tuple(inputs) == record.inputs and tuple(outputs) == record.outputs:
-            return Decision(item, Reason.UP_TO_DATE, scores=record.scores)
+            return Decision(item, BuildReason.UP_TO_DATE, scores=record.scores)
         refreshed = replace(
             record, inputs=tuple(inputs), outputs=tuple(outputs), at=self._now
         )
         return Decision(
-            item, Reason.UP_TO_DATE, refreshed=refreshed, scores=record.scores
+            item, BuildReason.UP_TO_DATE, refreshed=refreshed, scores=record.scores
         )
 
     def _same(self, file: FileRecord, *, young: bool) -> FileRecord | None:

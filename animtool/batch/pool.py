@@ -24,10 +24,10 @@ from animtool.batch.item import Item, ItemTask
 from animtool.batch.spec import Limits, bytes_text
 from animtool.batch.work import (
     READY,
+    FileBeingRead,
     ItemBuilder,
-    Outcome,
-    Reading,
-    Status,
+    ItemOutcome,
+    ItemStatus,
     needed_modules,
     serve,
 )
@@ -99,7 +99,7 @@ class _Worker:
         try:
             while self.connection.poll():
                 sent = self.connection.recv()
-                if not isinstance(sent, Reading):
+                if not isinstance(sent, FileBeingRead):
                     return sent
                 self.path = sent.path
         except Exception:
@@ -155,7 +155,7 @@ class _Pool:
             if item is not None:
                 worker.give(item)
 
-    def outcomes(self) -> Iterator[Outcome]:
+    def outcomes(self) -> Iterator[ItemOutcome]:
         """Wait until something happens; yield what became of items."""
         watched = {
             key: worker
@@ -173,13 +173,13 @@ class _Pool:
             if fault is not None:
                 yield self._lost(worker, fault)
 
-    def _heard(self, worker: _Worker) -> Iterator[Outcome]:
+    def _heard(self, worker: _Worker) -> Iterator[ItemOutcome]:
         sent = worker.received()
         if sent == READY:
             worker.ready, self.failed_starts = True, 0
-        elif isinstance(sent, Reading):
+        elif isinstance(sent, FileBeingRead):
             pass
-        elif isinstance(sent, Outcome) and sent.number == _number(worker):
+        elif isinstance(sent, ItemOutcome) and sent.number == _number(worker):
             yield from self._ended(worker, sent)
         elif not worker.ready:
             self._failed_to_start(worker)
@@ -210,11 +210,11 @@ class _Pool:
         if self.failed_starts == MAX_FAILED_STARTS:
             raise _unstartable(f"the last {why}")
 
-    def _ended(self, worker: _Worker, outcome: Outcome) -> Iterator[Outcome]:
+    def _ended(self, worker: _Worker, outcome: ItemOutcome) -> Iterator[ItemOutcome]:
         worker.item = None
         retired = outcome.retired or self._swollen(worker)
         # One that fails may be the last that is begun: that is known when it is heard.
-        if self.queue_next and outcome.status is Status.DONE and not retired:
+        if self.queue_next and outcome.status is ItemStatus.DONE and not retired:
             self.feed(worker)
         yield outcome
         if retired:
@@ -240,14 +240,14 @@ class _Pool:
             )
         return None
 
-    def _lost(self, worker: _Worker, fault: Fault) -> Outcome:
+    def _lost(self, worker: _Worker, fault: Fault) -> ItemOutcome:
         """End a process, and return that its item failed."""
         assert worker.item is not None
         item, seconds = worker.item, time.perf_counter() - worker.began
         self.drop(worker)
         path = fault.path or str(item.file.path)
         named = Fault(fault.code, fault.message, path, hint=fault.hint)
-        return Outcome.failed(item, named, seconds=seconds)
+        return ItemOutcome.failed(item, named, seconds=seconds)
 
     def drop(self, worker: _Worker) -> None:
         """End a process at once, and remove what it began to write."""
@@ -303,7 +303,7 @@ def run_processes(
     jobs: int,
     *,
     queue_next: bool = True,
-) -> Iterator[Outcome]:
+) -> Iterator[ItemOutcome]:
     """Yield what becomes of items, as each ends, made by several processes.
 
     An item is taken only when a process can make it. Closing the iterator ends them.

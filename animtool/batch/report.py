@@ -9,8 +9,8 @@ from typing import ClassVar
 
 from animtool.batch.discover import Batch
 from animtool.batch.item import Item
-from animtool.batch.plan import Reason
-from animtool.batch.work import Measured, Outcome, Status
+from animtool.batch.plan import BuildReason
+from animtool.batch.work import ItemOutcome, ItemStatus, Measured
 from animtool.core.arguments import Calling
 from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.junit import JunitCase, junit_xml
@@ -27,8 +27,8 @@ class ItemReport:
     """What became of an item."""
 
     item: Item  # the item
-    status: Status  # what became of it
-    reason: Reason  # why it was made, or not
+    status: ItemStatus  # what became of it
+    reason: BuildReason  # why it was made, or not
     detail: str = ""  # the file that changed, or what happened last time
     seconds: float = 0.0  # wall time of making it; 0 where it was not made
     faults: tuple[Fault, ...] = ()  # why it failed
@@ -46,7 +46,7 @@ class ItemReport:
 
     @classmethod
     def of(
-        cls, item: Item, reason: Reason, detail: str, outcome: Outcome
+        cls, item: Item, reason: BuildReason, detail: str, outcome: ItemOutcome
     ) -> ItemReport:
         """Return the report of an item that was made, or failed."""
         return cls(
@@ -72,12 +72,12 @@ class ItemReport:
     @property
     def skipped(self) -> bool:
         """Whether it was, or would be, left as it is."""
-        return self.status is Status.SKIPPED
+        return self.status is ItemStatus.SKIPPED
 
     @property
     def spent(self) -> float | None:
         """Wall time of making it [s]; None where it was not made."""
-        was_built = self.status in {Status.DONE, Status.FAILED}
+        was_built = self.status in {ItemStatus.DONE, ItemStatus.FAILED}
         return self.seconds if was_built else None
 
     @property
@@ -107,26 +107,26 @@ class BatchReport:
     @property
     def counts(self) -> dict[str, int]:
         """Of how many items each became."""
-        return {str(s).replace(" ", "_"): self.count(s) for s in Status}
+        return {str(s).replace(" ", "_"): self.count(s) for s in ItemStatus}
 
-    def count(self, status: Status) -> int:
+    def count(self, status: ItemStatus) -> int:
         """Return of how many items something became."""
         return sum(report.status is status for report in self.items)
 
     @property
-    def reasons(self) -> Counter[Reason]:
+    def reasons(self) -> Counter[BuildReason]:
         """Return how many items there are of each reason."""
         return Counter(report.reason for report in self.items)
 
     @property
     def failed(self) -> list[ItemReport]:
         """The items that failed, in order."""
-        return [report for report in self.items if report.status is Status.FAILED]
+        return [report for report in self.items if report.status is ItemStatus.FAILED]
 
     @property
     def slowest(self) -> list[ItemReport]:
         """The items that took longest, longest first."""
-        done = [report for report in self.items if report.status is Status.DONE]
+        done = [report for report in self.items if report.status is ItemStatus.DONE]
         return sorted(done, key=lambda report: -report.seconds)[:NAMED]
 
     @property
@@ -177,7 +177,7 @@ def _case(report: ItemReport) -> JunitCase:
     name = str(report.item.output)
     warnings = [n for n in report.notices if n.severity is not Severity.NOTE]
     listed_faults = "\n".join(map(str, warnings))
-    if report.status is Status.FAILED:
+    if report.status is ItemStatus.FAILED:
         first = report.faults[0]
         text = "\n".join(map(str, report.faults))
         return JunitCase(
@@ -189,6 +189,6 @@ def _case(report: ItemReport) -> JunitCase:
             listed_faults,
             report.seconds,
         )
-    if report.status is Status.DONE:
+    if report.status is ItemStatus.DONE:
         return JunitCase(name, output=listed_faults, seconds=report.seconds)
     return JunitCase(name, "skipped", message=str(report.reason))

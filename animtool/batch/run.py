@@ -20,7 +20,7 @@ from animtool.batch.plan import (
 )
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.spec import BatchSpec, named_from, path_of_name
-from animtool.batch.work import ItemBuilder, Outcome, Status
+from animtool.batch.work import ItemBuilder, ItemOutcome, ItemStatus
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.leftovers import remove_leftovers
 from animtool.core.record import dataclass
@@ -111,7 +111,7 @@ def run_batch(
         return BatchReport(batch, tuple(planned), seconds, tuple(history.damaged))
     part = "" if options.numbers is None else "{}-{}".format(*options.numbers)
     with locked_ledger(batch.records, batch.name, part) as ledger:
-        run = _Run(batch, options, listener, ledger)
+        run = _BatchRun(batch, options, listener, ledger)
         run.plan(items)
         run.make()
         ledger.settle(run.keeps)
@@ -140,7 +140,7 @@ def _retried(
 
 
 def _planned(decision: Decision) -> ItemReport:
-    status = Status.NOT_RUN if decision.due else Status.SKIPPED
+    status = ItemStatus.NOT_RUN if decision.due else ItemStatus.SKIPPED
     return ItemReport(
         decision.item,
         status,
@@ -150,7 +150,7 @@ def _planned(decision: Decision) -> ItemReport:
     )
 
 
-class _Run:
+class _BatchRun:
     """One run, while its records are held."""
 
     def __init__(
@@ -232,7 +232,7 @@ class _Run:
         try:
             for outcome in outcomes:
                 # Executors of plug-ins may yield anything.
-                if isinstance(outcome, Outcome):
+                if isinstance(outcome, ItemOutcome):
                     self._ended(outcome)
                 elif isinstance(outcome, Fault):
                     self.notices.append(outcome)
@@ -243,7 +243,7 @@ class _Run:
             item = self.decisions[number].item
             message = "the process that built it did not report a result"
             fault = Fault("BAT020", message, str(item.file.path))
-            self._ended(Outcome.failed(item, fault))
+            self._ended(ItemOutcome.failed(item, fault))
         # A process of a run that was killed may have lived a moment longer.
         self._tidy()
 
@@ -260,13 +260,13 @@ class _Run:
                 try:
                     check_overwrites(self.batch, [item], self._is_known)
                 except OptionError as error:
-                    self._ended(Outcome.failed(item, *error.faults))
+                    self._ended(ItemOutcome.failed(item, *error.faults))
                     continue
             self.ledger.claim([named_from(path, self.batch.root) for path in paths])
             self.listener.began(item)
             yield item
 
-    def _ended(self, outcome: Outcome) -> None:
+    def _ended(self, outcome: ItemOutcome) -> None:
         if outcome.number not in self.begun or outcome.number in self.ended:
             # An executor of a plug-in said it twice, or of what it was not given.
             return
@@ -274,7 +274,7 @@ class _Run:
         item = decision.item
         report = ItemReport.of(item, decision.reason, decision.detail, outcome)
         key = self.planner.key(item)
-        if outcome.status is Status.DONE:
+        if outcome.status is ItemStatus.DONE:
             self.ledger.add(
                 ItemRecord(
                     key,

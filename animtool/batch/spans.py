@@ -29,7 +29,7 @@ class UnsupportedTimeError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class ShownClip:
     """A clip on a track, and which part of it the timeline shows.
 
     Attributes:
@@ -71,7 +71,7 @@ class Span:
     tail: bool = True
 
 
-def span_of(shown: Shown) -> Span:
+def span_of(shown: ShownClip) -> Span:
     """Return the media that a clip shows.
 
     Backwards, a clip plays its range from the last frame to the first.
@@ -132,7 +132,7 @@ def _effect_name(effect: Any) -> str:
     return f"effect {excerpt(str(name))}"
 
 
-def transition_sides(shown: Shown) -> tuple[Any, Any]:
+def transition_sides(shown: ShownClip) -> tuple[Any, Any]:
     """Return how far transitions reach beyond the cuts of a clip; None for none."""
     import opentimelineio as otio
 
@@ -155,7 +155,7 @@ class Walk:
     """The clips on the tracks of pictures, with what is shown of them."""
 
     note: Noter  # takes a code, a message, and whether it is a warning
-    clips: list[Shown] = field(default_factory=list)  # in the order of the timeline
+    clips: list[ShownClip] = field(default_factory=list)  # in the order of the timeline
     gaps: int = 0
     # Why clips are no shots, by their names.
     skipped: dict[str, str] = field(default_factory=dict)
@@ -210,7 +210,7 @@ class Walk:
                 return
             part = max(begin, window[0]) - begin, min(end, window[1]) - begin
         if not hasattr(item, "find_children"):
-            self.clips.append(Shown(item, where, named, part, speed))
+            self.clips.append(ShownClip(item, where, named, part, speed))
             return
         try:
             inner, inner_speed = _inside(item, part)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from animtool.scene.bake.bake import OutputReport
 
 
-class Status(StrEnum):
+class ItemStatus(StrEnum):
     """What became of an item."""
 
     DONE = "done"
@@ -50,11 +50,11 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class ItemOutcome:
     """What became of an item that was to be made."""
 
     number: int  # the item's
-    status: Status  # done or failed
+    status: ItemStatus  # done or failed
     seconds: float  # wall time of making it
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes
@@ -66,9 +66,9 @@ class Outcome:
     retired: bool = False  # whether the process that made it had better make no other
 
     @classmethod
-    def failed(cls, item: Item, *faults: Fault, seconds: float = 0.0) -> Outcome:
+    def failed(cls, item: Item, *faults: Fault, seconds: float = 0.0) -> ItemOutcome:
         """Return that an item failed after some time [s]."""
-        return cls(item.number, Status.FAILED, seconds, faults)
+        return cls(item.number, ItemStatus.FAILED, seconds, faults)
 
 
 @dataclass(slots=True)
@@ -79,7 +79,7 @@ class ItemBuilder:
     root: Path  # folder from which records name files
     _digests: dict[FileState, FileRecord] = field(default_factory=dict)
 
-    def build(self, item: Item) -> Outcome:
+    def build(self, item: Item) -> ItemOutcome:
         """Return what became of an item; only what ends the process is raised."""
         began = time.perf_counter()
         retired = False
@@ -107,9 +107,11 @@ class ItemBuilder:
         finally:
             _forget_layers()
         seconds = time.perf_counter() - began
-        return Outcome(item.number, Status.FAILED, seconds, faults, retired=retired)
+        return ItemOutcome(
+            item.number, ItemStatus.FAILED, seconds, faults, retired=retired
+        )
 
-    def _build(self, item: Item, began: float) -> Outcome:
+    def _build(self, item: Item, began: float) -> ItemOutcome:
         from animtool.scene.bake.prims import raise_stopped
 
         with recorded_inputs() as inputs:
@@ -124,9 +126,9 @@ class ItemBuilder:
         paths = dict.fromkeys(path for report in reports for path in report.files)
         outputs = tuple(self._output(path) for path in paths)
         at = max(file.state.changed for file in outputs if file.state is not None)
-        return Outcome(
+        return ItemOutcome(
             item.number,
-            Status.DONE,
+            ItemStatus.DONE,
             time.perf_counter() - began,
             (),
             tuple(dict.fromkeys(n for report in reports for n in report.notices)),
@@ -245,7 +247,7 @@ READY = "ready"
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class FileBeingRead:
     """Names the file that USD reads in a worker; empty when it was read."""
 
     path: str
@@ -268,7 +270,7 @@ def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> N
         _limit_memory(memory)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         connection.send(READY)
-        report_reading(lambda path: connection.send(Reading(path)))
+        report_reading(lambda path: connection.send(FileBeingRead(path)))
         while (item := connection.recv()) is not None:
             outcome = builder.build(item)
             connection.send(outcome)

@@ -19,7 +19,7 @@ from typing import IO, cast
 from animtool.batch.item import Item
 from animtool.batch.pool import run_processes
 from animtool.batch.spec import Limits
-from animtool.batch.work import ItemBuilder, Outcome
+from animtool.batch.work import ItemBuilder, ItemOutcome
 from animtool.core.record import dataclass
 
 
@@ -39,13 +39,13 @@ class WorkerProcess:
     task: WorkerTask  # how it makes items
     _process: Popen[bytes] | None = field(default=None, repr=False)
 
-    def make(self, item: Item) -> Outcome:
+    def make(self, item: Item) -> ItemOutcome:
         """Return what became of an item."""
         try:
             if self._process is None:
                 self._process = self._started()
             self._send(item)
-            return cast(Outcome, pickle.load(self._pipe(self._process.stdout)))
+            return cast(ItemOutcome, pickle.load(self._pipe(self._process.stdout)))
         except OSError:
             raise
         except Exception as error:

@@ -182,9 +182,9 @@ def _check_library(scene: Scene, params: dict[str, Any]) -> None:
 def _plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
     """Print what a bake would do."""
     from animtool.cli.summary import PLAN
-    from animtool.scene.bake.steps import Steps, bake_steps
+    from animtool.scene.bake.steps import PlanSteps, bake_steps
 
-    console.report(params["report_format"], Steps(bake_steps(outline)), PLAN)
+    console.report(params["report_format"], PlanSteps(bake_steps(outline)), PLAN)
 
 
 def _bake(
@@ -221,13 +221,13 @@ def _say_reports(
     """
     from animtool.cli.summary import STATS, template_of
     from animtool.scene.bake.prims import raise_stopped
-    from animtool.scene.bake.progress import Stats
+    from animtool.scene.bake.progress import BakeStats
 
     notices = [notice for report in reports for notice in report.notices]
     # What the sources and passes say stands in every report.
     console.faults(dict.fromkeys(notices) if several else notices)
     stages = [] if scene is None else scene.meter.stages
-    costs = Stats([*stages, *(report.cost for report in reports)])
+    costs = BakeStats([*stages, *(report.cost for report in reports)])
     if params["report_format"] == "json":
         whole = {"bake": VERSION, "written": reports} if several else reports[0]
         stats = plain_value(costs) if params["stats"] else {}

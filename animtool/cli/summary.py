@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from animtool.core.errors import Fault
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport, MeshReport, TakeReport
-    from animtool.scene.bake.steps import Step
+    from animtool.scene.bake.steps import PlanStep
     from animtool.usd.takes.splines import CurveReport
 
 # Errors of channels that are not worth a line, in their units.
@@ -273,7 +273,7 @@ def template_of(report: BakeReport | ConvertReport) -> Template:
     return _OUTPUTS[type(report).__name__]
 
 
-def _others(step: Step, name: str) -> str:
+def _others(step: PlanStep, name: str) -> str:
     """Return what a step reads or makes, but for itself."""
     entries = getattr(step, name)
     return "" if entries == (step.name,) else ", ".join(entries)

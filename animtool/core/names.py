@@ -36,7 +36,7 @@ KINDS = (
 )
 
 
-def file_suffixes(kind: str) -> tuple[str, ...]:
+def kind_suffixes(kind: str) -> tuple[str, ...]:
     """Return what the name of a file of a kind ends in, in lower case."""
     return tuple(f".{kind}.{text}" for text in ("yaml", "yml", "json"))
 
@@ -47,7 +47,7 @@ def is_named(path: Path, kind: str) -> bool:
     >>> is_named(Path("Hero.rig.yaml"), "rig"), is_named(Path("walk.bvh"), "scene")
     (True, False)
     """
-    return path.name.lower().endswith(file_suffixes(kind))
+    return path.name.lower().endswith(kind_suffixes(kind))
 
 
 def is_variable_name(text: str) -> bool:

@@ -30,7 +30,7 @@ from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 
 # What a value is, and so how files and the command line write it.
-Kind: TypeAlias = Literal[
+OptionKind: TypeAlias = Literal[
     "switch", "answer", "text", "file", "output", "choice", "unit", "axis", "rate",
     "range", "frame", "rest", "source_rest", "offsets", "length", "lengths", "count",
     "name", "names", "angle", "amount", "seed", "codes", "severities", "processes",
@@ -110,7 +110,7 @@ def inherits_docs(record: type[Described]) -> type[Described]:
 class Option:
     """What an option is, and where it applies."""
 
-    kind: Kind
+    kind: OptionKind
     flag: str = ""  # word of the command line, where it is not the name of the field
     label: str = ""  # as refusals name it in a scene
     not_for: tuple[str, ...] = ()  # uses that refuse it
@@ -144,12 +144,12 @@ class Option:
 
 
 # Of numbers that files and the command line write with a unit.
-_UNITS: dict[Kind, str] = {"length": "[m]", "lengths": "[m]", "angle": "[rad]"}
+_UNITS: dict[OptionKind, str] = {"length": "[m]", "lengths": "[m]", "angle": "[rad]"}
 
 
 def option(
     default: Any,
-    kind: Kind,
+    kind: OptionKind,
     *,
     default_factory: Any = MISSING,
     both: Key | None = None,
@@ -207,7 +207,7 @@ def _keys(record: Any) -> Mapping[str, Key]:
 
 Record = TypeVar("Record")
 # What files write for a value of some kinds: a length as text, an angle in degrees.
-_WRITTEN: dict[Kind, type] = {"length": str, "angle": float}
+_WRITTEN: dict[OptionKind, type] = {"length": str, "angle": float}
 
 
 def with_text_values(

@@ -22,7 +22,7 @@ from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field, create_model
 from pydantic_core import PydanticUndefined
 
-from animtool.core.options import FileKind, Key, Kind, Range, keys_of, options_of
+from animtool.core.options import FileKind, Key, OptionKind, Range, keys_of, options_of
 from animtool.documents.check import FileModel
 
 # The largest number in a file, in its own unit. The square of one is held by float32,
@@ -131,7 +131,7 @@ _TYPES: dict[Any, Any] = {
     Sequence[tuple[float, int]]: list[Pair],
 }
 # As a file writes a kind of option; what is not given is None, if nothing else is said.
-_WRITTEN: dict[Kind, Any] = {
+_WRITTEN: dict[OptionKind, Any] = {
     "switch": bool,
     "answer": bool | None,
     "text": str | None,
@@ -146,7 +146,7 @@ _WRITTEN: dict[Kind, Any] = {
     "lengths": dict[str, str],
     "count": Annotated[Whole, Ge(1)] | None,
 }
-_DEFAULTS: dict[Kind, Any] = {"switch": False, "offsets": [], "lengths": {}}
+_DEFAULTS: dict[OptionKind, Any] = {"switch": False, "offsets": [], "lengths": {}}
 Ranges: TypeAlias = Literal["record", "model", "schema"]
 
 

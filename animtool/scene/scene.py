@@ -385,9 +385,9 @@ class Scene:
                 )
                 stream.blocks = read
             return stream
-        from animtool.scene.sources.joining import Part, joined
+        from animtool.scene.sources.joining import SourcePart, joined
 
-        parts: list[Part] = []
+        parts: list[SourcePart] = []
         faults: list[Fault] = []
         for source in self.sources:
             try:
@@ -396,7 +396,7 @@ class Scene:
                 faults += map(source.location.locate, error.faults)
                 continue
             parts.append(
-                Part(
+                SourcePart(
                     stream,
                     source.tracks,
                     source.timecode,

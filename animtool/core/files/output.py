@@ -16,7 +16,7 @@ from animtool.core.arguments import argument, clause
 from animtool.core.errors import Fault, OptionError, OutputError, counted
 from animtool.core.files.leftovers import new_temporary, take_back
 from animtool.core.files.placing import (
-    Target,
+    OutputTarget,
     WrittenFile,
     commit_files,
     output_error,
@@ -132,7 +132,7 @@ def check_outputs(
     it leads to something else than a file (OUT005). All of a kind are faults of one
     error.
     """
-    targets: list[Target] = []
+    targets: list[OutputTarget] = []
     for path in outputs:
         _check_folder(path.parent, path)
         targets.append(target(path))
@@ -190,7 +190,7 @@ def protect_inputs(outputs: Sequence[Path]) -> Iterator[None]:
     _refuse_inputs([target(path) for path in outputs], inputs.opened)
 
 
-def _refuse_inputs(targets: Iterable[Target], inputs: Iterable[Path]) -> None:
+def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> None:
     taken: dict[str, Path] = {}
     for path in inputs:
         # What leads nowhere is said when it is read.
@@ -204,7 +204,7 @@ def _refuse_inputs(targets: Iterable[Target], inputs: Iterable[Path]) -> None:
             raise OptionError(Fault("OUT003", message, str(output.path), (), hint))
 
 
-def _refuse_twice(targets: Iterable[Target | WrittenFile]) -> None:
+def _refuse_twice(targets: Iterable[OutputTarget | WrittenFile]) -> None:
     """Refuse two outputs that are one file, on this disk or on others."""
     names: dict[str, Path] = {}
     for output in targets:
@@ -224,7 +224,7 @@ def same_file(path: Path, other: Path) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class _Block:
+class _OutputSet:
     """Files that get their names together."""
 
     # Those that are whole, and wait for their names.
@@ -235,7 +235,7 @@ class _Block:
     early: list[Path] = field(default_factory=list)
 
 
-_waiting: ContextVar[_Block | None] = ContextVar("_waiting", default=None)
+_waiting: ContextVar[_OutputSet | None] = ContextVar("_waiting", default=None)
 
 
 def write_parts(output: Path, parts: Iterable[bytes]) -> None:
@@ -326,7 +326,7 @@ def atomic_outputs() -> Iterator[None]:
     if _waiting.get() is not None:
         yield
         return
-    waiting = _Block()
+    waiting = _OutputSet()
     token = _waiting.set(waiting)
     try:
         with recorded_inputs():

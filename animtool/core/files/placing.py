@@ -34,14 +34,14 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class OutputTarget:
     """Where an output leads."""
 
     path: Path  # what the user calls it
     final: Path  # the file, links followed
 
 
-def target(path: Path) -> Target:
+def target(path: Path) -> OutputTarget:
     """Return where an output leads, links followed.
 
     Raises:
@@ -55,7 +55,7 @@ def target(path: Path) -> Target:
             message = "is a link to a file that does not exist"
             hint = "remove the link, or name the file itself"
             raise OutputError(Fault("OUT005", message, str(path), (), hint)) from None
-        return Target(path, path.resolve())
+        return OutputTarget(path, path.resolve())
     except OSError as error:
         if error.errno == errno.ELOOP:
             message, hint = "is a link to itself", "remove the link"
@@ -65,7 +65,7 @@ def target(path: Path) -> Target:
     except ValueError as error:
         raise output_error(path, "its name contains a NUL byte") from error
     _check_kind(path, status)
-    return Target(path, path.resolve())
+    return OutputTarget(path, path.resolve())
 
 
 _KINDS = {

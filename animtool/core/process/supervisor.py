@@ -111,7 +111,7 @@ def _got(memory: mmap.mmap) -> bytes | None:
 
 
 @dataclass(slots=True)
-class _State:
+class _SupervisionState:
     """What this process knows of supervision."""
 
     notes: _Notes | None = None  # where it notes; None is nowhere: nobody supervises it
@@ -125,7 +125,7 @@ class _State:
     main: ModuleType | None = None  # the script's module meanwhile
 
 
-_state = _State()
+_state = _SupervisionState()
 _lock = threading.Lock()
 
 

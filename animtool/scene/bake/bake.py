@@ -12,11 +12,11 @@ from animtool.core.errors import Fault, OptionError, refuse_warnings
 from animtool.core.files.output import atomic_outputs
 from animtool.motion.take import TakeStream
 from animtool.scene.bake.files import ConvertReport
-from animtool.scene.bake.frames import TakeRun
+from animtool.scene.bake.frames import BakedTake
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import Outline, outlined
 from animtool.scene.bake.plan import OutputPlan, plan_outputs
-from animtool.scene.bake.prims import BakePlan, BakeReport, Draft
+from animtool.scene.bake.prims import BakePlan, BakeReport, BakeState
 from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source
 
@@ -146,7 +146,9 @@ def run_outputs(
 def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     """Run a planned bake to one USD file."""
     began = time.perf_counter()
-    draft = Draft(plan, progress, [TakeRun(take, plan.watch) for take in plan.takes])
+    draft = BakeState(
+        plan, progress, [BakedTake(take, plan.watch) for take in plan.takes]
+    )
     for prims in plan.prims:
         prims.author(draft)
         assert draft.report is not None

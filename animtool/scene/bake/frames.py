@@ -310,7 +310,7 @@ def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
     return moving
 
 
-class TakeRun:
+class BakedTake:
     """One take on its way from its source to the writer."""
 
     def __init__(self, plan: TakePlan, watch: CharacterWatch | None = None) -> None:

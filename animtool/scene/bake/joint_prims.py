@@ -16,10 +16,10 @@ from animtool.maths.curves import Curves
 from animtool.motion.motion import Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.frames import TakePlan, TakeRun, TimedBlocks, moving_joints
+from animtool.scene.bake.frames import BakedTake, TakePlan, TimedBlocks, moving_joints
 from animtool.scene.bake.prims import (
     BakePlan,
-    Draft,
+    BakeState,
     Save,
     TakeReport,
     take_report,
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 class JointPrims:
     """SkelAnimations of takes, with their skeleton where no rig layer has it."""
 
-    def author(self, draft: Draft) -> None:
+    def author(self, draft: BakeState) -> None:
         """Author the layers of every take."""
         plan = draft.plan
         rest = draft.runs[0].rig
@@ -144,7 +144,7 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
 class _JointTake:
     """One take as joints: those that are written, and the samples that are needed."""
 
-    def __init__(self, run: TakeRun) -> None:
+    def __init__(self, run: BakedTake) -> None:
         self.plan, self._run = run.plan, run
         self.seconds = {"read": 0.0}  # spent on making blocks [s]
         self._thinned: Thinned | None = None

@@ -16,8 +16,8 @@ from animtool.core.record import dataclass
 from animtool.core.writers import take_writer, writer_of, writes_stage
 from animtool.scene.bake.options import BakeOptions, merged
 from animtool.scene.bake.reading import (
-    Reading,
     Source,
+    SourceSet,
     check_file_options,
     check_options,
     check_package,
@@ -79,7 +79,7 @@ class OutputEntry:
 class Outline:
     """What a bake will read and write."""
 
-    reading: Reading
+    reading: SourceSet
     outputs: tuple[OutputEntry, ...]
     notices: list[Fault]  # of the scenes
 

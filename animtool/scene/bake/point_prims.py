@@ -27,10 +27,10 @@ from animtool.rig.kinematics import (
 )
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
-from animtool.scene.bake.frames import TakePlan, TakeRun, TimedBlocks
+from animtool.scene.bake.frames import BakedTake, TakePlan, TimedBlocks
 from animtool.scene.bake.prims import (
     BakePlan,
-    Draft,
+    BakeState,
     MeshReport,
     OneFile,
     Save,
@@ -73,7 +73,7 @@ PIECE = 256
 
 
 @dataclass(frozen=True, slots=True)
-class Character:
+class DeformedCharacter:
     """What a bake deforms."""
 
     rig: Rig  # the joints that carry the meshes
@@ -84,7 +84,9 @@ class Character:
     meshes: tuple[CharacterMesh, ...]  # the meshes, then the strands, ready to follow
     origin: str  # whose meshes they are, for reports
 
-    def only(self, surfaces: Sequence[str], strands: Sequence[str]) -> Character:
+    def only(
+        self, surfaces: Sequence[str], strands: Sequence[str]
+    ) -> DeformedCharacter:
         """Return the character with some of its meshes and strands, in its order."""
         kept = [part.name in surfaces for part in self.surfaces]
         kept += [part.name in strands for part in self.strands]
@@ -96,7 +98,7 @@ class Character:
         )
 
 
-def open_character(take: TakePlan, target: RigTarget | None) -> Character:
+def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacter:
     """Return what a take deforms.
 
     That is the meshes and strands of its own rig where this has meshes; else those of
@@ -136,7 +138,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
         raise FormatError(Fault("USD040", message, str(source), (), hint))
     meshes = character_meshes(surfaces, rig.names, bind, shapes)
     meshes += character_strands(strands, rig.names, bind)
-    return Character(rig, surfaces, strands, mapping, tuple(meshes), origin)
+    return DeformedCharacter(rig, surfaces, strands, mapping, tuple(meshes), origin)
 
 
 def _turned(
@@ -194,7 +196,7 @@ def _cut(blocks: TimedBlocks) -> TimedBlocks:
 class PointStream:
     """Deforms a character frame by frame."""
 
-    character: Character
+    character: DeformedCharacter
     meters_per_unit: float  # unit of the output [m]
     rate: float  # time codes a second
     spaces: Sequence[PointSpace]  # where the points of each mesh are written
@@ -310,9 +312,9 @@ def _repeated(one: Deformed, frames: int) -> Iterator[Deformed]:
 class PointPrims:
     """Meshes and strands of a character that the bake deforms."""
 
-    character: Character
+    character: DeformedCharacter
 
-    def author(self, draft: Draft) -> None:
+    def author(self, draft: BakeState) -> None:
         """Author the prims; points in chunks are written already."""
         plan, (run,) = draft.plan, draft.runs
         stream, timed = run.plan.stream, run.open()
@@ -377,7 +379,7 @@ class ChunkFiles:
 
 
 def _author_props(
-    layer: Any, plan: BakePlan, job: CacheJob, run: TakeRun, up: UpAxis
+    layer: Any, plan: BakePlan, job: CacheJob, run: BakedTake, up: UpAxis
 ) -> list[str]:
     """Write props of the take to a layer; return their prims."""
     assert run.props is not None
@@ -396,8 +398,8 @@ def _author_props(
 
 
 def _job(
-    plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
-) -> tuple[CacheJob, Character, Sequence[PointSpace]]:
+    plan: BakePlan, character: DeformedCharacter, span: tuple[Fraction, Fraction] | None
+) -> tuple[CacheJob, DeformedCharacter, Sequence[PointSpace]]:
     """Return what the writer is to do, with which meshes, and where these stand."""
     if plan.target is not None:
         return _layer_job(plan, character, span)
@@ -420,8 +422,8 @@ def _job(
 
 
 def _layer_job(
-    plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
-) -> tuple[CacheJob, Character, Sequence[PointSpace]]:
+    plan: BakePlan, character: DeformedCharacter, span: tuple[Fraction, Fraction] | None
+) -> tuple[CacheJob, DeformedCharacter, Sequence[PointSpace]]:
     from animtool.usd.caches.target import open_cache_target
 
     assert plan.target is not None
@@ -456,7 +458,7 @@ def _layer_job(
     return job, character, [part.space for part in target.prims]
 
 
-def _result(layer: Any, meshes: Sequence[CachedMesh], run: TakeRun) -> UsdResult:
+def _result(layer: Any, meshes: Sequence[CachedMesh], run: BakedTake) -> UsdResult:
     span = layer_span(layer)
     worst = max(meshes, key=lambda mesh: mesh.error)
     sampled = [name for mesh in meshes for name in mesh.sampled]

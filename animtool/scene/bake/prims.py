@@ -25,7 +25,7 @@ from animtool.usd.layers.sdf import model_path, save_layer
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
-    from animtool.scene.bake.frames import TakePlan, TakeRun
+    from animtool.scene.bake.frames import BakedTake, TakePlan
     from animtool.scene.systems.character_motion import CharacterWatch
     from animtool.usd.caches.writer import CachedMesh
     from animtool.usd.rigs.target import RigTarget
@@ -128,7 +128,7 @@ class TakeReport:
 
 
 def take_report(
-    run: TakeRun,
+    run: BakedTake,
     written: WrittenTake,
     joint: str = "",
     meshes: Sequence[MeshReport] = (),
@@ -368,17 +368,17 @@ class Growth(Protocol):
     def save(self, layer: Any, path: Path | None) -> int:
         """Write a layer and the frames; return the bytes."""
 
-    def complete(self, draft: Draft) -> None:
+    def complete(self, draft: BakeState) -> None:
         """Add what was made to the report."""
 
 
 @dataclass(slots=True)
-class Draft:
+class BakeState:
     """A bake under way: a layer in memory, and what will be reported of it."""
 
     plan: BakePlan
     progress: Progress  # share of what comes after the takes
-    runs: list[TakeRun]
+    runs: list[BakedTake]
     # None until the first prims have authored them.
     layer: Any = None
     files: OutputFiles | None = None
@@ -399,7 +399,7 @@ class Draft:
 class OutputPrims(Protocol):
     """Prims of one kind that a bake writes: joints, points, or systems."""
 
-    def author(self, draft: Draft) -> None:
+    def author(self, draft: BakeState) -> None:
         """Put the prims into a draft, whose layer is made by the first.
 
         Raises:

@@ -164,7 +164,7 @@ class BlockProgress:
             self._show(self._shown)
 
 
-class Phases:
+class ProgressPhases:
     """Progress of work in phases, of which nobody knows how many there will be.
 
     Each phase gets half of what is left.
@@ -316,7 +316,7 @@ class OutputCost:
 
 
 @dataclass(frozen=True, slots=True)
-class Stats:
+class BakeStats:
     """What stages and outputs cost."""
 
     stats: list[StageCost | OutputCost]

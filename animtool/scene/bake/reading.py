@@ -44,7 +44,7 @@ def source_file(source: Source) -> Path:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class SourceSet:
     """What is to be read."""
 
     files: list[Path]  # of the sources, in order
@@ -120,7 +120,7 @@ class Reading:
         return stream
 
 
-def with_takes(reading: Reading, options: BakeOptions) -> Reading:
+def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:
     """Return what is to be read with every take of a file that holds several.
 
     That is a file alone, without a choice of one of its takes.
@@ -135,10 +135,10 @@ def with_takes(reading: Reading, options: BakeOptions) -> Reading:
     if len(names) < 2:
         return reading
     many = len(names)
-    return Reading([path] * many, {}, (None,) * many, tuple(names))
+    return SourceSet([path] * many, {}, (None,) * many, tuple(names))
 
 
-def source_set(sources: Sequence[Source]) -> Reading:
+def source_set(sources: Sequence[Source]) -> SourceSet:
     """Return the files of sources, those loaded that are scenes."""
     files = [source_file(source) for source in sources]
     scenes: dict[Path, Scene] = {}
@@ -150,7 +150,7 @@ def source_set(sources: Sequence[Source]) -> Reading:
             from animtool.scene.file.read import load_scene
 
             scenes[path] = load_scene(path)
-    return Reading(files, scenes, tuple(takes))
+    return SourceSet(files, scenes, tuple(takes))
 
 
 def _unused(scenes: dict[Path, Scene]) -> list[Fault]:

@@ -43,7 +43,7 @@ class StepKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class PlanStep:
     """One step of a bake."""
 
     kind: StepKind  # what it is
@@ -55,14 +55,14 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
+class PlanSteps:
     """What is done one after the other."""
 
-    steps: list[Step]
+    steps: list[PlanStep]
     json_keys: ClassVar[str] = "'plan' steps"
 
 
-def bake_steps(outline: Outline) -> list[Step]:
+def bake_steps(outline: Outline) -> list[PlanStep]:
     """Return the steps of a bake in their order; sources are read, passes are not run.
 
     Raises:
@@ -73,14 +73,14 @@ def bake_steps(outline: Outline) -> list[Step]:
     reading, scene, outputs = outline.reading, outline.scene, outline.outputs
     if scene is not None and not scene.sources:
         return _simulated_steps(scene, outputs)
-    steps: list[Step] = []
-    last: _State | None = None
+    steps: list[PlanStep] = []
+    last: _TakeState | None = None
     for path in reading.files:
         if path in reading.scenes:
             last = _scene_steps(reading.scenes[path], steps)
             continue
         source_options = fitting_options(outputs[0].options.source, path, reading.files)
-        last = _State.of(open_source(path, source_options))
+        last = _TakeState.of(open_source(path, source_options))
         steps.append(_source_step(path, "", last))
     assert last is not None
     steps += [] if scene is None else _system_steps(scene, outputs)
@@ -91,7 +91,7 @@ def bake_steps(outline: Outline) -> list[Step]:
 
 
 @dataclass(frozen=True, slots=True)
-class _State:
+class _TakeState:
     """What is known of a take."""
 
     rig: Rig  # its joints, shapes and controls
@@ -104,7 +104,7 @@ class _State:
     systems: int = 0  # how many systems are simulated beside it
 
     @staticmethod
-    def of(stream: TakeStream) -> _State:
+    def of(stream: TakeStream) -> _TakeState:
         """Return what is known of a take that is read for that."""
         take = stream.collect()
         motion, rig = take.motion, take.rig
@@ -120,7 +120,7 @@ class _State:
             facts.append(counted(len(rig.controls), "control"))
         if take.tracks:
             parts.add(TakePart.TRACKS)
-        return _State(
+        return _TakeState(
             rig,
             frozenset(parts),
             tuple(stream.control_curves),
@@ -151,20 +151,20 @@ def _static_tracks(motion: Motion) -> Iterator[str]:
             yield f"samples of {counted(static, noun)} that {word} stored once"
 
 
-def _source_step(path: Path, where: str, state: _State) -> Step:
-    return Step(
+def _source_step(path: Path, where: str, state: _TakeState) -> PlanStep:
+    return PlanStep(
         StepKind.SOURCE, str(path), where, (str(path),), state.facts, state.static
     )
 
 
-def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
+def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
     """Add the sources and passes of a scene; return what is known behind them."""
     if len(scene.sources) > 1:
         for source in scene.sources:
             opened = open_source(source.path, source.options)
-            state = _State.of(opened)
+            state = _TakeState.of(opened)
             steps.append(_source_step(source.path, source.location.where, state))
-    state = _State.of(replace(scene, passes=()).open())
+    state = _TakeState.of(replace(scene, passes=()).open())
     if len(scene.sources) == 1:
         source = scene.sources[0]
         steps.append(_source_step(source.path, source.location.where, state))
@@ -187,7 +187,7 @@ def _written(entry: OutputEntry) -> list[str]:
     return [system.name for system in systems if system.written]
 
 
-def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]:
+def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep]:
     """Return the steps of systems that an output has, or that these need."""
     names = {
         system.name
@@ -200,15 +200,15 @@ def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]:
     ]
 
 
-def _system_step(scene: Scene, system: SceneSystem) -> Step:
+def _system_step(scene: Scene, system: SceneSystem) -> PlanStep:
     setup, where = system.setup, system.location.where
     # The scene's own character has the file of the scene.
     reads = tuple(one for one in setup.reads if one != scene.path.name)
     reads += ("the character",) if scene.path in setup.files else ()
-    return Step(StepKind.SYSTEM, system.name, where, reads, (setup.makes,))
+    return PlanStep(StepKind.SYSTEM, system.name, where, reads, (setup.makes,))
 
 
-def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]:
+def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep]:
     """Return the steps of a scene that has no source."""
     steps = _system_steps(scene, outputs)
     for entry in outputs:
@@ -217,7 +217,7 @@ def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]
         name = "stdout" if entry.path is None else str(entry.path)
         lines_out = (*lines, *_named(entry.files))
         steps.append(
-            Step(StepKind.OUTPUT, name, _where(entry), ("systems",), lines_out)
+            PlanStep(StepKind.OUTPUT, name, _where(entry), ("systems",), lines_out)
         )
     return steps
 
@@ -227,7 +227,7 @@ def _where(entry: OutputEntry) -> str:
     return "" if entry.scene is None else entry.scene.outputs[0].location.where
 
 
-def _prop_step(prop: SceneProp, track: Track) -> Step:
+def _prop_step(prop: SceneProp, track: Track) -> PlanStep:
     makes = [f"{track.type_name or 'what is referred to'} at {prop.path}"]
     if track.attributes:
         makes.append(", ".join(attribute.name for attribute in track.attributes))
@@ -238,7 +238,7 @@ def _prop_step(prop: SceneProp, track: Track) -> Step:
         left_out.append("changes of time by passes: it is not retimed")
     if track.reference is None and track.type_name == "Xform":
         left_out.append("geometry: not requested (reference)")
-    return Step(
+    return PlanStep(
         StepKind.PROP,
         f"{prop.prim} of {prop.file}",
         prop.location.where,
@@ -262,7 +262,7 @@ def _added_parts(entry: ScenePass) -> frozenset[TakePart]:
     return (entry.pass_.changes - entry.pass_.reads) & {TakePart.POINTS}
 
 
-def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
+def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
     options = entry.options
     files = [
         str(value)
@@ -279,7 +279,7 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
     left_out += [f"{part}: the take has none" for part in lacking]
     if state.curves and not state.dropped and _drops(entry):
         left_out.append("curves of controls: invalid where it changes these")
-    return Step(
+    return PlanStep(
         StepKind.PASS,
         entry.pass_.name,
         entry.location.where,
@@ -293,7 +293,7 @@ def _ordered(parts: frozenset[TakePart]) -> list[str]:
     return [str(part) for part in TakePart if part in parts]
 
 
-def _output_step(entry: OutputEntry, state: _State) -> Step:
+def _output_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     if not entry.is_stage:
         return _file_step(entry, state)
     path, options = entry.path, entry.options
@@ -308,7 +308,7 @@ def _output_step(entry: OutputEntry, state: _State) -> Step:
         makes += f" and {counted(len(state.tracks), 'prop')} with it"
     if state.systems:
         makes += f" and {counted(state.systems, 'system')}"
-    return Step(
+    return PlanStep(
         StepKind.OUTPUT,
         "stdout" if path is None else str(path),
         _where(entry),
@@ -318,7 +318,7 @@ def _output_step(entry: OutputEntry, state: _State) -> Step:
     )
 
 
-def _file_step(entry: OutputEntry, state: _State) -> Step:
+def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     """Return the step of a file of another format than USD."""
     path = entry.path
     assert path is not None
@@ -338,7 +338,7 @@ def _file_step(entry: OutputEntry, state: _State) -> Step:
     ]
     if state.curves and writer is CLIP:
         left_out.append("curves of controls: keys are fitted to the samples again")
-    return Step(
+    return PlanStep(
         StepKind.OUTPUT,
         str(path),
         _where(entry),
@@ -355,7 +355,7 @@ def _named(files: list[Path]) -> list[str]:
     ]
 
 
-def _left_out(options: BakeOptions, form: Form, state: _State) -> Iterator[str]:
+def _left_out(options: BakeOptions, form: Form, state: _TakeState) -> Iterator[str]:
     """Yield what of a take a USD file does not get, and why."""
     yield from _of_rig(options, form, state.rig)
     if state.curves and not options.deform:

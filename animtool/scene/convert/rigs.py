@@ -21,7 +21,7 @@ from animtool.core.files.output import (
     write_parts,
 )
 from animtool.core.files.reading import recorded_inputs
-from animtool.core.names import file_suffixes, is_named
+from animtool.core.names import is_named, kind_suffixes
 from animtool.core.record import dataclass
 from animtool.core.writers import rig_writer
 from animtool.rig.skeleton import Rig
@@ -151,7 +151,7 @@ class RigFile:
 def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
     """Return the rig file of a rig that was read from another file."""
     stem = output.name
-    for suffix in file_suffixes("rig"):
+    for suffix in kind_suffixes("rig"):
         stem = stem.removesuffix(suffix)
     arrays_path = output.with_name(f"{stem}.npz")
     moved = source.resolve().parent != output.resolve().parent

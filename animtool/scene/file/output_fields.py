@@ -7,7 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
-from animtool.core.options import FileKind, Kind, keys_of, options_of
+from animtool.core.options import FileKind, OptionKind, keys_of, options_of
 from animtool.core.rates import parse_rate
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, Shot
@@ -79,7 +79,7 @@ def option_keys(
     return values
 
 
-def _value(kind: Kind, value: Any, at: Location, reader: KeyReader) -> Any:
+def _value(kind: OptionKind, value: Any, at: Location, reader: KeyReader) -> Any:
     """Return what a key means; None, and its fault recorded, where it means nothing."""
     if kind == "file":
         return reader.read_file(at, value)
@@ -104,7 +104,7 @@ def _range(ends: list[int]) -> FrameRange:
     return FrameRange(first, last)
 
 
-_PARSERS: dict[Kind, Callable[[Any], Any]] = {
+_PARSERS: dict[OptionKind, Callable[[Any], Any]] = {
     "unit": LengthUnit,
     "axis": UpAxis,
     "rate": parse_rate,

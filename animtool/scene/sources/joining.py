@@ -30,13 +30,13 @@ from animtool.scene.file.tracks import (
     rest_motion,
     with_tracks,
 )
-from animtool.scene.sources.onto_rig import Noter, on_rig
+from animtool.scene.sources.onto_rig import Notify, on_rig
 
 MAX_NAMED = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class SourcePart:
     """A source that is to be one of several."""
 
     stream: TakeStream
@@ -44,10 +44,10 @@ class Part:
     timecode: str | None  # of its first frame; None states none
     # Frames a second that the time code counts; None is its rate.
     timecode_fps: Fraction | None
-    note: Noter  # makes faults of it
+    note: Notify  # makes faults of it
 
 
-def joined(first: Part, others: Sequence[Part]) -> TakeStream:
+def joined(first: SourcePart, others: Sequence[SourcePart]) -> TakeStream:
     """Return the first source with tracks of others in place of its own.
 
     It has the rig, the rate and the frames of the first. The others are found on that
@@ -75,7 +75,7 @@ def joined(first: Part, others: Sequence[Part]) -> TakeStream:
 class _Layer:
     """A source on the rig of the first."""
 
-    part: Part  # what it was made of
+    part: SourcePart  # what it was made of
     take: Take  # all of it
     tracks: Tracks  # what it brings
     delay: Fraction  # by how much its first frame is later than the first source's [s]
@@ -125,7 +125,7 @@ def _stored_like(motion: Motion, like: Motion) -> Motion:
     )
 
 
-def _layer(first: Part, other: Part) -> _Layer:
+def _layer(first: SourcePart, other: SourcePart) -> _Layer:
     """Return a source as it stands on the rig and the clock of the first."""
     rig = first.stream.rig
     stream, names = on_rig(other.stream, rig, other.note)
@@ -160,7 +160,7 @@ def _layer(first: Part, other: Part) -> _Layer:
     return _Layer(placed, take, tracks, _delay(first, other), notices)
 
 
-def _delay(first: Part, other: Part) -> Fraction:
+def _delay(first: SourcePart, other: SourcePart) -> Fraction:
     """Return by how much a source starts later than the first [s]."""
     parts = (first, other)
     if first.timecode is None and other.timecode is None:

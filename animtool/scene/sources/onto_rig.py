@@ -46,7 +46,7 @@ LOST = "their motion is ignored"
 RESTING = "they stay at rest"
 
 
-class Noter(Protocol):
+class Notify(Protocol):
     """Makes a fault of a source, with the place where that is named."""
 
     def __call__(
@@ -105,7 +105,7 @@ def map_names(rig: Rig, other: Rig) -> NameMap:
     )
 
 
-def on_rig(stream: TakeStream, rig: Rig, note: Noter) -> tuple[TakeStream, NameMap]:
+def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, NameMap]:
     """Return a source on a rig, by name, and where that has what.
 
     What the rig lacks is left out; what only the rig has stays at rest.

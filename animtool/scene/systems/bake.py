@@ -19,7 +19,7 @@ from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.prims import BakePlan, Draft, OneFile, TakeReport
+from animtool.scene.bake.prims import BakePlan, BakeState, OneFile, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import source_stem
 from animtool.scene.systems.character_motion import CharacterWatch
@@ -65,7 +65,7 @@ class SystemPrims:
         """Return when a time code is, on the clock of the systems [s]."""
         return float((code - self.start) / self.job.metadata.span.fps)
 
-    def author(self, draft: Draft) -> None:
+    def author(self, draft: BakeState) -> None:
         """Simulate; without chunks, as soon as the layer is saved."""
         plan = draft.plan
         prims = self if self.watch is None else self._on_take(self.watch)
@@ -101,7 +101,7 @@ class SystemPrims:
         job = replace(self.job, metadata=metadata, way=displacement, codes=watch.codes)
         return replace(self, job=job, start=start, codes=tuple(codes))
 
-    def _begin(self, draft: Draft) -> None:
+    def _begin(self, draft: BakeState) -> None:
         """Begin a layer of systems alone, and its report."""
         plan, metadata = draft.plan, self.job.metadata
         layer = simulated_layer(self.job, plan.output)
@@ -170,7 +170,7 @@ class SystemFrames:
         refuse_warnings(run.notices, strict=self.strict)
         run.save_states(prims.scene.path.resolve().parent)
 
-    def complete(self, draft: Draft) -> None:
+    def complete(self, draft: BakeState) -> None:
         """Add what was simulated to the report."""
         report, run, written = draft.report, self.run, self.written
         assert report is not None

@@ -118,7 +118,7 @@ def _frame(points: FloatArray, counts: IntArray, indices: IntArray) -> MeshFrame
     )
 
 
-class PartReader(EntryReader):
+class SpecPartReader(EntryReader):
     """Reads what the models of entries hold.
 
     Attributes:
@@ -366,7 +366,7 @@ def read_spec(
     into, where the spec has them; other keys are read as their types say.
     """
     spec = units.converted(spec)
-    outside, reader = (PartReader(document, roots, units) for _ in range(2))
+    outside, reader = (SpecPartReader(document, roots, units) for _ in range(2))
     outer = outside.parts(at, spec, AROUND[:1])
     # Systems that are named are looked for, whatever else makes no sense.
     sound = outside.sound

@@ -18,7 +18,7 @@ from animtool.core.quantities import plain
 from animtool.core.units import UpAxis, up_from_up
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.prims import MeshReport
-from animtool.scene.bake.progress import Phases, Progress, TimeProgress
+from animtool.scene.bake.progress import Progress, ProgressPhases, TimeProgress
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import simulated_with
@@ -101,7 +101,7 @@ class SystemRun:
         self.stopped: ToleranceError | None = None
         self.done = 0
         self._character = character
-        self._phases: Phases | None = None
+        self._phases: ProgressPhases | None = None
         self._frames: Progress = None
         # Of systems whose states are to be saved the time codes, and what was kept.
         self._saving: dict[int, float | None] = {
@@ -113,7 +113,7 @@ class SystemRun:
         self._warnings: list[Fault] = []
         if progress is not None:
             progress(0.0)
-            self._phases = Phases(progress)
+            self._phases = ProgressPhases(progress)
         self._open: list[EntryRun] = open_systems(
             systems, last, character, self._shown(last), self._warnings, main_rig
         )

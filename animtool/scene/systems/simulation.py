@@ -19,7 +19,7 @@ from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.documents.document import Document
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.progress import Phases, Progress, TimeProgress
+from animtool.scene.bake.progress import Progress, ProgressPhases, TimeProgress
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.links import in_order, joined_groups, member_of
@@ -43,7 +43,7 @@ from animtool.systems.framework.tied import OnBody
 class SystemProgress:
     """Where systems tell how far they are."""
 
-    phases: Phases  # of what comes before the first frame
+    phases: ProgressPhases  # of what comes before the first frame
     times: TimeProgress  # of the simulation itself
 
 

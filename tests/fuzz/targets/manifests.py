@@ -22,7 +22,7 @@ from animtool.batch.plan import Planner
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec, named_from
 from animtool.batch.variants import read_variants
-from animtool.batch.work import Status
+from animtool.batch.work import ItemStatus
 from animtool.cli.batch_progress import scores_table
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import FileState
@@ -124,14 +124,14 @@ class _Recorded:
             # What accidents do to a record never makes an item seem up to date.
             scores_table(report.scored)
             status = report.items[changed].status
-            assert not by_bytes or status is Status.NOT_RUN
+            assert not by_bytes or status is ItemStatus.NOT_RUN
             self._settled()
         except AnimtoolError as error:
             return error.code
         finally:
             self.takes[changed].write_bytes(text)
             os.utime(self.takes[changed], ns=(10**18, 10**18))
-        return f"{report.count(Status.SKIPPED)} of {COUNT - 1} known"
+        return f"{report.count(ItemStatus.SKIPPED)} of {COUNT - 1} known"
 
     def _settled(self) -> None:
         """Write records anew, which then are whole."""
