@@ -1,4 +1,4 @@
-"""The executor of a dask cluster: which workers are fit, and which builds what.
+"""The executor of a dask cluster: checks workers and sends them items.
 
 A worker is checked before it is sent an item, and an item is done when this machine
 sees its files with the content that the worker wrote.
@@ -73,7 +73,7 @@ RESUME = "finished items are recorded; run the same command again to resume"
 
 
 def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
-    """Yield outcomes of items that the workers of a dask cluster build.
+    """Yield the outcomes of items that the workers of a dask cluster build.
 
     Each thread of a worker has a subprocess that builds one item after another: limits,
     and what a crash costs, are those of `run_processes`. As many items are begun as the
@@ -95,7 +95,7 @@ def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
 
 
 def _address(path: Path) -> str:
-    """Return the address that a scheduler has written to a file."""
+    """Return the address in a scheduler file."""
     try:
         address = text_in(json_of_file(path, MAX_SCHEDULER), "address", 1000)
     except RecordError as error:
@@ -126,7 +126,7 @@ def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
 
 
 def _fetch_results(finished: SimpleQueue[Any], ended: SimpleQueue[Any]) -> None:
-    """Fetch results while others are being sent, until there is None to fetch."""
+    """Fetch results while others are sent, until the queue holds None."""
     while (future := finished.get()) is not None:
         try:
             value = future.result()
@@ -177,7 +177,7 @@ def _unusable(about: str, why: str, hint: str) -> OutputError:
 
 
 def _leave(client: Any, name: str) -> None:
-    """End what this run has on workers, and leave them.
+    """Stop the work of this run on workers, and disconnect.
 
     A scheduler that does not answer is not waited for.
     """
@@ -200,7 +200,7 @@ def _leave(client: Any, name: str) -> None:
 
 @contextmanager
 def _tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
-    """Give files in the folders of outputs by which workers tell them from others."""
+    """Create files in output folders by which workers recognise them."""
     texts: dict[str, str] = {}
     try:
         for folder in folders[:MAX_TOKENS]:
@@ -216,7 +216,7 @@ def _tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
 
 
 def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
-    """Yield the inputs that a worker must see; of many every n-th."""
+    """Yield the inputs that a worker must see; every n-th of many."""
     paths = list(dict.fromkeys(path.absolute() for path in work.inputs))
     for path in paths[:: -(-len(paths) // MAX_INPUTS) or 1]:
         state = delivery.note(path)
@@ -231,7 +231,7 @@ def _inputs(work: Work, delivery: Delivery) -> Iterator[InputCheck]:
 def _asking(
     name: str, versions: Mapping[str, str]
 ) -> Callable[[bytes], tuple[str, str, str]]:
-    """Return what checks a worker, on it: its host, and code and reason if unfit.
+    """Return a task that checks a worker: its host, and code and reason if unfit.
 
     A worker drops out of its cluster where it cannot import what a message to it names.
     So this is sent by its code, and what it needs of animtool as bytes.
@@ -261,7 +261,7 @@ def _asking(
 
 
 def _building(name: str) -> Callable[[bytes], ItemOutcome | None]:
-    """Return what builds an item, on a worker that was checked; sent by its code."""
+    """Return a task that builds an item on a checked worker, sent as code."""
 
     def build(pickled: bytes) -> ItemOutcome | None:
         import pickle
@@ -277,7 +277,7 @@ def _building(name: str) -> Callable[[bytes], ItemOutcome | None]:
 
 @dataclass(slots=True, eq=False)
 class _ClusterWorker:
-    """A worker of the cluster, as far as it is known."""
+    """Known state of a worker of the cluster."""
 
     address: str  # of the worker
     threads: int  # how many it has
@@ -287,7 +287,7 @@ class _ClusterWorker:
     built: int = 0  # items that it built
 
     def has_room(self, *, queue_next: bool) -> bool:
-        """Return whether it can be sent an item; ``ahead`` of its threads too."""
+        """Return whether to send an item; with ``queue_next`` one more."""
         return self.going < self.threads + (queue_next and self.built > 0)
 
     def __str__(self) -> str:
@@ -296,7 +296,7 @@ class _ClusterWorker:
 
 @dataclass(slots=True)
 class _Sent:
-    """A task that is on its way: an item, or without one the check of a worker."""
+    """A running task: an item, or a check of a worker without one."""
 
     worker: _ClusterWorker  # to whom
     item: Item | None = None
@@ -304,7 +304,7 @@ class _Sent:
 
 @dataclass(slots=True)
 class _Farm:
-    """One run on a cluster."""
+    """A run on a cluster."""
 
     client: Any  # the way to the cluster
     name: str  # of the run
@@ -358,7 +358,7 @@ class _Farm:
             yield self.said.pop(0)
 
     def _addresses(self) -> Mapping[str, int]:
-        """Return the workers of now, and how many threads each has."""
+        """Return the current workers and the number of their threads."""
         if self.client.status in {"closing", "closed"}:
             raise _unusable(self.work.argument, "the scheduler has stopped", RESUME)
         try:
@@ -382,7 +382,7 @@ class _Farm:
         return threads
 
     def _lost(self, addresses: Mapping[str, int]) -> Iterator[ItemOutcome]:
-        """Take back what lost workers had, and begin to check new ones."""
+        """Take back items of lost workers, and check new workers."""
         for address in self.workers.keys() - addresses.keys():
             worker = self.workers.pop(address)
             for future in [f for f, sent in self.sent.items() if sent.worker is worker]:
@@ -393,7 +393,7 @@ class _Farm:
             self._ask(self.workers[address])
 
     def _loss(self, sent: _Sent, why: str) -> Iterator[ItemOutcome]:
-        """Send the item of a lost worker again, unless that happens each time."""
+        """Send the item of a lost worker again, a limited number of times."""
         sent.worker.going -= sent.item is not None
         if sent.item is None:
             return
@@ -423,7 +423,7 @@ class _Farm:
         future.add_done_callback(self.finished.put)
 
     def _send(self) -> bool:
-        """Send items while threads of fit workers are free; return if more are left."""
+        """Send items while fit workers have free threads; return if any remain."""
         fit = [worker for worker in self.workers.values() if worker.fit]
         going = sum(worker.going for worker in fit)
         asked, threads = self.work.asked, sum(worker.threads for worker in fit)
@@ -444,7 +444,7 @@ class _Farm:
         return True
 
     def _refuse_unfit(self) -> None:
-        """Raise where every worker was checked and none is fit."""
+        """Raise where all workers are checked and unfit."""
         if not self.workers or any(w.fit is not False for w in self.workers.values()):
             return
         count = counted(len(self.workers), "worker")
@@ -452,7 +452,7 @@ class _Farm:
         raise _unusable(self.work.argument, why, RESUME)
 
     def _heard(self, sent: _Sent, value: object) -> Iterator[ItemOutcome | Fault]:
-        """Take the answer of a worker: of its check, or the outcome of an item."""
+        """Process the answer of a worker: a check or the outcome of an item."""
         worker, item = sent.worker, sent.item
         if item is None:
             yield from self._checked(worker, value)
@@ -491,7 +491,7 @@ class _Farm:
     def _leave_out(
         self, worker: _ClusterWorker, code: str, why: str
     ) -> Iterator[Fault]:
-        """Give a worker no more items, and say so once."""
+        """Stop sending items to a worker, and warn once."""
         worker.fit = False
         message = f"worker {worker} is excluded: {excerpt(why, 400)[1:-1]}"
         yield Fault(code, message, None, (), _HINTS[code], Severity.WARNING)
@@ -499,7 +499,7 @@ class _Farm:
     def _built(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
     ) -> Iterator[ItemOutcome | Fault]:
-        """Take an outcome whose inputs are those of this machine; wait for its files.
+        """Accept an outcome with this machine's inputs; wait for its files.
 
         Where inputs are others, another worker builds the item.
         """
@@ -516,7 +516,7 @@ class _Farm:
             self.unseen.append((until, item, worker, outcome))
 
     def _delivered(self) -> Iterator[ItemOutcome | Fault]:
-        """Yield the outcomes whose files are seen here, with the content written."""
+        """Yield the outcomes whose files have arrived with the written content."""
         now, waiting = time.monotonic(), self.unseen
         self.unseen = []
         for until, item, worker, outcome in waiting:
@@ -538,7 +538,7 @@ class _Farm:
     def _failed(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
     ) -> Iterator[ItemOutcome | Fault]:
-        """Take a failure, unless another worker can do what this one cannot."""
+        """Accept a failure, unless another worker can build the item."""
         unread = [
             fault.path
             for fault in outcome.faults

@@ -1,4 +1,4 @@
-"""The frames of a cut: where it begins, what it shows, what names stand for it."""
+"""The frames of a cut: start, media, and names for patterns."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from animtool.core.timecode import is_timecode, parse_timecode
 
 @dataclass(frozen=True, slots=True)
 class CutMetadata:
-    """What is stated of shots; None is not stated."""
+    """Metadata of shots; None is not stated."""
 
     start_frame: int | None = None  # first frame of the shot, that of its head handle
     cut_start: int | None = None  # first frame of the cut, behind the head handle
@@ -35,7 +35,7 @@ class CutMetadata:
 def cut_metadata(
     metadata: Mapping[str, Any], named: str, *, rate: bool = False
 ) -> tuple[CutMetadata, list[tuple[str, str]]]:
-    """Return what metadata says, and what is wrong with it and what to do.
+    """Return the cut's metadata, and the faults in it with hints.
 
     >>> cut_metadata({"animtool": {"handles": 8.0}}, "clip 'a'")[0].handles
     8
@@ -107,7 +107,7 @@ SHOT_NAMES = (
 
 @dataclass(frozen=True, slots=True)
 class CutOptions:
-    """What a timeline's shots have that its metadata need not say.
+    """Shot options that a timeline's metadata may leave open.
 
     Attributes:
         handles: Shot frames before and after each cut; None is as clips and timeline
@@ -128,7 +128,7 @@ class CutOptions:
 
 @dataclass(frozen=True, slots=True)
 class CutContext:
-    """What is stated of a clip: by options, itself, its timeline and the project."""
+    """Shot settings by precedence: options, clip, timeline, project."""
 
     options: CutOptions
     clip: CutMetadata
@@ -165,7 +165,7 @@ class CutContext:
         return parse_timecode(text, rate) / rate
 
     def cut_in(self) -> tuple[int, list[str]]:
-        """Return the first frame of the cut, and which statements contradict it.
+        """Return the first frame of the cut, and contradicting settings.
 
         A start is that of the head handle. The project's is 1001 where it states none.
         """
@@ -202,7 +202,7 @@ def shot_of(
     *,
     drop: bool = False,
 ) -> Shot:
-    """Return the frames of a clip.
+    """Return the shot frames of a clip.
 
     Args:
         name: Of the shot.
@@ -236,7 +236,7 @@ def shot_of(
 def played_notices(
     shot: Shot, span: Span, fps: Fraction, named: str
 ) -> Iterator[tuple[str, str, bool]]:
-    """Yield what a shot has that is seldom meant: code, message, whether a warning."""
+    """Yield unusual properties of a shot: code, message, whether a warning."""
     first, last = (
         f"{float(shot.seconds_at(frame)):.6g} s"
         for frame in (shot.cut_in, shot.cut_out)
@@ -255,7 +255,7 @@ def played_notices(
 
 
 def media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:
-    """Return the frames of its media that a cut shows, from 1 at the first."""
+    """Return the media frames that a cut shows, counted from 1."""
     shown = (shot.seconds_at(frame) for frame in (shot.cut_in, shot.cut_out))
     first, last = (floor(seconds * media_fps + NEAR) + 1 for seconds in shown)
     return {

@@ -1,4 +1,4 @@
-"""Shots of an edit: the clips of an OpenTimelineIO timeline, and their media."""
+"""Shots of an edit: clips of an OpenTimelineIO timeline and their media."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ COMMON_RATES_HINT = HOW.format("24", "25, 30000/1001, 30")
 
 
 def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
-    """Return the rate that the time codes of an EDL count.
+    """Return the frame rate of an EDL's time codes.
 
     It is that of a comment (``* FPS: 25``), else the one asked for, else the project's.
 
@@ -96,7 +96,7 @@ def edl_rate(edl: Edl, asked: Fraction | None) -> Fraction:
 def timeline_rate(
     timeline: Any, path: Path, stated: Fraction | None, asked: Fraction | None
 ) -> tuple[Fraction, list[Fault]]:
-    """Return the rate of a timeline's shots, and a warning where others count too.
+    """Return the rate of a timeline's shots, and a warning for mixed rates.
 
     It is the stated one, else that of the global start time, else the one asked for,
     else the project's, else the one that all clips and gaps count at, or more than half
@@ -144,7 +144,7 @@ def timeline_rate(
 
 
 def _agreed(stated: Fraction, asked: Fraction | None, path: str) -> Fraction:
-    """Return a stated rate (BAT051 where another is asked for)."""
+    """Return a stated rate (BAT051 if another one is requested)."""
     if asked is not None and asked != stated:
         message = f"has {rate_label(stated)}, but {rate_label(asked)} was requested"
         hint = "shots are written at the rate of their timeline"
@@ -153,7 +153,7 @@ def _agreed(stated: Fraction, asked: Fraction | None, path: str) -> Fraction:
 
 
 def picture_rates(composition: Any) -> Iterator[Fraction]:
-    """Yield the rate of every clip and gap on tracks of pictures.
+    """Yield the rate of every clip and gap on video tracks.
 
     A clip without a range of its own counts at the rate of its media's.
     """
@@ -180,7 +180,7 @@ _LEGAL = re.compile(r"[^A-Za-z0-9_-]+")
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """What an item is made of: a clip of a timeline, or a file."""
+    """The media of an item: a clip of a timeline, or a file."""
 
     media: MatchedFile  # the media
     # What names stand for in its scene and its output, `SHOT_NAMES`.
@@ -214,7 +214,7 @@ def read_cuts(
 
 
 def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
-    """Return the shot of a name, or the only one (else BAT048); see `read_cuts`."""
+    """Return a named shot, or the only one (else BAT048); see `read_cuts`."""
     return _CutReader(path, (), options).read_one(name)
 
 
@@ -224,7 +224,7 @@ def _named(
     path: Path,
     skipped: Mapping[str, str],
 ) -> list[ShownClip]:
-    """Return the clip that is the shot of a name; without one the only clip."""
+    """Return the clips of a named shot; without a name the only clip."""
     names = [entry.name for entry in entries]
     if name is not None and name not in names and name in skipped:
         message = f"has no shot {excerpt(name)}: {skipped[name]}"
@@ -247,7 +247,7 @@ def _named(
 
 
 class _CutReader:
-    """Reads a timeline."""
+    """Reads the shots of a timeline."""
 
     def __init__(
         self,
@@ -270,16 +270,16 @@ class _CutReader:
             self.media.setdefault(source_stem(file.path).casefold(), file)
 
     def read(self) -> CutList:
-        """Return its shots."""
+        """Return the shots."""
         return self.taken_from(self.clips().clips)
 
     def read_one(self, name: str | None) -> CutList:
-        """Return the shot of a name."""
+        """Return a named shot."""
         walk = self.clips()
         return self.taken_from(_named(walk.clips, name, self.path, walk.skipped))
 
     def clips(self) -> Walk:
-        """Return the clips that it shows, with the names of their shots."""
+        """Return the visible clips with the names of their shots."""
         walk = Walk(self.say)
         timeline = self.tree = self.timeline()
         if timeline is None:
@@ -295,7 +295,7 @@ class _CutReader:
         return walk
 
     def timeline(self) -> Any:
-        """Return the timeline, its rate and what it states known; None of no event."""
+        """Return the timeline, its rate and metadata; None without events."""
         library()
         if not is_edl(self.path):
             timeline = read_timeline(self.path)
@@ -325,20 +325,20 @@ class _CutReader:
         return self.cuts
 
     def say(self, code: str, message: str, warn: bool) -> None:
-        """Say what was left out of the timeline, or changed."""
+        """Report parts of the timeline that were left out or changed."""
         self.note(code, message, Severity.WARNING if warn else Severity.NOTE)
 
     def note(self, code: str, message: str, severity: Severity = Severity.NOTE) -> None:
-        """Say something about the timeline."""
+        """Record a notice on the timeline."""
         fault = Fault(code, message, str(self.path), severity=severity)
         self.cuts.notices.append(fault)
 
     def fault(self, code: str, message: str, hint: str | None = None) -> None:
-        """Say what makes the timeline unusable."""
+        """Record an error of the timeline."""
         self.faults.append(Fault(code, message, str(self.path), (), hint))
 
     def metadata(self, schema: Any, named: str, *, rate: bool = False) -> CutMetadata:
-        """Return what ``metadata.animtool`` of a clip or the timeline says."""
+        """Return ``metadata.animtool`` of a clip or the timeline."""
         metadata, faults = cut_metadata(schema.metadata, named, rate=rate)
         for message, hint in faults:
             self.fault("BAT047", message, hint)
@@ -351,7 +351,7 @@ class _CutReader:
         return replace(shown, name=self.name(name, shown.named))
 
     def clip(self, entry: ShownClip) -> None:
-        """Take a clip."""
+        """Add the shot of a clip."""
         # It imports numpy, and a batch of files is planned without.
         from animtool.core.clock import MAX_FRAMES
 
@@ -409,7 +409,7 @@ class _CutReader:
         return None if not url else media_path(str(url), self.path.parent)
 
     def medium(self, clip: Any, named: str) -> MatchedFile | None:
-        """Return the media of a clip; None where it has none, or it is missing."""
+        """Return the media of a clip; None if it has none or it is missing."""
         path = self.referred(clip)
         if path is not None and self.left_out(path):
             self.note("BAT043", f"{named} is skipped, as requested: {path}")
@@ -437,7 +437,7 @@ class _CutReader:
         return None
 
     def overlaps(self, entry: ShownClip, span: Span) -> tuple[int, int]:
-        """Return the frames that transitions show before and after a clip's cut."""
+        """Return the frames that transitions add before and after a cut."""
         sides = zip(transition_sides(entry), (span.head, span.tail), strict=True)
         before, after = (
             ceil(seconds_of(side) / entry.speed * self.fps - NEAR)
@@ -451,7 +451,7 @@ class _CutReader:
         return before, after
 
     def name(self, shot: str, named: str) -> str:
-        """Return a name that is legal, and of no shot before."""
+        """Return a legal name that no other shot has."""
         legal = _LEGAL.sub("_", shot).strip("_-")[:MAX_NAME] or "shot"
         name, number = legal, self.taken.get(legal.casefold(), 1)
         while name.casefold() in self.taken:
@@ -465,7 +465,7 @@ class _CutReader:
 
 
 def _is_file(path: Path) -> bool | None:
-    """Return whether a path is that of a file; None where nothing is there."""
+    """Return whether a path is a file; None if nothing is there."""
     try:
         return path.is_file() or (False if path.exists() else None)
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""The items of a batch: its inputs found, its outputs named, both checked."""
+"""The items of a batch: inputs matched, outputs named, both checked."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ MAX_FAULTS = 50
 def sample_source(
     spec: BatchSpec, item_task: ItemTask, shot: Cut, variables: Mapping[str, str]
 ) -> Source:
-    """Return what the first item of an input is baked from.
+    """Return the source of an input's first item.
 
     variables: what overrides give the input.
     """
@@ -90,7 +90,7 @@ def sample_source(
 
 
 def check_columns(spec: BatchSpec) -> None:
-    """Refuse columns of variants whose names mean something else."""
+    """Refuse columns of variants with reserved names."""
     if spec.variants is None:
         return
     shots = () if spec.cuts is None else SHOT_NAMES
@@ -112,7 +112,7 @@ def check_columns(spec: BatchSpec) -> None:
 def check_effects(
     spec: BatchSpec, item_task: ItemTask, shots: Sequence[Cut], overrides: Overridden
 ) -> None:
-    """Refuse scenes of which all items, or all variants, would be the same."""
+    """Refuse scenes whose items or variants would all be equal."""
     kinds = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
     names = () if spec.variants is None else spec.variants.names
     faults = []
@@ -143,7 +143,7 @@ def check_effects(
 
 
 def _unused(scene: Scene, count: int) -> Fault:
-    """Return the fault of a scene that does not use its inputs."""
+    """Return the fault of a scene that ignores its inputs."""
     message = "the scene does not use its input"
     if count > 1:
         message += f": all {count} items would be the same"
@@ -155,7 +155,7 @@ def _unused(scene: Scene, count: int) -> Fault:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """A batch whose items are known."""
+    """A batch with its items."""
 
     name: str  # what its records are called
     items: tuple[Item, ...]  # in order
@@ -171,7 +171,7 @@ class Batch:
 
     @property
     def records(self) -> Path:
-        """The folder of its records."""
+        """Folder of its records."""
         return self.root / RECORDS
 
     def outputs(self, item: Item) -> list[Path]:
@@ -185,7 +185,7 @@ class Batch:
 
 
 def find_batch(spec: BatchSpec) -> Batch:
-    """Return the items of a batch, in the order of their names, or of a timeline.
+    """Return the items of a batch, sorted by name or in timeline order.
 
     Raises:
         StrictError: Warnings are errors, and there is one of the batch itself.
@@ -243,7 +243,7 @@ def find_batch(spec: BatchSpec) -> Batch:
 
 
 def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
-    """Return what the first item of each scene of a batch gives it, by path.
+    """Return the variables of the first item of each scene of a batch, by path.
 
     Raises:
         AnimtoolError: Inputs, a timeline or overrides cannot be read.
@@ -269,7 +269,7 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
 
 
 def _with_scene_input(spec: BatchSpec) -> BatchSpec:
-    """Return a batch of variants of a scene alone, whose input that scene is."""
+    """Return a batch of scene variants with the scene as its input."""
     if spec.scene is None or spec.variants is None or spec.inputs or spec.cuts:
         return spec
     scene = spec.scene if spec.path is None else spec.scene.absolute()
@@ -318,7 +318,7 @@ def _check_variables(
 
 @dataclass(slots=True)
 class _Items:
-    """The items, each with its output: the pattern's, its scene's, or beside."""
+    """Builds the items, each with its output: by pattern, scene or input."""
 
     spec: BatchSpec
     item_task: ItemTask
@@ -375,7 +375,7 @@ class _Items:
     def _refuse(
         self, shot: Cut, row: Mapping[str, str], error: UnsafeNameError
     ) -> None:
-        """Note an output with an unsafe name, at the file that states the name."""
+        """Record an output with an unsafe name, at the file that states it."""
         spec, name = self.spec, error.name
         source: Path | None = shot.media.path
         hint = f"rename the input, or remove the name from {argument('output')}"
@@ -394,7 +394,7 @@ class _Items:
 
 
 def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
-    """Refuse outputs outside of the folders that a batch file may write to."""
+    """Refuse outputs outside the folders that a batch file may write to."""
     if not spec.roots:
         return
     folders = dict.fromkeys(folder for item in items for folder in item.folders)
@@ -411,7 +411,7 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
 
 
 def _cuts(spec: BatchSpec) -> CutList:
-    """Return what items are made of: clips of a timeline, or the inputs."""
+    """Return the cuts of the items: clips of a timeline, or the inputs."""
     cuts, left_out, unmatched = _matched_inputs(spec)
     if spec.cuts is None:
         return CutList([Cut(file) for file in cuts], unmatched)
@@ -438,7 +438,7 @@ def _cuts(spec: BatchSpec) -> CutList:
 
 
 def _with_rate(spec: BatchSpec) -> BatchSpec:
-    """Return a batch whose options have the rate of the command line.
+    """Return a batch with the frame rate of the command line.
 
     Raises:
         OptionError: What is for timelines is given without one (CLI002).
@@ -460,7 +460,7 @@ def _with_rate(spec: BatchSpec) -> BatchSpec:
 
 
 def _with_timeline(spec: BatchSpec) -> BatchSpec:
-    """Return a batch whose timeline is its cut list, where it is one of the inputs."""
+    """Return a batch with a timeline among its inputs as its cut list."""
     named = [text for text in spec.inputs if is_timeline(spec.folder / text)]
     if not named:
         return spec
@@ -476,7 +476,7 @@ def _with_timeline(spec: BatchSpec) -> BatchSpec:
 def _matched_inputs(
     spec: BatchSpec,
 ) -> tuple[list[MatchedFile], Callable[[Path], bool], list[Fault]]:
-    """Return the inputs, each once, in order; and whether a file is left out.
+    """Return the distinct inputs in order, and a test for excluded files.
 
     And a warning for each entry that matches no file.
     """
@@ -502,7 +502,7 @@ def _matched_inputs(
 
 
 def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
-    """Return a warning for each entry of the inputs that matches no file."""
+    """Return a warning for each entry of the inputs without a match."""
     return _matched_inputs(spec)[2]
 
 

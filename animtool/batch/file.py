@@ -1,4 +1,4 @@
-"""Batch files: their keys, as models that ``animtool schema`` prints; reading.
+"""Batch files: the keys, as models that ``animtool schema`` prints, and reading.
 
 The tables of ``docs/reference`` are made of their descriptions and examples.
 """
@@ -51,7 +51,7 @@ Value = str | Real | bool
 
 
 def value_text(document: Document, at: Location, value: Value) -> str:
-    """Return a value as the file has it; numbers keep the digits written."""
+    """Return a value as written; numbers keep their digits."""
     if isinstance(value, str):
         return value
     written = document.written(at)
@@ -61,7 +61,7 @@ def value_text(document: Document, at: Location, value: Value) -> str:
 def variables_of_document(
     document: Document, at: Location, values: Mapping[str, Value]
 ) -> dict[str, str]:
-    """Return the values of variables as text; names that are none are faults."""
+    """Return variables as text; invalid names are faults."""
     for name in values:
         if not is_variable_name(name):
             message = f"{name!r} is not a valid variable name"
@@ -85,7 +85,7 @@ class OverrideModel(FileModel):
 def overrides_of_document(
     document: Document, models: Sequence[OverrideModel], taken: Collection[str]
 ) -> tuple[Override, ...]:
-    """Return the overrides of a batch file, faults of their names noted.
+    """Return the overrides of a batch file, with faults of names.
 
     Args:
         document: The batch file.
@@ -105,7 +105,7 @@ def overrides_of_document(
 
 
 class LimitsModel(FileModel):
-    """What an item may take."""
+    """Limits of an item."""
 
     seconds: Annotated[Real, Gt(0), Le(MAX_SECONDS)] | None = key(
         "Time limit of an item. Default: none.", 60, default=None
@@ -128,11 +128,11 @@ class LimitsModel(FileModel):
 )
 @with_fields(SourceOptions, place="batch")
 class OptionsModel(FileModel):
-    """How to bake the inputs, where no scene says it."""
+    """Bake options of inputs that are not scenes."""
 
 
 class RangeModel(FileModel):
-    """Values from one number to another."""
+    """A range of numbers."""
 
     start: Real = key("The first value.", 0)
     stop: Real = key("The last value, if the steps reach it.", 1)
@@ -234,7 +234,7 @@ AT = ("variants",)
 def rows_of_document(
     document: Document, variants: Any, taken: Collection[str]
 ) -> Variants | None:
-    """Return the table of values in a batch file; None, and its faults, without one."""
+    """Return the variants of a batch file; None without any, or with faults."""
     reader = _VariantReader(document, taken)
     before = len(document.faults)
     if isinstance(variants, list):
@@ -320,7 +320,7 @@ class _VariantReader:
 
 
 def load_batch(path: Path | str, *, of_shots: bool = False) -> BatchSpec:
-    """Return what a batch file asks for.
+    """Return the spec of a batch file.
 
     Args:
         path: The file.
@@ -334,7 +334,7 @@ def load_batch(path: Path | str, *, of_shots: bool = False) -> BatchSpec:
 
 
 def batch_of_document(document: Document, *, of_shots: bool = False) -> BatchSpec:
-    """Return what a document asks for; see `load_batch`."""
+    """Return the spec of a document; see `load_batch`."""
     check_version(document, "batch")
     model = validated(document, BatchModel)
     spec = _BatchReader(document, model, of_shots=of_shots).spec()
@@ -394,7 +394,7 @@ class _BatchReader:
         )
 
     def _taken(self) -> set[str]:
-        """Return the names that an input or a shot gives a value."""
+        """Return the names that an input or shot defines."""
         return {*INPUT_NAMES, *(SHOT_NAMES if self.of_shots else ())}
 
     def _first_timecode(self) -> str | None:
@@ -406,7 +406,7 @@ class _BatchReader:
         return text
 
     def _variants(self) -> Variants | None:
-        """Return the table of values; None where there is none, or it is faulty."""
+        """Return the variants; None without any, or with faults."""
         variants = self.model.variants
         if not variants:
             if "variants" in self.model.model_fields_set:
@@ -422,7 +422,7 @@ class _BatchReader:
         return rows_of_document(self.document, variants, taken)
 
     def _names(self, columns: Sequence[str]) -> None:
-        """Check the names between braces in the output."""
+        """Check the names in braces in the output."""
         model = self.model
         known = dict.fromkeys([*model.variables, *columns], "")
         if self.of_shots:

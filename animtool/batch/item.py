@@ -1,4 +1,4 @@
-"""How the items of a batch are made and named, and one of them.
+"""Items of a batch: names, outputs and the bake of one.
 
 References:
     Open Job Description, "pathmapping-1.0",
@@ -47,7 +47,7 @@ _INPUT_FOLDERS = frozenset({"input", "folder"})
 
 
 def input_names(file: MatchedFile) -> dict[str, str]:
-    """Return what the names stand for that every input has.
+    """Return the values of the names that every input defines.
 
     ``input`` is its path and ``folder`` that of its folder, ``name`` its name, ``stem``
     that without what says its kind, and ``parent`` the folders between the one that
@@ -69,7 +69,7 @@ def input_names(file: MatchedFile) -> dict[str, str]:
 
 
 def file_pattern(pattern: str, name: str) -> str:
-    """Return the pattern of files that a pattern stands for, which may name a folder.
+    """Return the glob of a pattern, which may name a folder.
 
     >>> file_pattern("out/", "{parent}/{stem}"), file_pattern("{stem}.usda", "{stem}")
     ('out/{parent}/{stem}.usdc', '{stem}.usda')
@@ -80,7 +80,7 @@ def file_pattern(pattern: str, name: str) -> str:
 def unknown_names(
     pattern: str, variables: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield what is wrong with a pattern, and what to do about it.
+    """Yield faults of a pattern, with hints.
 
     >>> list(unknown_names("out/{stm}.usdc", {}))
     [("unknown name in 'out/{stm}.usdc': {stm}", "did you mean 'stem'?")]
@@ -101,7 +101,7 @@ def unknown_names(
 
 
 def output_root(pattern: str) -> PurePath:
-    """Return the folder that all outputs of a pattern are in.
+    """Return the folder that contains all outputs of a pattern.
 
     >>> output_root("out/{parent}/{stem}.usdc").as_posix()
     'out'
@@ -113,7 +113,7 @@ def output_root(pattern: str) -> PurePath:
 
 @dataclass(slots=True)
 class NamedOutputs:
-    """The outputs of a pattern, none of which leaves the folder that it states."""
+    """Outputs of a pattern, confined to its folder."""
 
     pattern: str  # the files to write
     folder: Path  # where a relative one starts
@@ -121,7 +121,7 @@ class NamedOutputs:
     _inside: dict[tuple[Path, Path], bool] = field(default_factory=dict)
 
     def path(self, values: Mapping[str, str]) -> Path:
-        """Return the output that the pattern is for some values."""
+        """Return the output of some values."""
         root, path = self.folder, self.folder
         below = False
         for part in PurePath(self.pattern).parts:
@@ -138,7 +138,7 @@ class NamedOutputs:
         return path
 
     def _check(self, text: str, names: list[str], values: Mapping[str, str]) -> None:
-        """Refuse a part of a path that is not one name, or some in folders."""
+        """Refuse path parts that are not single names."""
         for name in names:
             value = values[name]
             wrong = re.search(r"[\x00-\x1f\x7f\\]", value)
@@ -165,7 +165,7 @@ class NamedOutputs:
 
 
 class UnsafeNameError(ValueError):
-    """A name of an output leaves its folder, or is not legal everywhere.
+    """An output name leaves its folder or is not legal everywhere.
 
     Attributes:
         name: That of the pattern whose value it is; empty is none.
@@ -188,14 +188,14 @@ MAX_BYTES = 4_000_000
 
 @dataclass(frozen=True, slots=True)
 class PathRule:
-    """Where a folder of one machine is on this one."""
+    """Maps a folder of another machine to a local one."""
 
     source: PurePath  # there
     destination: str  # here
 
 
 def read_rules(path: Path) -> list[PathRule]:
-    """Return the rules of a file; none of one without any (malformed: BAT038)."""
+    """Return the path rules of a file; none if it has none (malformed: BAT038)."""
     try:
         plain = json_of_file(path, MAX_BYTES)
         key = "path_mapping_rules"
@@ -215,7 +215,7 @@ def _rule(plain: Mapping[str, Any]) -> PathRule:
 
 
 def mapped_path(text: str, rules: Sequence[PathRule]) -> str:
-    r"""Return a path as this machine has it, by the rule of the innermost folder.
+    r"""Return the local path, by the rule of the innermost folder.
 
     >>> rule = PathRule(PureWindowsPath("Z:/show"), "/mnt/show")
     >>> mapped_path("z:\\show\\a.bvh", [rule]), mapped_path("a.bvh", [rule])
@@ -230,7 +230,7 @@ def mapped_path(text: str, rules: Sequence[PathRule]) -> str:
 
 
 def mapped_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
-    """Return a batch whose inputs and output are those of this machine.
+    """Return a batch with local inputs and outputs.
 
     Names of files in scenes and options are not changed: they are found where they are
     relative.
@@ -254,7 +254,7 @@ def mapped_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
 
 
 def values_text(values: Mapping[str, str]) -> str:
-    """Return the values of a variant behind the name of its input.
+    """Return a variant's values as a suffix to its input.
 
     >>> values_text({"k": "2", "s": "0.5"})
     ' (k=2, s=0.5)'
@@ -265,7 +265,7 @@ def values_text(values: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """What is made of one file."""
+    """One input of a batch and its output."""
 
     number: int  # its place among those of the batch, from 1
     file: MatchedFile  # what it is made of
@@ -283,19 +283,19 @@ class Item:
 
     @property
     def label(self) -> str:
-        """The input, and its shot and the values of a variant."""
+        """Input, shot and variant as text."""
         shot = {} if self.shot is None else {"shot": self.shot.name}
         return f"{self.file.path}{values_text({**shot, **self.values})}"
 
     @property
     def folders(self) -> list[Path]:
-        """The folders that it writes to."""
+        """Folders that it writes to."""
         return [*dict.fromkeys(path.parent for path in (self.output, *self.files))]
 
 
 @dataclass(frozen=True, slots=True)
 class ItemTask:
-    """How every item is made."""
+    """How items are built."""
 
     # A scene that says what is done to each; None bakes each as it is.
     scene: Path | None = None
@@ -311,7 +311,7 @@ class ItemTask:
     _digests: dict[str, str] = field(default_factory=dict, compare=False, repr=False)
 
     def names(self, item: Item) -> dict[str, str]:
-        """Return what names in a scene stand for."""
+        """Return the values of the names in a scene."""
         names = input_names(item.file)
         if self.scene is None:
             # A scene that is an input is no input of its own.
@@ -319,7 +319,7 @@ class ItemTask:
         return {**names, **item.names, **self.variables, **item.variables}
 
     def source(self, item: Item) -> Source:
-        """Return what is baked: a scene, loaded, or a file."""
+        """Return the source: a loaded scene, or a file."""
         path = item.file.path if self.scene is None else self.scene
         if not is_named(path, "scene"):
             return path
@@ -338,7 +338,7 @@ class ItemTask:
         return scene
 
     def named(self, item: Item) -> Item:
-        """Return an item with the outputs that its scene names, if it names some."""
+        """Return an item with the outputs that its scene names."""
         scene = self.source(item)
         output = getattr(scene, "output", None)
         files: Sequence[Path] = ()
@@ -349,7 +349,7 @@ class ItemTask:
         return replace(item, output=output or item.output, files=tuple(files))
 
     def refuse_several(self, source: Source) -> None:
-        """Refuse a scene that names its outputs, where a pattern names them too."""
+        """Refuse outputs named both by a scene and by a pattern."""
         if self._is_several(source):
             message = "the scene names its outputs, but the batch names one too"
             hint = (
@@ -368,7 +368,7 @@ class ItemTask:
         return is_several(source)
 
     def bake(self, item: Item) -> list[OutputReport]:
-        """Make an item, and return what became of each of its outputs.
+        """Bake an item; return a report of each output.
 
         What they were before is replaced.
         """
@@ -391,7 +391,7 @@ class ItemTask:
         return outlined(source, item.output, self._options(item.file.path)).files
 
     def _options(self, path: Path) -> BakeOptions:
-        """Return the options for a file: those that are for its kind."""
+        """Return the options that apply to a file's format."""
         kind = path.suffix.lower()
         if kind not in self._fitting:
             source_options = fitting_options(self.options.source, path, self.kinds)
@@ -400,7 +400,7 @@ class ItemTask:
         return self._fitting[kind]
 
     def described(self, item: Item, root: Path) -> dict[str, object]:
-        """Return everything that decides how an item is made, but its files."""
+        """Return everything but files that affects how an item is built."""
         plain: dict[str, object] = {"input": named_from(item.file.path, root)}
         if self.scene is not None or is_named(item.file.path, "scene"):
             names = self.names(item)
@@ -424,7 +424,7 @@ class ItemTask:
 
 
 def _plain(value: object, root: Path) -> object:
-    """Return options as what JSON can hold."""
+    """Return options as JSON values."""
     if is_dataclass(value):
         return {
             entry.name: _plain(getattr(value, entry.name), root)

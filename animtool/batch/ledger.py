@@ -1,4 +1,4 @@
-"""The ledger of a batch: who works on what, what is done, and what failed.
+"""The ledger of a batch: locks of runs, finished items and failures.
 
 A run of the whole batch holds `batch-NAME.lock`. Runs of some of its items each hold a
 lock and write files of their own, in `batch-NAME.d`, which the next whole run takes in.
@@ -51,7 +51,7 @@ MAX_WHY = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """Which items failed."""
+    """Failed items."""
 
     why: dict[str, str] = field(default_factory=dict)  # of each, by key
     length: int = 0  # of what could be read [bytes]
@@ -59,7 +59,7 @@ class Failures:
 
 
 def read_failures(path: Path) -> Failures:
-    """Return which items failed; none where there is no file."""
+    """Return the failed items; none without a file."""
     reader, messages = LineReader(path, HEAD), dict[str, str]()
     for line in reader.lines():
         try:
@@ -71,7 +71,7 @@ def read_failures(path: Path) -> Failures:
 
 
 def add_failure(path: Path, key: str, why: str, length: int) -> int:
-    """Add an item that failed; return how long the file is then [bytes].
+    """Add a failed item; return the new length of the file [bytes].
 
     ``length`` [bytes].
     """
@@ -81,7 +81,7 @@ def add_failure(path: Path, key: str, why: str, length: int) -> int:
 
 
 def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
-    """Write the file anew; without failures it goes."""
+    """Rewrite the file; remove it without failures."""
     if not failures:
         path.unlink(missing_ok=True)
         return
@@ -102,7 +102,7 @@ MAX_OWNER = 4096
 
 @dataclass(slots=True)
 class History:
-    """What earlier runs left."""
+    """Results of earlier runs."""
 
     manifest: Manifest = field(default_factory=Manifest)  # by all of them
     # Why items failed that were not made since, by key.
@@ -113,7 +113,7 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class _Files:
-    """Where records are: of the whole batch, or of some items of it."""
+    """Record files: of the full batch, or of some items."""
 
     folder: Path
     name: str
@@ -129,7 +129,7 @@ class _Files:
         return self.folder / f"batch-{self.name}{suffix}"
 
     def holds(self) -> bool:
-        """Return whether something is recorded."""
+        """Return whether there are records."""
         paths = self.named(".jsonl"), self.named(".failed.jsonl")
         return any(path.exists() for path in paths)
 
@@ -137,7 +137,7 @@ class _Files:
         return _Files(self.folder, self.name)
 
     def others(self) -> list[_Files]:
-        """Return those of every part that left some."""
+        """Return the record files of every part."""
         stems = sorted(path.stem for path in self.parts.glob("*.lock"))
         return [_Files(self.folder, self.name, part) for part in stems]
 
@@ -151,20 +151,20 @@ class _Files:
 
 
 def read_history(folder: Path, name: str) -> History:
-    """Return what earlier runs of a batch left, of parts of it too."""
+    """Return the results of earlier runs of a batch and of its parts."""
     return _read(_Files(folder, name))[0]
 
 
 @dataclass(frozen=True, slots=True)
 class _LocalRecords:
-    """What there is in the files that a run adds to."""
+    """Records in the files that a run appends to."""
 
     manifest: Manifest = field(default_factory=Manifest)
     failures: int = 0
 
 
 def _read(files: _Files) -> tuple[History, _LocalRecords]:
-    """Return what earlier runs left, and what there is in these files."""
+    """Return the results of earlier runs, and the records in these files."""
     history, local = History(), _LocalRecords()
     batch_files = files.of_batch()
     for source in (batch_files, *batch_files.others()):
@@ -179,7 +179,7 @@ def _read(files: _Files) -> tuple[History, _LocalRecords]:
 
 
 class Ledger:
-    """The records of a batch while a run holds them.
+    """The records of a batch, locked by a run.
 
     Attributes:
         history: What earlier runs left.
@@ -197,7 +197,7 @@ class Ledger:
         self._failed_length = local.failures
 
     def claim(self, names: Iterable[str]) -> None:
-        """Say which files are about to be written."""
+        """Record the files that are about to be written."""
         new = [name for name in names if name not in self.history.manifest.known]
         if new:
             self._writer.claim(new)
@@ -205,25 +205,25 @@ class Ledger:
             self.history.manifest.known.update(new)
 
     def add(self, record: ItemRecord) -> None:
-        """Note an item that was made."""
+        """Record a built item."""
         self._writer.add(record)
         self._grown = True
         self.history.manifest.add(record)
         self.history.failed.pop(record.key, None)
 
     def failed(self, key: str, why: str) -> None:
-        """Note an item that failed."""
+        """Record a failed item."""
         path = self._files.named(".failed.jsonl")
         self._grown = True
         self._failed_length = add_failure(path, key, why, self._failed_length)
         self.history.failed[key] = why
 
     def close(self) -> None:
-        """Close the files, as they are."""
+        """Close the files without rewriting them."""
         self._closing.close()
 
     def settle(self, keep: Callable[[ItemRecord], bool]) -> None:
-        """Write records of the whole anew, those of its parts taken in."""
+        """Rewrite the records of the batch, merged with those of its parts."""
         self.close()
         others = [] if self._files.part else self._files.others()
         if self._files.part or not (self._grown or any(o.holds() for o in others)):
@@ -246,7 +246,7 @@ class Ledger:
 
 @contextmanager
 def locked_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
-    """Give the records of a batch, which no other run may use at the same time."""
+    """Give the records of a batch, locked against other runs."""
     files = _Files(folder, name, part)
     with ExitStack() as locks:
         if part:
@@ -289,7 +289,7 @@ def _lock(locks: ExitStack, files: _Files, timeout: float) -> None:
 
 
 def _sign(files: _Files) -> int:
-    """Write down whose run it is; return when that was, by the clock of the disk."""
+    """Write the owner of a run; return the time by the clock of the disk."""
     import platform
 
     path = files.named(".owner")
@@ -311,7 +311,7 @@ def _sign(files: _Files) -> int:
 
 
 def _owner(files: _Files) -> str:
-    """Return whose run it is, as far as that is known."""
+    """Return the owner of a run, as far as it is known."""
     import platform
 
     unknown = "of an unknown process"

@@ -1,4 +1,4 @@
-"""Other values of variables for some inputs of a batch, chosen by patterns."""
+"""Variables that a batch overrides for some inputs, by patterns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.core.record import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """Values of variables for some inputs.
+    """Variables of the inputs that match some patterns.
 
     Attributes:
         inputs: Files, folders and globs, seen from the folder of the batch.
@@ -25,14 +25,14 @@ class Override:
     variables: Mapping[str, str] = field(default_factory=dict)
 
     def without(self, names: Collection[str]) -> Override:
-        """Return it without values of some names."""
+        """Return a copy without values of some names."""
         left = {k: v for k, v in self.variables.items() if k not in names}
         return replace(self, variables=left)
 
 
 @dataclass(frozen=True, slots=True)
 class Overridden:
-    """What the overrides of a batch are for the files that it found."""
+    """Overridden variables of the inputs of a batch."""
 
     values: Mapping[Path, Mapping[str, str]]  # by path of the file
     notices: tuple[Fault, ...]  # warnings of overrides that no input matches
@@ -45,7 +45,7 @@ def overridden(
     suffixes: Sequence[str],
     path: Path | None,
 ) -> Overridden:
-    """Return the values of the variables of inputs; of several the last one counts.
+    """Return the overridden variables of inputs; the last match counts.
 
     Args:
         overrides: In order.

@@ -1,4 +1,4 @@
-"""Which items are to be made, and why; outputs that cannot or must not be written."""
+"""The plan of a batch: items to build and why, and outputs that are refused."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from animtool.motion.scores import PassScores
 
 
 class BuildReason(StrEnum):
-    """Why an item is made, or not."""
+    """Why an item is built or skipped."""
 
     NEW = "new"
     INPUT = "input changed"
@@ -37,7 +37,7 @@ class BuildReason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What becomes of an item."""
+    """What to do with an item."""
 
     item: Item  # the item
     reason: BuildReason  # why
@@ -49,12 +49,12 @@ class Decision:
 
     @property
     def due(self) -> bool:
-        """Whether it is to be made."""
+        """Whether to build it."""
         return self.reason is not BuildReason.UP_TO_DATE
 
 
 class Planner:
-    """Decides by what earlier runs left, and by what files are now.
+    """Decides by records of earlier runs and the current files.
 
     A file is read only where its size, time or inode is another one, or where it is as
     young as the record: then it may have changed since without a sign.
@@ -69,7 +69,7 @@ class Planner:
         verify: bool = False,
         force: bool = False,
     ) -> None:
-        """Take what decisions are made by: ``now`` [ns]."""
+        """Take the records, and the current time ``now`` [ns]."""
         self._batch, self._history, self._now = batch, history, now
         self._verify, self._force = verify, force
         self._states: dict[str, FileState | None] = {}
@@ -80,21 +80,21 @@ class Planner:
         return named_from(item.output, self._batch.root)
 
     def how(self, item: Item) -> str:
-        """Return a digest of everything but files that decides how an item is made."""
+        """Return a digest of all settings that affect how an item is built."""
         return digest_of(self._batch.item_task.described(item, self._batch.root))
 
     @cached_property
     def versions(self) -> str:
-        """Digest of the versions of what makes items."""
+        """Digest of the versions of the packages that build items."""
         return digest_of(package_versions())
 
     def decisions(self, items: Sequence[Item]) -> Iterator[Decision]:
-        """Yield what becomes of each item, in order."""
+        """Yield the decision for each item, in order."""
         for item in items:
             yield self.decide(item)
 
     def decide(self, item: Item) -> Decision:
-        """Return what becomes of an item."""
+        """Return the decision for an item."""
         key = self.key(item)
         record = self._history.manifest.items.get(key)
         failed = self._history.failed.get(key)
@@ -138,7 +138,7 @@ class Planner:
         )
 
     def _same(self, file: FileRecord, *, young: bool) -> FileRecord | None:
-        """Return the record of a file as it is now; None where it is another one."""
+        """Return the current record of a file; None if its content differs."""
         if file.path not in self._states:
             self._states[file.path] = FileState.of(
                 path_of_name(file.path, self._batch.root)
@@ -166,7 +166,7 @@ MAX_FAULTS = 50
 
 
 def check_output_files(batch: Batch) -> None:
-    """Refuse outputs that are one file (OUT007), inputs, or in no folder to write.
+    """Refuse outputs that are equal (OUT007), inputs, or not writable.
 
     Files are one on some disks where names differ only in case or in how accents are
     encoded.
@@ -205,7 +205,7 @@ def _clashes(
 
 
 def _separating_hint(item: Item, other: Item) -> str:
-    """Return what keeps the outputs of two items apart."""
+    """Return a hint at the name that separates the outputs of two items."""
     if item.shot is not None and item.shot != other.shot:
         return f"use {{shot}} in {argument('output')} to keep the shots separate"
     if item.file != other.file:
@@ -222,7 +222,7 @@ def _separating_hint(item: Item, other: Item) -> str:
 
 
 def _closed(folders: Iterable[Path]) -> Iterator[Fault]:
-    """Yield what is wrong with folders that are there, or with those around them."""
+    """Yield faults of folders that cannot be written to."""
     checked: set[Path] = set()
     for folder in folders:
         there = next((f for f in (folder, *folder.parents) if f.exists()), Path())
@@ -240,7 +240,7 @@ def _closed(folders: Iterable[Path]) -> Iterator[Fault]:
 def check_overwrites(
     batch: Batch, items: Iterable[Item], known: Callable[[Path], bool]
 ) -> None:
-    """Refuse to replace files that no run of the batch made."""
+    """Refuse to overwrite files that no run of the batch wrote."""
     faults = [
         Fault(
             "OUT001",

@@ -1,4 +1,4 @@
-"""Processes that make items: warm, watched, and each replaced when it is lost.
+"""A pool of processes that build items; lost ones are replaced.
 
 A process takes one item at a time, so that one that dies, hangs or takes too much
 memory costs that item and no other.
@@ -72,7 +72,7 @@ _HINTS = {
 
 @dataclass(slots=True, eq=False)
 class _Worker:
-    """A process, the way to it, and what it is at."""
+    """A process, its pipe and its current item."""
 
     process: BaseProcess
     connection: Connection
@@ -91,7 +91,7 @@ class _Worker:
             self.connection.send(item)
 
     def received(self) -> object:
-        """Return what it sent; None where it is gone, or sent what makes no sense.
+        """Return its message; None if it ended or sent an invalid one.
 
         What it reads is kept: where that ends it, nothing else is sent.
         """
@@ -148,7 +148,7 @@ class _Pool:
         self.workers.append(_Worker(process, here))
 
     def feed(self, worker: _Worker) -> None:
-        """Give a process an item, if it waits for one and there is one."""
+        """Give an idle process the next item."""
         if self.left and worker.waits_for_item():
             item = next(self.items, None)
             self.left = item is not None
@@ -156,7 +156,7 @@ class _Pool:
                 worker.give(item)
 
     def outcomes(self) -> Iterator[ItemOutcome]:
-        """Wait until something happens; yield what became of items."""
+        """Wait for events; yield outcomes of items."""
         watched = {
             key: worker
             for worker in self.workers
@@ -200,7 +200,7 @@ class _Pool:
             yield self._lost(worker, Fault("BAT020", message, hint=hint))
 
     def _failed_to_start(self, worker: _Worker) -> None:
-        """End a process that takes no item."""
+        """End a process that does not accept an item."""
         self.workers.remove(worker)
         if worker.process.is_alive():
             worker.process.join(POLL_INTERVAL)
@@ -222,7 +222,7 @@ class _Pool:
             worker.end(kill=False)
 
     def _beyond(self, worker: _Worker) -> Fault | None:
-        """Return by what an item exceeds its limits."""
+        """Return by how much an item exceeds its limits."""
         limits = self.limits
         if worker.item is None or worker not in self.workers:
             return None
@@ -241,7 +241,7 @@ class _Pool:
         return None
 
     def _lost(self, worker: _Worker, fault: Fault) -> ItemOutcome:
-        """End a process, and return that its item failed."""
+        """End a process, and return the failure of its item."""
         assert worker.item is not None
         item, seconds = worker.item, time.perf_counter() - worker.began
         self.drop(worker)
@@ -250,7 +250,7 @@ class _Pool:
         return ItemOutcome.failed(item, named, seconds=seconds)
 
     def drop(self, worker: _Worker) -> None:
-        """End a process at once, and remove what it began to write."""
+        """Kill a process, and remove its temporary files."""
         self.workers.remove(worker)
         worker.end(kill=True)
         if worker.item is not None:
@@ -258,12 +258,12 @@ class _Pool:
             remove_leftovers(folders, worker.process.pid)
 
     def _swollen(self, worker: _Worker) -> bool:
-        """Return whether what items left behind takes half of what one may have."""
+        """Return whether leftovers of items use half of the memory limit."""
         limit = self.limits.memory
         return limit is not None and _used_bytes(worker.process) > limit / 2
 
     def _time_left(self) -> float | None:
-        """Return how long nothing but a message or an end need be looked for [s]."""
+        """Return the time until the next limit must be checked [s]."""
         busy = [worker for worker in self.workers if worker.item is not None]
         if busy and self.limits.memory is not None:
             return POLL_INTERVAL
@@ -286,7 +286,7 @@ class _Pool:
 
 
 def preload(item_task: ItemTask) -> None:
-    """Begin to import what processes need, beside what this one does meanwhile."""
+    """Start to import what processes need, in the background."""
     context = _context(item_task)
     if isinstance(context, SpawnContext):
         return
@@ -304,7 +304,7 @@ def run_processes(
     *,
     queue_next: bool = True,
 ) -> Iterator[ItemOutcome]:
-    """Yield what becomes of items, as each ends, made by several processes.
+    """Yield outcomes of items built by several processes, as each ends.
 
     An item is taken only when a process can make it. Closing the iterator ends them.
     """
@@ -324,7 +324,7 @@ def run_processes(
 
 
 def _context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
-    """Return how processes are started: forked from a warm one where that is sound.
+    """Return the start method: forked from a preloaded process if safe.
 
     Where it is warm already, by another batch of this very process, they import the
     rest themselves.
@@ -338,7 +338,7 @@ def _context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
 
 @contextlib.contextmanager
 def _environment() -> Iterator[None]:
-    """Let processes that are started now see `ENVIRONMENT`."""
+    """Set `ENVIRONMENT` for processes that start now."""
     before = {name: os.environ.get(name) for name in ENVIRONMENT}
     os.environ.update(ENVIRONMENT)
     try:
@@ -380,7 +380,7 @@ def _how_it_ended(process: BaseProcess) -> str:
 
 
 def _used_bytes(process: BaseProcess) -> int:
-    """Return how much memory a process has [bytes]; 0 where nothing says it."""
+    """Return the memory of a process [bytes]; 0 where unknown."""
     try:
         pages = int(Path(f"/proc/{process.pid}/statm").read_bytes().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE")

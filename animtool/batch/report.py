@@ -1,4 +1,4 @@
-"""What became of a batch and its items, for people and programs."""
+"""Reports of a batch and its items."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class ItemReport:
-    """What became of an item."""
+    """Report of an item."""
 
     item: Item  # the item
     status: ItemStatus  # what became of it
@@ -48,7 +48,7 @@ class ItemReport:
     def of(
         cls, item: Item, reason: BuildReason, detail: str, outcome: ItemOutcome
     ) -> ItemReport:
-        """Return the report of an item that was made, or failed."""
+        """Return the report of an item that was built or failed."""
         return cls(
             item,
             outcome.status,
@@ -62,7 +62,7 @@ class ItemReport:
         )
 
     def worded(self, calling: Calling) -> ItemReport:
-        """Return it with arguments called as an interface calls them."""
+        """Return a copy whose texts name arguments as an interface does."""
         faults, notices = (
             tuple(fault.worded(calling) for fault in texts)
             for texts in (self.faults, self.notices)
@@ -71,18 +71,18 @@ class ItemReport:
 
     @property
     def skipped(self) -> bool:
-        """Whether it was, or would be, left as it is."""
+        """Whether it was, or would be, skipped."""
         return self.status is ItemStatus.SKIPPED
 
     @property
     def spent(self) -> float | None:
-        """Wall time of making it [s]; None where it was not made."""
+        """Wall time to build it [s]; None if it was not built."""
         was_built = self.status in {ItemStatus.DONE, ItemStatus.FAILED}
         return self.seconds if was_built else None
 
     @property
     def why(self) -> str:
-        """Why it failed, in a line."""
+        """Reason of its failure in one line."""
         if not self.faults:
             return ""
         more = f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
@@ -91,7 +91,7 @@ class ItemReport:
 
 @dataclass(frozen=True, slots=True)
 class BatchReport:
-    """What became of a batch."""
+    """Report of a batch."""
 
     batch: Batch  # the batch
     items: tuple[ItemReport, ...]  # those that were looked at, in order
@@ -106,16 +106,16 @@ class BatchReport:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Of how many items each became."""
+        """Number of items by status."""
         return {str(s).replace(" ", "_"): self.count(s) for s in ItemStatus}
 
     def count(self, status: ItemStatus) -> int:
-        """Return of how many items something became."""
+        """Return the number of items with a status."""
         return sum(report.status is status for report in self.items)
 
     @property
     def reasons(self) -> Counter[BuildReason]:
-        """Return how many items there are of each reason."""
+        """Return the number of items for each reason."""
         return Counter(report.reason for report in self.items)
 
     @property
@@ -125,24 +125,24 @@ class BatchReport:
 
     @property
     def slowest(self) -> list[ItemReport]:
-        """The items that took longest, longest first."""
+        """The slowest items, slowest first."""
         done = [report for report in self.items if report.status is ItemStatus.DONE]
         return sorted(done, key=lambda report: -report.seconds)[:NAMED]
 
     @property
     def worst(self) -> list[ItemReport]:
-        """The items whose files are farthest from their sources, farthest first."""
+        """The items with the largest errors, largest first."""
         measured = [report for report in self.items if _error(report) > 0]
         return sorted(measured, key=lambda report: -_error(report))[:NAMED]
 
     @property
     def scored(self) -> list[ItemReport]:
-        """The items whose passes have scores, the worst first."""
+        """The items whose passes have scores, worst first."""
         scored = [report for report in self.items if report.scores]
         return sorted(scored, key=lambda report: badness(report.scores), reverse=True)
 
     def notices_of_items(self) -> dict[Fault, list[ItemReport]]:
-        """Return what is said of items, each once, with the items that it is of."""
+        """Return distinct notices, each with its items."""
         reports: dict[Fault, list[ItemReport]] = {}
         for report in self.items:
             for notice in report.notices:
@@ -151,7 +151,7 @@ class BatchReport:
 
     @property
     def warned(self) -> list[ItemReport]:
-        """Return the items about which there are warnings."""
+        """Return the items with warnings."""
         return [
             report
             for report in self.items
@@ -160,7 +160,7 @@ class BatchReport:
 
     @property
     def exit_code(self) -> ExitCode:
-        """What a process that ran the batch returns."""
+        """Exit code of a process that ran the batch."""
         return ExitCode.FINDINGS if self.failed else ExitCode.OK
 
 

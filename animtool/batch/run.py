@@ -1,4 +1,4 @@
-"""A run of a batch: planned, made and recorded."""
+"""A run of a batch: plan, build and record."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ EXECUTOR = "processes"
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How a batch is run.
+    """Options of a batch run.
 
     Attributes:
         jobs: How many items are made at a time; None is as the batch says.
@@ -56,7 +56,7 @@ class RunOptions:
 
 
 class Listener:
-    """Whom a run tells what happens; this one does nothing about it.
+    """Receives the events of a run; this one ignores them.
 
     Attributes:
         shown: Warnings that were shown at once.
@@ -65,16 +65,16 @@ class Listener:
     shown: tuple[Fault, ...] = ()
 
     def planned(self, due: int, total: int) -> None:
-        """Take how many of how many items are to be made."""
+        """Receive the number of items to build, and of all items."""
 
     def began(self, item: Item) -> None:
-        """Take that an item is begun."""
+        """Receive the start of an item."""
 
     def ended(self, report: ItemReport) -> None:
-        """Take what became of an item."""
+        """Receive the outcome of an item."""
 
     def warned(self, notice: Fault) -> None:
-        """Take a warning about what builds the items."""
+        """Receive a warning about an executor."""
 
 
 def run_batch(
@@ -82,7 +82,7 @@ def run_batch(
     options: RunOptions | None = None,
     listener: Listener | None = None,
 ) -> BatchReport:
-    """Make what is not made yet of a batch, or no longer up to date.
+    """Build the items of a batch that are missing or out of date.
 
     Args:
         spec: What is asked for.
@@ -133,7 +133,7 @@ def _chosen(batch: Batch, options: RunOptions) -> Sequence[Item]:
 def _retried(
     items: Sequence[Item], options: RunOptions, planner: Planner, history: History
 ) -> Sequence[Item]:
-    """Return the items that are looked at: all, or those that failed last time."""
+    """Return the items to look at: all, or those that failed last time."""
     if not options.retry_failed:
         return items
     return [item for item in items if planner.key(item) in history.failed]
@@ -151,7 +151,7 @@ def _planned(decision: Decision) -> ItemReport:
 
 
 class _BatchRun:
-    """One run, while its records are held."""
+    """A run, while its records are locked."""
 
     def __init__(
         self, batch: Batch, options: RunOptions, listener: Listener, ledger: Ledger
@@ -172,7 +172,7 @@ class _BatchRun:
         self.notices: list[Fault] = []  # warnings about what builds the items
 
     def plan(self, items: Sequence[Item]) -> None:
-        """Decide what is to be made, and check that it may be."""
+        """Decide which items to build, and check their outputs."""
         due: list[Item] = []
         chosen = _retried(items, self.options, self.planner, self.ledger.history)
         for decision in self.planner.decisions(chosen):
@@ -190,23 +190,23 @@ class _BatchRun:
         self.listener.planned(len(due), len(self.decisions))
 
     def _is_known(self, path: Path) -> bool:
-        """Return whether a run of the batch made a file, or began to."""
+        """Return whether a run of the batch wrote a file, or began to."""
         return named_from(path, self.batch.root) in self.ledger.history.manifest.known
 
     def _executor(self) -> tuple[Executor, str]:
-        """Return what makes items, and what that is told."""
+        """Return the executor of items, and its work."""
         name, _, argument = self.options.executor.partition("=")
         return find_executor(name), argument
 
     def _tidy(self) -> None:
-        """Remove what killed runs began to write, also for items that are whole."""
+        """Remove temporary files of killed runs, also for intact items."""
         items = [decision.item for decision in self.decisions.values()]
         folders = dict.fromkeys(folder for item in items for folder in item.folders)
         folders[self.batch.records] = None
         remove_leftovers(folder.resolve() for folder in folders)
 
     def make(self) -> None:
-        """Make what is due."""
+        """Build the items that are due."""
         due = [d.item for d in self.decisions.values() if d.due]
         if not due:
             return
@@ -248,7 +248,7 @@ class _BatchRun:
         self._tidy()
 
     def _begun(self, due: Sequence[Item]) -> Iterator[Item]:
-        """Yield items, each when it is begun, unless too many have failed."""
+        """Yield items as each is started, until too many have failed."""
         most = self.options.max_failures
         for item in due:
             if most is not None and self.failures >= most:
@@ -293,13 +293,13 @@ class _BatchRun:
         self.listener.ended(report)
 
     def keeps(self, record: ItemRecord) -> bool:
-        """Return whether a record is of interest: its output is there, or to be."""
+        """Return whether a record is kept: its output exists, or is planned."""
         return any(
             path_of_name(file.path, self.batch.root).exists() for file in record.outputs
         )
 
     def reports(self) -> Iterator[ItemReport]:
-        """Yield what became of every item that was looked at, in order."""
+        """Yield the report of every item that was looked at, in order."""
         for number, decision in self.decisions.items():
             yield self.ended.get(number) or _planned(decision)
 

@@ -1,4 +1,4 @@
-"""What each clip of a timeline shows: nesting, trims, speeds and what is disabled."""
+"""Media of each clip of a timeline: nesting, trims, speeds, disabled items."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ Window: TypeAlias = tuple[Fraction, Fraction] | None
 
 
 class UnsupportedTimeError(ValueError):
-    """How an item plays is not what a shot can have."""
+    """An item's time effect cannot be represented in a shot."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShownClip:
-    """A clip on a track, and which part of it the timeline shows.
+    """A clip on a track, and its visible part.
 
     Attributes:
         clip: The clip.
@@ -52,7 +52,7 @@ class ShownClip:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The media that a clip shows.
+    """The media range that a clip shows.
 
     Attributes:
         begin: Earliest time of the media shown, as time codes of the clip count [s].
@@ -72,7 +72,7 @@ class Span:
 
 
 def span_of(shown: ShownClip) -> Span:
-    """Return the media that a clip shows.
+    """Return the media range that a clip shows.
 
     Backwards, a clip plays its range from the last frame to the first.
 
@@ -96,7 +96,7 @@ def span_of(shown: ShownClip) -> Span:
 
 
 def speed_of(item: Any) -> Fraction:
-    """Return how many times as fast as its content an item plays.
+    """Return the speed of an item relative to its content.
 
     Raises:
         ValueError: It is faster than anything, or its time runs unevenly.
@@ -119,7 +119,7 @@ def speed_of(item: Any) -> Fraction:
 
 
 def is_time_effect(effect: Any) -> bool:
-    """Return whether an effect changes times, by its kind or by its name."""
+    """Return whether an effect changes times, by its kind or name."""
     import opentimelineio as otio
 
     if isinstance(effect, otio.schema.TimeEffect):
@@ -133,7 +133,7 @@ def _effect_name(effect: Any) -> str:
 
 
 def transition_sides(shown: ShownClip) -> tuple[Any, Any]:
-    """Return how far transitions reach beyond the cuts of a clip; None for none."""
+    """Return how far transitions extend a clip; None without any."""
     import opentimelineio as otio
 
     kind = otio.schema.Transition
@@ -152,7 +152,7 @@ Noter: TypeAlias = Callable[[str, str, bool], None]
 
 @dataclass(slots=True)
 class Walk:
-    """The clips on the tracks of pictures, with what is shown of them."""
+    """Visits the clips on video tracks and their visible parts."""
 
     note: Noter  # takes a code, a message, and whether it is a warning
     clips: list[ShownClip] = field(default_factory=list)  # in the order of the timeline
@@ -161,7 +161,7 @@ class Walk:
     skipped: dict[str, str] = field(default_factory=dict)
 
     def timeline(self, tracks: Any) -> None:
-        """Take the clips of a timeline's tracks."""
+        """Visit the clips of a timeline's tracks."""
         if self._off(tracks, "the timeline's stack"):
             return
         try:
@@ -184,7 +184,7 @@ class Walk:
         return True
 
     def leave_out(self, item: Any, code: str, why: str, *, warn: bool = True) -> None:
-        """Say why an item gives no shot, nor what is in it."""
+        """Report why an item and its content give no shot."""
         for name in _clip_names(item):
             self.skipped.setdefault(name, why)
         self.note(code, f"{why}; it is skipped", warn)
@@ -198,7 +198,7 @@ class Walk:
         begin: Fraction,
         speed: Fraction,
     ) -> None:
-        """Take an item that begins at a time of what it is in, of which a part shows.
+        """Visit an item at a time of its parent, of which a part is visible.
 
         window: of what it is in; begin: of the item there [s]; speed: of what it is in.
         """
@@ -251,7 +251,7 @@ class Walk:
 
 
 def _inside(item: Any, part: Window) -> tuple[Window, Fraction]:
-    """Return which time of its content a track or stack shows, and its speed.
+    """Return the content time that a track or stack shows, and its speed.
 
     part: time since its begin that is shown; None is all.
     """
@@ -269,7 +269,7 @@ def _inside(item: Any, part: Window) -> tuple[Window, Fraction]:
 
 
 def duration_of(item: Any) -> Fraction:
-    """Return how long an item of a timeline is shown [s].
+    """Return the visible duration of an item [s].
 
     Transitions take no time of their own; at the ends of a track, what they show
     beyond it counts.

@@ -1,4 +1,4 @@
-"""What a batch is to do: inputs, outputs, limits, places and versions."""
+"""The spec of a batch: inputs, outputs, limits, paths and versions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SIZE = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([KMGT]i?B|B)")
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What an item may take.
+    """Limits of an item.
 
     Attributes:
         seconds: Of wall time; None is as long as it takes.
@@ -64,7 +64,7 @@ def parse_seconds(text: str) -> float:
 
 
 def bytes_text(size: int) -> str:
-    """Return a size in words.
+    """Return a size as text.
 
     >>> bytes_text(1_500_000_000), bytes_text(20)
     ('1.5 GB', '20 B')
@@ -79,7 +79,7 @@ UP = ".."
 
 
 def named_from(path: Path, root: Path) -> str:
-    """Return the name of a file, seen from a folder; absolute where they share none.
+    """Return a file's path relative to a folder; absolute without a common root.
 
     >>> named_from(Path("/job/takes/a.bvh"), Path("/job/out"))
     '../takes/a.bvh'
@@ -100,7 +100,7 @@ def named_from(path: Path, root: Path) -> str:
 
 
 def path_of_name(name: str, root: Path) -> Path:
-    """Return the file that a name means; the inverse of `named_from`.
+    """Return the file of a relative name; the inverse of `named_from`.
 
     >>> place_of("../takes/a.bvh", Path("/job/out")).as_posix()
     '/job/takes/a.bvh'
@@ -122,7 +122,7 @@ GROUPS = ("animtool.passes", "animtool.readers")
 
 @cache
 def package_versions() -> dict[str, str]:
-    """Return the version of each package that decides what is made, plug-ins included.
+    """Return the version of each package that affects results, plug-ins too.
 
     A package whose files were changed without another version is taken for the same.
 
@@ -148,7 +148,7 @@ def package_versions() -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class BatchSpec:
-    """What a batch is asked to do.
+    """The spec of a batch.
 
     Attributes:
         inputs: Files, folders and globs, seen from ``folder``; a timeline among them

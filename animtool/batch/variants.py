@@ -41,7 +41,7 @@ class Variants:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of its columns."""
+        """Names of its columns."""
         return tuple(self.rows[0])
 
 
@@ -111,7 +111,7 @@ def values_of_text(text: str) -> list[str]:
 
 
 def range_values(first: str, last: str, step: str = "1") -> list[str]:
-    """Return the numbers from the first to the last, both included where steps allow.
+    """Return the numbers of a range, both ends included where steps allow.
 
     >>> range_values("0", "0.3", "0.1"), range_values("3", "1", "-1")
     (['0', '0.1', '0.2', '0.3'], ['3', '2', '1'])
@@ -142,7 +142,7 @@ def _text(value: Decimal) -> str:
 
 
 def value_problem(text: str) -> str | None:
-    """Return what is wrong with a value; None where nothing is.
+    """Return the fault of a value; None without one.
 
     >>> value_problem("1e-3"), value_problem("nan")
     (None, "'nan' is not a finite number")
@@ -159,7 +159,7 @@ def value_problem(text: str) -> str | None:
 def name_problems(
     names: Sequence[str], taken: Collection[str] = ()
 ) -> Iterator[tuple[int, str]]:
-    """Yield the columns whose names cannot be used, and why."""
+    """Yield the columns with unusable names, and why."""
     previous: set[str] = set()
     for i, name in enumerate(names):
         twice = name in previous
@@ -174,7 +174,7 @@ def name_problems(
 
 
 def variant_pattern(table: Variants | None) -> str:
-    """Return the end of a pattern of files that keeps variants apart.
+    """Return the pattern suffix that separates variants.
 
     >>> variant_pattern(Variants(({"k": "1", "s": "2"},)))
     '_{k}_{s}'
@@ -183,7 +183,7 @@ def variant_pattern(table: Variants | None) -> str:
 
 
 def file_name(value: str) -> str:
-    """Return a value as a part of a file's name.
+    """Return a value as part of a file name.
 
     >>> file_name("a/b c"), file_name("../x"), file_name("-0.5")
     ('a_b_c', '_x', '-0.5')

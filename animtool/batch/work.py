@@ -1,4 +1,4 @@
-"""Making items, in this process or in one that makes them one after another."""
+"""Building items, in this process or in a worker process."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class ItemStatus(StrEnum):
-    """What became of an item."""
+    """Status of an item."""
 
     DONE = "done"
     SKIPPED = "skipped"
@@ -42,7 +42,7 @@ class ItemStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What a bake measured."""
+    """Measurements of a bake."""
 
     samples: int  # written
     error: float  # largest distance between a joint and where its file has it [m]
@@ -51,7 +51,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class ItemOutcome:
-    """What became of an item that was to be made."""
+    """Outcome of an item that was due."""
 
     number: int  # the item's
     status: ItemStatus  # done or failed
@@ -67,20 +67,20 @@ class ItemOutcome:
 
     @classmethod
     def failed(cls, item: Item, *faults: Fault, seconds: float = 0.0) -> ItemOutcome:
-        """Return that an item failed after some time [s]."""
+        """Return the outcome of an item that failed after some time [s]."""
         return cls(item.number, ItemStatus.FAILED, seconds, faults)
 
 
 @dataclass(slots=True)
 class ItemBuilder:
-    """Makes the items of a batch, one after another."""
+    """Builds the items of a batch one after another."""
 
     item_task: ItemTask  # how
     root: Path  # folder from which records name files
     _digests: dict[FileState, FileRecord] = field(default_factory=dict)
 
     def build(self, item: Item) -> ItemOutcome:
-        """Return what became of an item; only what ends the process is raised."""
+        """Return the outcome of an item; raise only to end the process."""
         began = time.perf_counter()
         retired = False
         try:
@@ -140,7 +140,7 @@ class ItemBuilder:
         )
 
     def _inputs(self, inputs: Inputs, at: int) -> tuple[FileRecord, ...]:
-        """Return records of the files that were looked at, in order of their names."""
+        """Return records of the files that were read, sorted by name."""
         records = []
         for path, state in sorted(inputs.states.items()):
             known = None if state is None else self._digests.get(state)
@@ -160,7 +160,7 @@ class ItemBuilder:
 
 
 def _measured(reports: Sequence[OutputReport]) -> Measured:
-    """Return what was measured of all outputs: every sample, the largest error."""
+    """Return the measurements of all outputs: total samples, largest error."""
     measured = [_one_measured(report) for report in reports]
     worst = max(measured, key=lambda one: one.error)
     return Measured(sum(one.samples for one in measured), worst.error, worst.joint)
@@ -183,7 +183,7 @@ def _named(item: Item) -> str:
 
 
 def _forget_layers() -> None:
-    """Let go of USD files that are still open, lest the next item sees old ones."""
+    """Release USD layers that are still open, which may be stale."""
     if "animtool.usd.layers.sdf" in sys.modules:
         from animtool.usd.layers.sdf import forget_layers
 
@@ -222,7 +222,7 @@ SCENES = (
 
 
 def needed_modules(item_task: ItemTask) -> list[str]:
-    """Return what is imported before the first item; less is known of plug-ins.
+    """Return the modules to import before the first item.
 
     >>> from pathlib import Path
     >>> needed_modules(ItemTask(kinds=(Path("walk.bvh"),)))[-2:]
@@ -248,13 +248,13 @@ READY = "ready"
 
 @dataclass(frozen=True, slots=True)
 class FileBeingRead:
-    """Names the file that USD reads in a worker; empty when it was read."""
+    """Message: the file that USD reads in a worker; empty after reading."""
 
     path: str
 
 
 def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> None:
-    """Make the items that come in, and send what became of each, until none comes.
+    """Build the items that arrive, and send their outcomes, until none arrives.
 
     ``memory`` [bytes].
     """
@@ -279,7 +279,7 @@ def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> N
 
 
 def _limit_memory(memory: int) -> None:
-    """Let allocations fail that lead beyond a limit, where systems can do that.
+    """Make allocations beyond a limit fail, where systems support that.
 
     What is mapped already counts twice in part: the limit errs on the large side, and
     the run watches what is really used.
@@ -299,7 +299,7 @@ def _limit_memory(memory: int) -> None:
 
 
 def mapped_bytes() -> int | None:
-    """Return how much this process has mapped [bytes]; None where nothing says it."""
+    """Return the mapped memory of this process [bytes]; None where unknown."""
     try:
         with open("/proc/self/statm", "rb") as file:  # noqa: PTH123
             return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")

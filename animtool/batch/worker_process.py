@@ -1,4 +1,4 @@
-"""A program that makes items one after another in a process that it may lose.
+"""A program that builds items one after another in a process it may lose.
 
 ``python -m animtool.batch.worker_process`` reads a `WorkerTask`, then items, pickled,
 from stdin, and writes the outcome of each to stdout. It is for workers of others, such
@@ -25,7 +25,7 @@ from animtool.core.record import dataclass
 
 @dataclass(frozen=True, slots=True)
 class WorkerTask:
-    """How a lane makes items."""
+    """How a worker process builds items."""
 
     builder: ItemBuilder  # makes them
     limits: Limits  # what each may take
@@ -34,13 +34,13 @@ class WorkerTask:
 
 @dataclass(slots=True)
 class WorkerProcess:
-    """Such a program, and the way to it."""
+    """A worker program and its pipes."""
 
     task: WorkerTask  # how it makes items
     _process: Popen[bytes] | None = field(default=None, repr=False)
 
     def make(self, item: Item) -> ItemOutcome:
-        """Return what became of an item."""
+        """Return the outcome of an item."""
         try:
             if self._process is None:
                 self._process = self._started()
@@ -53,7 +53,7 @@ class WorkerProcess:
             raise ConnectionError("the worker process ended") from error
 
     def end(self) -> None:
-        """End the program, and what it is at."""
+        """Stop the program and its work."""
         if self._process is not None:
             self._process.kill()
             self._process.communicate()
@@ -78,7 +78,7 @@ class WorkerProcess:
 
 
 def main() -> None:
-    """Make the items on stdin until it ends."""
+    """Build the items on stdin until it ends."""
     # What anything prints must not come between outcomes.
     with os.fdopen(os.dup(1), "wb") as results:
         os.dup2(2, 1)

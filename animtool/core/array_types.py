@@ -1,4 +1,4 @@
-"""Array types and the check of arrays at a public boundary."""
+"""Array types, and the check of arrays at public functions."""
 
 from __future__ import annotations
 

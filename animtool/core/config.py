@@ -25,7 +25,7 @@ _LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return the tables of a TOML text.
+    """Return the tables of TOML text.
 
     Raises:
         ValueError: It is malformed, or nested deeper than 50.
@@ -52,7 +52,7 @@ def _too_deep(position: str = "") -> ValueError:
 
 
 def _inside(value: Any) -> Iterable[Any]:
-    """Return the values in a table or a list."""
+    """Return the values of a table or a list."""
     if isinstance(value, dict):
         return value.values()
     return value if isinstance(value, list) else ()
@@ -68,7 +68,7 @@ MAX_ARRAY_MB = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class TimelineConfig:
-    """What a project sets for timelines that do not state it."""
+    """Project settings for timelines that do not state them."""
 
     fps: Fraction | None = None  # rate of the shots, and of an EDL's time codes
     cut_start: int | None = None  # first frame of each cut; None begins shots at start
@@ -77,7 +77,7 @@ class TimelineConfig:
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """What a project sets for every command."""
+    """Project settings for every command."""
 
     # Time code of the first frame, often 1001; None leaves it at 1.
     start: Fraction | None = None
@@ -93,7 +93,7 @@ class Config:
 
 
 def find_config(path: Path) -> Config:
-    """Return the settings of the nearest folder above a file that has some.
+    """Return the settings of the nearest enclosing folder that has some.
 
     ``animtool.toml`` is read whole, ``pyproject.toml`` at ``[tool.animtool]``.
     """
@@ -125,7 +125,7 @@ def _table(path: Path) -> dict[str, Any]:
 
 @lru_cache(maxsize=8)
 def _parsed(text: str) -> dict[str, Any]:
-    """Return what a text of TOML says; files of a project share their settings."""
+    """Return parsed TOML, cached for files of one project."""
     return parse_toml(text)
 
 
@@ -195,7 +195,7 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
 
 
 def project_roots(path: Path) -> tuple[Path, ...]:
-    """Return the folders that a file may refer into.
+    """Return the folders that a file may refer to.
 
     They are those of its project's settings; without settings, the nearest folder above
     it that is under version control; else its own folder.
@@ -205,7 +205,7 @@ def project_roots(path: Path) -> tuple[Path, ...]:
 
 
 def _checkout(folder: Path) -> Path | None:
-    """Return the nearest folder under version control; None where there is none.
+    """Return the nearest folder under version control; None without one.
 
     A home or the top of a disk under version control is no project: files below it
     come from anywhere.
@@ -219,7 +219,7 @@ def _checkout(folder: Path) -> Path | None:
 
 
 def project_around(folder: Path, target: Path) -> Path | None:
-    """Return the innermost folder with two paths in it; None where it is no project."""
+    """Return the innermost project with both paths in it; None without one."""
     above = (up for up in (folder, *folder.parents) if target.is_relative_to(up))
     project = next(above, None)
     return project if project is not None and _may_be_project(project) else None

@@ -1,4 +1,4 @@
-"""Reports as JUnit XML, as Jenkins's ``junit-10.xsd`` has it, which others read."""
+"""Reports as JUnit XML by Jenkins's ``junit-10.xsd``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class JunitCase:
-    """One test case: a file."""
+    """A test case: a file."""
 
     name: str  # the file
     # What became of it.
@@ -28,7 +28,7 @@ class JunitCase:
 
 
 def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
-    """Return one suite of cases; the classname of each is the folder of its file."""
+    """Return a suite of cases; the classname of each is the file's folder."""
     from xml.etree import ElementTree  # other reports go without it
 
     suite = ElementTree.Element("testsuite", name=name)

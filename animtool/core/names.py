@@ -1,4 +1,4 @@
-"""Names, numbers and texts that people write and read."""
+"""Names, numbers and texts in files."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ KINDS = (
 
 
 def kind_suffixes(kind: str) -> tuple[str, ...]:
-    """Return what the name of a file of a kind ends in, in lower case."""
+    """Return the file suffixes of a kind, in lower case."""
     return tuple(f".{kind}.{text}" for text in ("yaml", "yml", "json"))
 
 
 def is_named(path: Path, kind: str) -> bool:
-    """Return whether a path has the name of a rig, scene, batch or targets file.
+    """Return whether a path has the suffix of a rig, scene, batch or targets file.
 
     >>> is_named(Path("Hero.rig.yaml"), "rig"), is_named(Path("walk.bvh"), "scene")
     (True, False)
@@ -51,7 +51,7 @@ def is_named(path: Path, kind: str) -> bool:
 
 
 def is_variable_name(text: str) -> bool:
-    """Return whether a variable may have a name.
+    """Return whether a name is valid for a variable.
 
     >>> is_variable_name("shot_2"), is_variable_name("2nd shot")
     (True, False)
@@ -60,7 +60,7 @@ def is_variable_name(text: str) -> bool:
 
 
 def check_known(name: str, names: Iterable[str], what: str, code: str) -> None:
-    """Raise where a name is none of some, with the nearest one.
+    """Raise for an unknown name, with the nearest known one.
 
     >>> check_known("rk5", ["rk4", "heun"], "integrator", "SIM001")
     Traceback (most recent call last):
@@ -74,7 +74,7 @@ mean 'rk4'?
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Return a hint that names the nearest valid name, or all, the nearest first.
+    """Return a hint at the nearest valid name, or at all of them.
 
     >>> nearest("ebow", ["elbow", "hand"])
     "did you mean 'elbow'?"
@@ -95,7 +95,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
 
 
 def check_unused(stated: Iterable[str], used: Iterable[str]) -> None:
-    """Refuse variables that are given and that nothing uses.
+    """Refuse variables that nothing uses.
 
     Raises:
         OptionError: With a fault for each (SCN031).
@@ -119,7 +119,7 @@ _UNREADABLE = re.compile(f"(?![\n\t])[{CONTROL}]")
 
 
 def number(value: float) -> str:
-    """Return the shortest decimal that reads back as a float; zero has no sign.
+    """Return the shortest decimal of a float; zero has no sign.
 
     >>> number(0.1), number(2.0), number(1e-20), number(-0.0)
     ('0.1', '2', '1e-20', '0')
@@ -129,7 +129,7 @@ def number(value: float) -> str:
 
 
 def scaled(value: float, unit: float) -> str:
-    """Return the shortest decimal that, times a unit, is a float again.
+    """Return the shortest decimal that, times a unit, gives a float.
 
     Where none is, as a product skips some floats, the nearest is taken.
 
@@ -152,7 +152,7 @@ def scaled(value: float, unit: float) -> str:
 
 
 def text(value: str) -> str:
-    """Return text as YAML reads it back as text.
+    """Return text quoted for YAML.
 
     Raises:
         FormatError: It holds a control character, with which no file is read (DOC023).
@@ -178,7 +178,7 @@ def text(value: str) -> str:
 
 
 def unreadable(value: str) -> str:
-    r"""Return the first control character that no text of a file may hold; else none.
+    r"""Return the first control character that files must not contain, if any.
 
     >>> unreadable("a\x1bb"), unreadable("a\n")
     ('\x1b', '')

@@ -1,4 +1,4 @@
-"""Old names of modules, which plug-ins and scripts may still import."""
+"""Old module names, which plug-ins and scripts may still import."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ OLD_NAMES = {
 
 
 def new_name(name: str) -> str | None:
-    """Return what a module of an old name, or below one, is called; None of others."""
+    """Return the new name of an old module or of one below it; None of others."""
     above, _, rest = name.rpartition(".")
     if name in OLD_NAMES or not above:
         return OLD_NAMES.get(name)
@@ -43,13 +43,13 @@ def new_name(name: str) -> str | None:
 
 
 class _OldNames:
-    """Finds a module that was moved by its old name.
+    """Finds moved modules by their old names.
 
     It has what `importlib.abc` asks of a finder and a loader, which loads 40 modules.
     """
 
     def create_module(self, _: ModuleSpec) -> None:
-        """Leave it to Python to make a module."""
+        """Leave the creation of modules to Python."""
 
     def find_spec(
         self, name: str, _path: Sequence[str] | None, _: ModuleType | None = None
@@ -63,7 +63,7 @@ class _OldNames:
         return ModuleSpec(name, cast(Any, self))
 
     def exec_module(self, module: ModuleType) -> None:
-        """Put the module of the new name in the place of one of the old name."""
+        """Replace the module of the old name by that of the new one."""
         new = new_name(module.__name__)
         assert new is not None
         text = f"{module.__name__} is now called {new}"

@@ -40,7 +40,7 @@ OptionKind: TypeAlias = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """How a kind of file documents an option that it has a key for."""
+    """How a kind of file documents the key of an option."""
 
     description: str
     example: Any
@@ -50,7 +50,7 @@ class Key:
 
 
 def key(text: str, example: Any, default: Any = MISSING, **said: Any) -> Any:
-    """Return the field of a key, of a record that the model of a file is made of.
+    """Return the dataclass field of a key.
 
     Args:
         text: What it is.
@@ -62,7 +62,7 @@ def key(text: str, example: Any, default: Any = MISSING, **said: Any) -> Any:
 
 
 class _DocOfKeys:
-    """A docstring with the keyed fields, put together when it is asked for."""
+    """A docstring with the keyed fields, built on access."""
 
     def __init__(self, docstring: str) -> None:
         self.docstring = docstring
@@ -101,14 +101,14 @@ Described = TypeVar("Described")
 
 
 def inherits_docs(record: type[Described]) -> type[Described]:
-    """Return a dataclass whose docstring tells of what has a `Key`, or is inherited."""
+    """Return a dataclass whose docstring lists its keys and inherited fields."""
     record.__doc__ = cast(str, _DocOfKeys(record.__doc__ or ""))
     return record
 
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """What an option is, and where it applies."""
+    """Declaration of an option and where it applies."""
 
     kind: OptionKind
     flag: str = ""  # word of the command line, where it is not the name of the field
@@ -132,7 +132,7 @@ class Option:
 
     @property
     def about(self) -> str:
-        """What documents it in Python: as files do, else as the command line.
+        """Its documentation in Python: that of files, else the help.
 
         Nothing, where its words on the command line are no values in Python.
         """
@@ -155,7 +155,7 @@ def option(
     both: Key | None = None,
     **said: Any,
 ) -> Any:
-    """Return the field of an option.
+    """Return the dataclass field of an option.
 
     Args:
         default: As `dataclasses.field` takes it, or ``MISSING``.
@@ -173,7 +173,7 @@ def option(
 
 
 def options_of(record: Any) -> dict[str, Option]:
-    """Return the options of a record or its class by name, in its order."""
+    """Return the options of a record or its class by name, in order."""
     return {
         entry.name: entry.metadata["option"]
         for entry in fields(record)
@@ -185,7 +185,7 @@ FileKind: TypeAlias = Literal["scene", "batch"]
 
 
 def keys_of(record: Any, file_kind: FileKind | None = None) -> Mapping[str, Key]:
-    """Return the keys that a kind of file has for a record, by name of the field.
+    """Return the keys of a record in a kind of file, by field.
 
     Without a kind those of `key` and of annotations, which any file may have.
     """
@@ -213,7 +213,7 @@ _WRITTEN: dict[OptionKind, type] = {"length": str, "angle": float}
 def with_text_values(
     record: type[Any], *first: str
 ) -> Callable[[type[Record]], type[Record]]:
-    """Give a frozen dataclass the options of a record, as files write them.
+    """Give a frozen dataclass the options of a record with text values.
 
     first: Names of options that come before the others.
     """
@@ -243,7 +243,7 @@ def with_text_values(
 
 
 def chosen_options(record: Any) -> dict[str, Option]:
-    """Return the options that are not the defaults; of an answer, one that is no."""
+    """Return the options that differ from their defaults."""
     defaults = {entry.name: entry.default for entry in fields(record)}
     return {
         name: inherits_docs
@@ -254,12 +254,12 @@ def chosen_options(record: Any) -> dict[str, Option]:
 
 
 def called(name: str, inherits_docs: Option) -> str:
-    """Return what stands in a text for an option that is given."""
+    """Return the marker of an option in a text."""
     return argument(name, {"switch": True, "answer": False}.get(inherits_docs.kind))
 
 
 def refused_options(record: Any, use: str) -> dict[str, Option]:
-    """Return the options that are not for a use, of those that are given.
+    """Return the chosen options that a use refuses, by their markers.
 
     By what stands for each in a text.
     """
@@ -270,7 +270,7 @@ def refused_options(record: Any, use: str) -> dict[str, Option]:
 
 
 def clashes(record: Any) -> list[str]:
-    """Return how options that are given exclude each other, or want another one."""
+    """Return messages of chosen options that exclude or lack one another."""
     options, chosen = options_of(record), chosen_options(record)
     names = {name: called(name, option) for name, option in options.items()}
     messages = []
@@ -295,7 +295,7 @@ OF_ARGUMENT = "{name} must be {bound}, not {value:g}"
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """What a number, or each of a vector, may be. None is in range; NaN never is."""
+    """Allowed values of a number or a vector's components; NaN is never allowed."""
 
     bound: str  # in words, as in "must be above 0"
     code: str
@@ -330,14 +330,14 @@ def above(least: float, code: str, *, finite: bool = False) -> Range:
 
 
 def or_more(least: float, code: str, *, finite: bool = False) -> Range:
-    """Return a range from a number on, as in "0 or more"."""
+    """Return a range with a lower bound, worded "0 or more"."""
     return Range(
         _bound(f"{least:g} or more", finite=finite), code, least, finite=finite
     )
 
 
 def at_least(least: float, code: str, *, finite: bool = False) -> Range:
-    """Return a range from a number on, as in "at least 1e-06"."""
+    """Return a range with a lower bound, worded "at least 1e-06"."""
     bound = _bound(f"at least {least:g}", finite=finite)
     return Range(bound, code, least, finite=finite)
 
@@ -361,7 +361,7 @@ def _bound(text: str, *, finite: bool) -> str:
 
 @cache
 def ranges_of(record: type[Any]) -> Mapping[str, Range]:
-    """Return the ranges that a record declares, by the name of the field.
+    """Return the declared ranges of a record, by field.
 
     >>> from animtool.systems.springs import SpringOptions
     >>> ranges_of(SpringOptions)["longest"].bound
@@ -381,7 +381,7 @@ def ranges_of(record: type[Any]) -> Mapping[str, Range]:
 
 
 def range_faults(record: Any, message: str = OF_ARGUMENT) -> list[Fault]:
-    """Return a fault of each number of a record that is out of its range.
+    """Return a fault for each number of a record out of its range.
 
     >>> from animtool.systems.springs import SpringOptions
     >>> [str(fault) for fault in range_faults(SpringOptions(step=0.0, longest=1.0))]
@@ -400,16 +400,16 @@ must be above 1, not 1']
 
 
 class Checked:
-    """A record of an entry that says what of it makes no sense."""
+    """A record of an entry that reports its invalid values."""
 
     __slots__ = ()
     code: ClassVar[str]
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return what of it makes no sense: an option, and why."""
+        """Return the invalid options, each with the reason."""
         faults = range_faults(self, OF_ENTRY)
         return [(str(fault.where), fault.message) for fault in faults]
 
     def faults(self, where: str) -> list[Fault]:
-        """Return what of it makes no sense, as faults of one code."""
+        """Return the invalid options as faults of one code."""
         return [Fault(self.code, why, where=where) for _, why in self.problems()]

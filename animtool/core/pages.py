@@ -1,4 +1,4 @@
-"""The pages of the documentation: Markdown that is part of animtool."""
+"""The documentation pages, shipped as Markdown."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MAX_MENTIONED = 5
 
 @dataclass(frozen=True, slots=True)
 class PageEntry:
-    """A page of the documentation.
+    """A documentation page.
 
     Attributes:
         name: Its path below ``docs``, without suffix, such as ``howto/ci``.
@@ -42,14 +42,14 @@ class PageEntry:
 
     @property
     def kind(self) -> str:
-        """What it is: one of the values of `KINDS`."""
+        """Its kind: one of the values of `KINDS`."""
         folder = self.name.partition("/")[0] if "/" in self.name else ""
         return KINDS.get(folder, KINDS[""])
 
 
 @cache
 def all_pages() -> tuple[PageEntry, ...]:
-    """Return every page but those of codes, by kind and name."""
+    """Return every page except rule pages, by kind and name."""
     docs = cast(Path, _DOCS)
     order = list(KINDS.values())
     entries = [
@@ -66,7 +66,7 @@ def page_markdown(page: PageEntry) -> str:
 
 
 def find_page(topic: str) -> PageEntry:
-    """Return the page of a topic: its name, the last part of it, or a word of that.
+    """Return the page of a topic: its name, the last part or a word of it.
 
     Args:
         topic: Such as ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
@@ -94,7 +94,7 @@ def find_page(topic: str) -> PageEntry:
 
 
 def _hint(topic: str) -> str:
-    """Return which page was meant, by its name or by what its headings mention."""
+    """Return the nearest page, by its name or its headings."""
     stems = [page.name.split("/")[-1] for page in all_pages()]
     hint = nearest(topic, stems)
     if not hint.startswith("allowed"):
@@ -113,7 +113,7 @@ def _hint(topic: str) -> str:
 
 
 def _mentions(page: PageEntry, word: str) -> int:
-    """Return how often a page has a word."""
+    """Return the number of times a page contains a word."""
     if not word:
         return 0
     return len(re.findall(rf"\b{re.escape(word)}\b", page_markdown(page).lower()))

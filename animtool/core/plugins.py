@@ -1,4 +1,4 @@
-"""Public names, and objects by name: imported when they are first used."""
+"""Lazy imports of public names and of objects by name; entry points."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ Kind = TypeVar("Kind")
 
 
 def load_object(path: str) -> object:
-    """Return the object that ``module:object`` names, its module imported now.
+    """Return the object named ``module:object``, importing its module.
 
     >>> load_object("fractions:Fraction")
     <class 'fractions.Fraction'>
@@ -71,7 +71,7 @@ def plugin_points(group: str) -> dict[str, EntryPoint]:
 
 
 def may_have(group: str) -> bool:
-    """Return whether a package has entry points of a group, by their lists.
+    """Return whether a package has entry points of a group, without loading it.
 
     Where packages may be anywhere else than in folders, they may.
     """
@@ -93,7 +93,7 @@ def may_have(group: str) -> bool:
 
 
 def load_plugin(point: EntryPoint, kind: type[Kind]) -> Kind:
-    """Return what an entry point names, of a kind; else IO003."""
+    """Return the object of an entry point, of a type (else IO003)."""
     try:
         loaded: object = point.load()
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Frame rates as exact fractions, read from what files and people write."""
+"""Frame rates as exact fractions, parsed from files and options."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FractionLike: TypeAlias = int | float | str | Fraction
 
 
 class OptionalFraction:
-    """Type of a record's field that takes a number or text and holds a fraction.
+    """Field type: accepts a number or text and stores a fraction.
 
     Type checkers alone know it as a descriptor; `__post_init__` of the record makes
     the fraction.
@@ -50,13 +50,13 @@ NO_FRACTION: Any = None  # the default of such a field
 
 
 class RateError(ValueError):
-    """What should be a frame rate is none."""
+    """A value is not a frame rate."""
 
     code = "SCN022"
 
 
 class RateKind(StrEnum):
-    """How a rate was found."""
+    """How a rate was determined."""
 
     REPRINTED = "reprinted"
     NEAREST = "nearest"
@@ -75,7 +75,7 @@ class RateChoice:
 
 
 def rate_from_frame_time(text: str) -> RateChoice:
-    """Return the rate that a printed frame time [s] stands for.
+    """Return the rate of a printed frame time [s].
 
     An integer whose reciprocal, rounded to the digits printed, is the printed
     value (of several, the exact one, else a usual one, else the nearest); else the
@@ -136,7 +136,7 @@ def _integers_that_print(printed: Fraction, digits: int) -> list[int]:
 
 
 def rate_from_float(fps: float) -> Fraction:
-    """Return the rate that a float in file metadata stands for.
+    """Return the exact rate of a float in file metadata.
 
     An integer or N·1000/1001 where the float is one of them to 5e-6, or the
     decimal that is usually written for one; else the float's exact value rounded to
@@ -177,7 +177,7 @@ _BROADCAST = {
 
 
 def exact_number(text: FractionLike) -> Fraction:
-    """Return the number that a person wrote: ``24``, ``23.976``, ``24000/1001``.
+    """Return an exact number from ``24``, ``23.976`` or ``24000/1001``.
 
     Raises:
         ValueError: It is none, or has more digits than a number that anybody writes.
@@ -194,7 +194,7 @@ def exact_number(text: FractionLike) -> Fraction:
 
 
 def parse_rate(text: FractionLike) -> Fraction:
-    """Return the rate that a person wrote: ``24``, ``23.976`` or ``24000/1001``.
+    """Return a rate from ``24``, ``23.976`` or ``24000/1001``.
 
     A fraction is taken as it is.
 
@@ -222,7 +222,7 @@ def parse_rate(text: FractionLike) -> Fraction:
 
 
 def _digits(number: object) -> str:
-    """Return a number as text that `Fraction` reads; of anything else what it is."""
+    """Return a number as text for `Fraction`; anything else unchanged."""
     if isinstance(number, float):
         return f"{number:.12g}"
     is_rate = isinstance(number, Rational) and not isinstance(number, bool)
@@ -230,7 +230,7 @@ def _digits(number: object) -> str:
 
 
 def rate_option(fps: FractionLike) -> Fraction:
-    """Return the rate of the option ``fps``, see `parse_rate` (none: SCN022).
+    """Return the rate of the option ``fps``, see `parse_rate` (else SCN022).
 
     >>> rate_option("29.97")
     Fraction(30000, 1001)
@@ -242,7 +242,7 @@ def rate_option(fps: FractionLike) -> Fraction:
 
 
 def rate_label(fps: Fraction) -> str:
-    """Return a rate as people read it.
+    """Return a rate as text.
 
     >>> rate_label(Fraction(24000, 1001)), rate_label(Fraction(30))
     ('24000/1001 (23.976) fps', '30 fps')

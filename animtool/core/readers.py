@@ -1,4 +1,4 @@
-"""What opens a file, by its suffix: as a rig, and as a source of motion.
+"""The table of readers by suffix: of rigs and of motion.
 
 The table holds the readers; what they open a file with is imported when used.
 """
@@ -22,7 +22,7 @@ PLUGIN_GROUP = "animtool.readers"
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """One entry of the table of readers.
+    """An entry of the table of readers.
 
     Attributes:
         about: What such files are, one line.
@@ -55,25 +55,25 @@ class Reader:
     still: bool = False
 
     def rig_opener(self, path: Path) -> Callable[[Path], Any]:
-        """Return what opens a file as a rig; see `source_opener`."""
+        """Return the function that opens a rig; see `source_opener`."""
         return _opener(self.rig, "rig", path)
 
     def source_opener(self, path: Path) -> Callable[..., Any]:
-        """Return what opens a file as a source (none: IO002; broken: IO003)."""
+        """Return the function that opens a source (none: IO002; broken: IO003)."""
         return _opener(self.source, "motion", path)
 
     def prim_opener(self, path: Path) -> Callable[..., Any]:
-        """Return what opens an object of a file; see `source_opener`."""
+        """Return the function that opens an object; see `source_opener`."""
         return _opener(self.prim, "prim", path)
 
     def take_names(self, path: Path) -> list[str]:
-        """Return the names of the takes of a file, where it may hold several."""
+        """Return the names of a file's takes, where it may have several."""
         if not self.takes:
             return []
         return list(_opener(self.takes, "takes", path)(path))
 
     def markers_opener(self, path: Path) -> Callable[..., Any]:
-        """Return what opens a file as marker trajectories; see `source_opener`."""
+        """Return the function that opens markers; see `source_opener`."""
         return _opener(self.markers, "markers", path)
 
 
@@ -255,7 +255,7 @@ _TIMELINE_ROOTS = frozenset({"xmeml", "fcpxml"})
 
 
 def xml_root(path: Path) -> str:
-    """Return the root element of an XML file; empty where it has none, or is none."""
+    """Return the root element of an XML file; empty if it has none."""
     try:
         with open_input(path, None, recorded=False) as file:
             head = file.read(HEAD_BYTES)
@@ -266,7 +266,7 @@ def xml_root(path: Path) -> str:
 
 
 def is_timeline(path: Path) -> bool:
-    """Return whether a path is that of a timeline; one named .xml by its root element.
+    """Return whether a path is a timeline; ``.xml`` by its root element.
 
     >>> is_timeline(Path("edit.otio")), is_timeline(Path("walk.bvh"))
     (True, False)
@@ -278,7 +278,7 @@ def is_timeline(path: Path) -> bool:
 
 
 def reader_of(path: Path) -> Reader | None:
-    """Return the reader of a file by its suffix; None where none has it.
+    """Return the reader of a file by its suffix; None without one.
 
     A timeline named .xml has none.
 
@@ -302,12 +302,12 @@ def is_rig_only(path: Path) -> bool:
 
 
 def readable_suffixes() -> list[str]:
-    """Return the suffixes of files that are read, those of plug-ins last."""
+    """Return the readable suffixes, those of plug-ins last."""
     return [*READERS, *_TABLE.plugin_suffixes()]
 
 
 def find_reader(path: Path) -> Reader:
-    """Return the reader of a file by its suffix, those of plug-ins included.
+    """Return the reader of a file by its suffix, plug-ins included.
 
     Raises:
         FormatError: None has its suffix, and there is no such file (IO001).
@@ -337,7 +337,7 @@ def find_reader(path: Path) -> Reader:
 
 
 def export_fault(path: Path) -> Fault:
-    """Return the fault of a file that a tool can export as one that is read (IO002)."""
+    """Return the fault of a file to export to a readable format (IO002)."""
     about, hint = EXPORTS[path.suffix.lower()]
     message = f"{path.suffix} is not read: it is {about}"
     return Fault("IO002", message, str(path), (), hint)
@@ -356,7 +356,7 @@ def _opener(target: str, what: str, path: Path) -> Callable[..., Any]:
 
 
 def listed_readers() -> list[ListedFormat]:
-    """Return every reader, animtool's own first, those of plug-ins loaded.
+    """Return every reader, built-in ones first, plug-ins loaded.
 
     >>> listed_readers()[0].suffix
     '.bvh'

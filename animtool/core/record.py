@@ -1,4 +1,4 @@
-"""The decorator of records: `dataclasses.dataclass`, without code made at import.
+"""A record decorator like `dataclasses.dataclass`, without generated code.
 
 The one of the standard library writes the methods of each class as text and compiles
 it, about 0.4 ms a class; a command loads some hundred. These methods are closures over
@@ -23,7 +23,7 @@ else:
     def dataclass(
         cls=None, /, *, frozen=False, slots=False, eq=True, repr=True, kw_only=False
     ):
-        """Return a class as a record of its annotated fields, or what makes it one.
+        """Return a class as a record of its annotated fields, or the decorator.
 
         Args:
             cls: The class, where nothing else is said.
@@ -90,7 +90,7 @@ def _is_class_variable(type_: Any) -> bool:
 
 
 def _declared_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any:
-    """Return the field of an annotation; its default stays on the class, if it has."""
+    """Return the field of an annotation; a default stays on the class."""
     default = getattr(cls, name, MISSING)
     if isinstance(default, Field):
         entry: Any = default
@@ -113,7 +113,7 @@ def _declared_field(cls: type[Any], name: str, type_: Any, kw_only: bool) -> Any
 
 
 def _mark_of_fields() -> Any:
-    """Return what `dataclasses` marks a field with that is no class variable."""
+    """Return the marker of `dataclasses` for instance fields."""
     import dataclasses
 
     return vars(dataclasses)["_FIELD"]
@@ -156,7 +156,7 @@ def _initializer(
     frozen: bool,
     finished: bool,
 ) -> Callable[..., None]:
-    """Return the ``__init__`` of fields, those ``placed`` by position too."""
+    """Return the ``__init__`` of fields, ``placed`` ones by position too."""
     declared = list(declared)
     defaults = {e.name: e.default for e in declared if e.default is not MISSING}
     factories = [
@@ -197,12 +197,12 @@ def _initializer(
 
 
 def _taken(named: Mapping[str, Any], *others: Iterable[str]) -> bool:
-    """Return whether an argument is given twice, or is none."""
+    """Return whether an argument is repeated or unknown."""
     return any(name in named for names in others for name in names)
 
 
 def _refuse(record: Any, positional: tuple[Any, ...], named: Mapping[str, Any]) -> None:
-    """Raise what Python says of arguments that do not fit."""
+    """Raise Python's error of arguments that do not fit."""
     kind = type(record)
     try:
         _signature(kind).bind(*positional, **named)
@@ -233,14 +233,14 @@ def _signature(kind: type[Any]) -> inspect.Signature:
 
 
 class _FactoryDefault:
-    """A default that each instance has one of its own of."""
+    """Shown default of a field with a factory."""
 
     def __repr__(self) -> str:
         return "<factory>"
 
 
 class _Signature:
-    """The signature of a record, put together when it is asked for."""
+    """The signature of a record, built on access."""
 
     def __get__(self, instance: object, owner: type[Any]) -> inspect.Signature:
         if instance is not None:
@@ -249,7 +249,7 @@ class _Signature:
 
 
 def _getter(names: list[str]) -> Callable[[Any], Any]:
-    """Return what returns the values of fields, as one that can be compared."""
+    """Return a function that returns field values as a comparable value."""
     if names:
         return attrgetter(*names)
     return lambda _: ()
@@ -298,7 +298,7 @@ _SHOWN: set[int] = set()
 def _locks(
     names: frozenset[str],
 ) -> tuple[Callable[[Any, str, Any], None], Callable[[Any, str], None]]:
-    """Return what refuses to set and to delete fields; what a subclass adds is free."""
+    """Return methods that refuse to set and delete fields; subclasses may add some."""
 
     def __setattr__(self: Any, name: str, value: Any) -> None:  # noqa: N807
         if name in names or not hasattr(self, "__dict__"):
@@ -316,7 +316,7 @@ def _locks(
 def _pickled(
     names: tuple[str, ...],
 ) -> tuple[Callable[[Any], list[Any]], Callable[[Any, list[Any]], None]]:
-    """Return what gives and takes the state of a frozen record with slots."""
+    """Return the pickle methods of a frozen record with slots."""
 
     def __getstate__(self: Any) -> list[Any]:  # noqa: N807
         return [getattr(self, name) for name in names]
@@ -331,7 +331,7 @@ def _pickled(
 def _slotted(
     cls: type[Any], declared: Iterable[str], added: Mapping[str, Any]
 ) -> type[Any]:
-    """Return a class with slots for the fields that its bases have none for."""
+    """Return a class with slots for fields that its bases have no slots for."""
     inherited = {
         name for base in cls.__mro__[1:-1] for name in vars(base).get("__slots__", ())
     }

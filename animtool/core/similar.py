@@ -1,4 +1,4 @@
-"""Names that are nearly or wholly alike, told apart in a time that grows with them."""
+"""Similar and duplicate names, in linear time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LONGEST = 120
 
 
 def similar(name: str, names: Iterable[str], cutoff: float = CUTOFF) -> str | None:
-    """Return the name most like another, from a cutoff 0 to 1 on; None without one.
+    """Return the name most similar to another, above a cutoff 0 to 1, or None.
 
     Of many names the first 2000 are looked at, and of these the 40 that share most
     pairs of letters. One of more than 120 letters is like no other.
@@ -35,7 +35,7 @@ def similar(name: str, names: Iterable[str], cutoff: float = CUTOFF) -> str | No
 
 
 def by_likeness(name: str, names: Iterable[str]) -> list[str]:
-    """Return names, first those that share most pairs of letters with another.
+    """Return names, sorted by the letter pairs they share with another.
 
     >>> by_likeness("arms", ["hip", "arm", "forearm"])
     ['arm', 'forearm', 'hip']
@@ -50,7 +50,7 @@ def by_likeness(name: str, names: Iterable[str]) -> list[str]:
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Return names of which no two are the same: later ones get a number behind them.
+    """Return distinct names: later duplicates get a numeric suffix.
 
     >>> distinct(["a", "b", "a", "a_2", "a"])
     ['a', 'b', 'a_2', 'a_2_2', 'a_3']

@@ -1,4 +1,4 @@
-"""A scene: its sources, the passes over them, its output."""
+"""A scene: sources, passes over them, systems and outputs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What a scene file says."""
+    """A scene file."""
 
     path: Path
     # What is read, at least one; the first has the rig and the frames.
@@ -64,7 +64,7 @@ class Scene:
 
     @property
     def output(self) -> Path | None:
-        """The file of the first output; None where it names none."""
+        """File of the first output; None if it names none."""
         return self.outputs[0].path
 
     @property
@@ -74,7 +74,7 @@ class Scene:
 
     @property
     def inputs(self) -> list[Path]:
-        """Every file that it names to be read, itself among them."""
+        """Every input file that it names, the scene file included."""
         folder = self.path.resolve().parent
         named = [self.path, *(source.path for source in self.sources)]
         named += [self.rig] if self.rig is not None else []
@@ -90,14 +90,14 @@ class Scene:
 
     @property
     def kept(self) -> list[Path]:
-        """Every file that its passes and systems write beside its outputs."""
+        """Every file that its passes and systems write besides its outputs."""
         folder = self.path.resolve().parent
         named = [getattr(entry.options, "writes", ()) for entry in self.passes]
         named += [getattr(system.setup, "writes", ()) for system in self.systems]
         return [folder / name for names in named for name in names]
 
     def writing(self, output: SceneOutput) -> Scene:
-        """Return the scene of one output: the systems of it, and what these need."""
+        """Return the scene of one output with its systems and those they need."""
         if output.systems is None or not self.systems:
             return replace(self, outputs=(output,))
         from animtool.scene.systems.links import simulated_with
@@ -112,7 +112,7 @@ class Scene:
         return replace(self, outputs=(output,), systems=systems)
 
     def forced(self, *, force_fit: bool, placement: str | None = None) -> Scene:
-        """Return the scene with sources that need not fit its rig, where asked for.
+        """Return the scene with sources that need not fit its rig, if requested.
 
         placement: of the output, whether the sources are where their stages have them.
         """
@@ -132,7 +132,7 @@ class Scene:
         return replace(self, sources=sources)
 
     def of_shot(self, shot: Shot) -> Scene:
-        """Return the scene with its take where a timeline has it.
+        """Return the scene with its take at the times of a timeline's shot.
 
         Time codes of the take are then shot frames. The scene may write another cut,
         other handles or a range of the shot.
@@ -162,7 +162,7 @@ class Scene:
         return replace(self, outputs=tuple(outputs), preroll=early)
 
     def open(self, *, keeps: bool = True, progress: Progress = None) -> TakeStream:
-        """Return the source with every pass applied.
+        """Return the source with all passes applied.
 
         Args:
             keeps: Whether passes write files of their own, as in a bake.
@@ -193,7 +193,7 @@ class Scene:
         return stream
 
     def steps(self) -> Iterator[tuple[Take, TakeStream]]:
-        """Yield the source and what it is after each pass, as takes and as streams.
+        """Yield the source and the result of each pass, as takes and as streams.
 
         Things beside the character that no pass retimes are not among them. Passes
         write no file.
@@ -213,7 +213,7 @@ class Scene:
             yield take, stream
 
     def passed(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
-        """Return what a pass makes of a take, begun as early as its passes are.
+        """Return the result of a pass on a take, with its preroll.
 
         It writes no file.
 
@@ -255,7 +255,7 @@ class Scene:
         return array(self.systems, self.path, take, system, particle, progress, lead)
 
     def _source(self, progress: Progress = None) -> TakeStream:
-        """Return the source, counted by the meter."""
+        """Return the source, charged to the meter."""
         self.meter.stages.clear()
         if not self.sources:
             message = "is simulated, and has no source with joints"
@@ -270,7 +270,7 @@ class Scene:
         return stream
 
     def _open_props(self, stream: TakeStream) -> Sequence[OpenProp]:
-        """Return what is beside the character, open; all faults are said at once."""
+        """Open the props; report the faults of all at once."""
         if not self.props:
             return ()
         from animtool.scene.sources.props import open_props
@@ -286,7 +286,7 @@ class Scene:
         *,
         retimed: bool,
     ) -> TakeStream:
-        """Return a take with the things that passes retime, or with the others."""
+        """Return a take with the props that passes retime, or with the others."""
         chosen = [prop for prop in props if prop.entry.retimed is retimed]
         if not chosen:
             return stream
@@ -296,7 +296,7 @@ class Scene:
 
     @contextmanager
     def located_props(self) -> Iterator[None]:
-        """Give faults of where things are to be written the places of their entries."""
+        """Attach the locations of their entries to faults of props."""
         locations = {prop.path: prop.location for prop in self.props}
         try:
             yield
@@ -309,7 +309,7 @@ class Scene:
     def _passed(
         self, stream: TakeStream, entry: ScenePass, context: PassContext
     ) -> TakeStream:
-        """Return what a pass makes of a take, counted by the meter.
+        """Return the result of a pass on a take, charged to the meter.
 
         What it notices, at once or block by block, is said at its place.
         """
@@ -337,7 +337,7 @@ class Scene:
         return replace(stream, blocks=blocks)
 
     def until(self, stop: str) -> Scene:
-        """Return the scene without the passes behind one.
+        """Return the scene with the passes up to one.
 
         Args:
             stop: The last pass to run, by its name or its number, 1 being the first
@@ -363,7 +363,7 @@ class Scene:
     def _apply(
         self, entry: ScenePass, stream: TakeStream, context: PassContext
     ) -> TakeStream:
-        """Return a take with a pass applied, which begins early where it needs to."""
+        """Return a take with a pass applied, after the preroll it needs."""
         early = 0
         if entry.pass_.settles and self.preroll is not None:
             early = self.preroll.frames(stream)
@@ -375,7 +375,7 @@ class Scene:
         return without_first(done, early, stream.start)
 
     def _sources(self, progress: Progress) -> TakeStream:
-        """Return the sources as one."""
+        """Return the sources joined to one stream."""
         if len(self.sources) == 1:
             (source,) = self.sources
             stream = open_source(source.path, source.options, progress=progress)
@@ -427,6 +427,6 @@ def _read(
 
 
 def _gathered(stream: TakeStream) -> tuple[Take, TakeStream]:
-    """Return a take, and its stream in one block."""
+    """Return a take, and its stream as a single block."""
     take = stream.collect()
     return take, replace(stream, blocks=iter([take.motion]))

@@ -289,6 +289,6 @@ def test_a_run_that_stops_at_failures_sends_nothing_ahead(
             taken.append(item.number)
             yield item
 
-    careful = replace(given, items=counted(given.items), asked=2, ahead=False)
+    careful = replace(given, items=counted(given.items), asked=2, queue_next=False)
     for ended, _ in enumerate(dask(careful), 1):
         assert len(taken) <= ended + 1

@@ -52,11 +52,11 @@ def test_an_output_is_seen_with_the_content_that_was_written(tmp_path: Path) -> 
     built = ItemOutcome(1, ItemStatus.DONE, 0.0, outputs=(record(path),))
     path.unlink()
     delivery = Delivery(tmp_path)
-    assert delivery.seen(built) is None
+    assert delivery.delivered(built) is None
     path.write_text("half")
-    assert delivery.seen(built) is None
+    assert delivery.delivered(built) is None
     path.write_text("whole")
-    seen = delivery.seen(built)
+    seen = delivery.delivered(built)
     assert seen is not None
     state = FileState.of(path)
     assert state is not None

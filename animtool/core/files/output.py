@@ -1,4 +1,4 @@
-"""Output files: safe names, checked before the work, whole or absent after it."""
+"""Output files: safe names, checks before the work, atomic writes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _RECORDS_FOLDER = ".animtool"
 
 
 def name_problem(name: str) -> str | None:
-    r"""Return what is wrong with a name of a file or a folder; None where nothing is.
+    r"""Return the fault of a file or folder name; None without one.
 
     What is allowed is a name on every system, so that outputs can be moved.
 
@@ -74,7 +74,7 @@ def _problems(name: str) -> Iterator[tuple[bool, str]]:
 
 
 def is_text(name: str) -> bool:
-    r"""Return whether a name is text in UTF-8: names of files may be other bytes.
+    r"""Return whether a name is UTF-8 text; file names may be other bytes.
 
     >>> is_text("walk"), is_text("walk\udcff")
     (True, False)
@@ -83,7 +83,7 @@ def is_text(name: str) -> bool:
 
 
 def name_key(path: PurePath | str) -> str:
-    """Return what two paths share that may be one file on some disks.
+    """Return a key that is equal for paths that some disks treat as one file.
 
     Some disks take names for one that differ in capitals, or in how accents are
     encoded.
@@ -99,7 +99,7 @@ def name_key(path: PurePath | str) -> str:
 
 
 def inside(path: Path, folder: Path) -> bool:
-    """Return whether a path stays in a folder, links followed.
+    """Return whether a path is in a folder, links followed.
 
     Raises:
         OSError: A link cannot be followed.
@@ -180,7 +180,7 @@ def _check_folder(folder: Path, path: Path) -> None:
 
 @contextlib.contextmanager
 def protect_inputs(outputs: Sequence[Path]) -> Iterator[None]:
-    """Refuse outputs that the block read, whatever file named them (OUT003).
+    """Refuse outputs that the block has read as inputs (OUT003).
 
     A layer that a USD file brings in may be an output: a shot is read to bake one of
     its layers anew.
@@ -205,7 +205,7 @@ def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> N
 
 
 def _refuse_twice(targets: Iterable[OutputTarget | WrittenFile]) -> None:
-    """Refuse two outputs that are one file, on this disk or on others."""
+    """Refuse two outputs that are one file on this or another disk."""
     names: dict[str, Path] = {}
     for output in targets:
         first = names.setdefault(name_key(output.final), output.path)
@@ -216,7 +216,7 @@ def _refuse_twice(targets: Iterable[OutputTarget | WrittenFile]) -> None:
 
 
 def same_file(path: Path, other: Path) -> bool:
-    """Return whether two paths that may be one file are one."""
+    """Return whether two paths lead to one file."""
     try:
         return path == other.resolve() or path.samefile(other)
     except OSError:
@@ -225,7 +225,7 @@ def same_file(path: Path, other: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _OutputSet:
-    """Files that get their names together."""
+    """Files that are committed together."""
 
     # Those that are whole, and wait for their names.
     files: list[WrittenFile] = field(default_factory=list)
@@ -239,14 +239,14 @@ _waiting: ContextVar[_OutputSet | None] = ContextVar("_waiting", default=None)
 
 
 def write_parts(output: Path, parts: Iterable[bytes]) -> None:
-    """Write a file whole, from bytes that are made as they are taken (else OUT002)."""
+    """Write a file atomically from an iterable of bytes (else OUT002)."""
     with _replaced(output) as file:
         for part in parts:
             file.write(part)
 
 
 def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Write arrays by name to an npz file, whole or not at all (else OUT002)."""
+    """Write named arrays to an npz file atomically (else OUT002)."""
     import numpy as np
 
     with _replaced(output) as file:
@@ -255,7 +255,7 @@ def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
 
 @contextlib.contextmanager
 def _replaced(output: Path) -> Iterator[BinaryIO]:
-    """Give a file that becomes an output at the end."""
+    """Give an open file that becomes an output at the end."""
     with replacing(output) as temporary:
         try:
             with temporary.open("wb") as file:
@@ -266,7 +266,7 @@ def _replaced(output: Path) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path in the same folder that becomes ``path`` at the end.
+    """Give a temporary path in the same folder that is renamed to ``path``.
 
     The file is flushed to the disk and renamed when the block ends well, and removed
     when it does not, so that ``path`` is at all times absent, as it was, or whole.
@@ -306,7 +306,7 @@ def _commit(files: Sequence[WrittenFile]) -> None:
 
 
 def size_of(path: Path) -> int:
-    """Return the size of a file that was written, if renamed yet or not [byte]."""
+    """Return the size of a written file, committed or not [byte]."""
     waiting = _waiting.get()
     for written in [] if waiting is None else reversed(waiting.files):
         if written.path == path:
@@ -316,7 +316,7 @@ def size_of(path: Path) -> int:
 
 @contextlib.contextmanager
 def atomic_outputs() -> Iterator[None]:
-    """Let the files that `replacing` makes in a block get their names at its end.
+    """Commit the files that the block writes together at its end.
 
     They get them in the order made, or none does where the block does not end well. A
     block within another leaves them to that. What the block reads must not change in it
@@ -348,7 +348,7 @@ def atomic_outputs() -> Iterator[None]:
 
 @contextlib.contextmanager
 def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
-    """Let new files that a block makes get their names in it, ahead of others.
+    """Commit new files of the block before the others.
 
     That is for files that are read again before those that name them are written. They
     are removed where the block does not end well, or `together` around it.
@@ -373,7 +373,7 @@ def _remove(paths: Iterable[Path]) -> None:
 
 
 def after_commit(action: Callable[[], object]) -> None:
-    """Do something when the files that are made have their names.
+    """Call a function when the files of the block are committed.
 
     That is now, or inside of `together` at the end of that, if it ends well.
     """

@@ -1,4 +1,4 @@
-"""Written files get their names: a file at once, a set complete or not at all."""
+"""Commit of written files: a file atomically, a set completely or not at all."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
 
 @dataclass(frozen=True, slots=True)
 class OutputTarget:
-    """Where an output leads."""
+    """The resolved path of an output."""
 
     path: Path  # what the user calls it
     final: Path  # the file, links followed
 
 
 def target(path: Path) -> OutputTarget:
-    """Return where an output leads, links followed.
+    """Return the resolved path of an output, links followed.
 
     Raises:
         OutputError: To something else than a file (OUT005), or it cannot be looked at
@@ -78,7 +78,7 @@ _KINDS = {
 
 
 def _check_kind(path: Path, status: os.stat_result) -> None:
-    """Refuse to replace what is not a file."""
+    """Refuse to overwrite anything but a file."""
     if stat.S_ISDIR(status.st_mode):
         raise OutputError(
             Fault("OUT002", "is a folder", str(path), (), "write the name of a file")
@@ -93,7 +93,7 @@ def _check_kind(path: Path, status: os.stat_result) -> None:
 
 @dataclass(slots=True)
 class WrittenFile:
-    """A file that is written."""
+    """A written temporary file."""
 
     path: Path  # what the user calls it
     final: Path  # where it belongs
@@ -102,7 +102,7 @@ class WrittenFile:
     state: tuple[int, int, int] = (0, 0, 0)
 
     def seal(self) -> None:
-        """Flush it to the disk, with the mode and the owner of what it replaces."""
+        """Flush it to disk with the mode and owner of the replaced file."""
         status = None
         with contextlib.suppress(FileNotFoundError):
             status = self.final.lstat()
@@ -125,7 +125,7 @@ class WrittenFile:
         )
 
     def commit(self, *, new: bool) -> None:
-        """Give it its name.
+        """Rename it to its final name.
 
         Args:
             new: Nothing may have that name.
@@ -148,13 +148,13 @@ class WrittenFile:
             raise output_error(self.path, error) from error
 
     def remove(self) -> None:
-        """Remove it, if it has not got its name."""
+        """Remove it if it is not committed."""
         with contextlib.suppress(OSError):
             self.temporary.unlink(missing_ok=True)
 
 
 def _inherit(handle: int, status: os.stat_result) -> None:
-    """Give an open file the mode of another, and its owner as far as permitted."""
+    """Give an open file the mode of another, and its owner if permitted."""
     current = os.fstat(handle)
     if (current.st_uid, current.st_gid) != (status.st_uid, status.st_gid):
         with contextlib.suppress(OSError):
@@ -166,7 +166,7 @@ def _inherit(handle: int, status: os.stat_result) -> None:
 
 
 def _rename_new(temporary: Path, final: Path) -> None:
-    """Rename a file to a name that nothing has; of several processes one succeeds."""
+    """Rename a file to an unused name; of several processes one succeeds."""
     if os.name == "nt":
         temporary.rename(final)
         return
@@ -189,7 +189,7 @@ def _rename_new(temporary: Path, final: Path) -> None:
 
 
 def commit_files(files: Sequence[WrittenFile], new: frozenset[Path]) -> None:
-    """Give sealed files, in any folders, their names, in order: all of them or none.
+    """Commit sealed files in any folders, in order: all of them or none.
 
     Where one of ``new`` names has something (OUT001), or one cannot be renamed, what
     was there before is there again.
@@ -238,7 +238,7 @@ def _taken_back(part: PlacedFile) -> bool:
 
 
 def _keep(file: WrittenFile, part: PlacedFile) -> None:
-    """Keep what a file replaces under another name."""
+    """Keep a replaced file under another name."""
     try:
         os.link(part.final, part.old)
     except FileNotFoundError:
@@ -253,7 +253,7 @@ def _keep(file: WrittenFile, part: PlacedFile) -> None:
 
 
 def _flush(folder: Path) -> None:
-    """Bring the names in a folder to the disk, where that can be done."""
+    """Flush the names in a folder to disk where possible."""
     if os.name == "nt":
         return  # Windows has no handle on a folder to flush.
     with contextlib.suppress(OSError):

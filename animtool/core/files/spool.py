@@ -1,4 +1,4 @@
-"""Arrays that are kept until they are needed again: long takes are more than memory."""
+"""A queue of arrays that spills to disk, for takes larger than memory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KEPT = 1 << 28
 
 
 class Spool:
-    """Lists of arrays, in the order that they come in.
+    """A queue of lists of arrays.
 
     Args:
         kept: What is kept in memory [bytes].
@@ -30,7 +30,7 @@ class Spool:
         self._file: IO[bytes] | None = None
 
     def append(self, arrays: Sequence[FloatArray]) -> None:
-        """Keep a list of arrays.
+        """Append a list of arrays.
 
         Raises:
             OutputError: There is no room for the temporary file (OUT002).
@@ -54,7 +54,7 @@ class Spool:
         self._lengths.append(len(arrays))
 
     def drain(self) -> Iterator[list[FloatArray]]:
-        """Yield the lists, and let go of each; to be called once."""
+        """Yield the lists and release each; call it once."""
         while self._buffered:
             yield list(self._buffered.popleft())
         if self._file is None:

@@ -1,4 +1,4 @@
-"""One thread for linear algebra on small matrices, for which more only wait."""
+"""Single-threaded linear algebra for small matrices."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _Threads = tuple[Callable[[], int], Callable[[int], None]]
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Run linear algebra in one thread; where that cannot be had, as it is.
+    """Run linear algebra in one thread, where the library can be controlled.
 
     The threads of OpenBLAS busily wait for each other: for matrices of some hundred
     rows on a machine with other work that takes many times what one thread does, and
@@ -41,7 +41,7 @@ def one_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _libraries() -> tuple[_Threads, ...]:
-    """Return how to ask and set the threads of each OpenBLAS that came with a wheel."""
+    """Return the thread functions of each OpenBLAS in a wheel."""
     import numpy.linalg
     import scipy.linalg  # noqa: F401  (a library is only one that is loaded)
 

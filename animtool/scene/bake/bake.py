@@ -1,4 +1,4 @@
-"""The bake: sources to files, planned, and then run; all is written or none."""
+"""The bake: plan outputs from sources and write all of them, or none."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def bake_outputs(
     rig_file: Path | None = None,
     progress: Progress = None,
 ) -> list[OutputReport]:
-    """Bake to the files that are asked for; return what became of each.
+    """Bake to the requested files; return a report of each.
 
     All are checked before anything is read, and none gets its name before all are
     written.
@@ -99,7 +99,7 @@ def bake_outputs(
 
 
 def bake_outline(outline: Outline, *, progress: Progress = None) -> list[OutputReport]:
-    """Plan and run what is outlined; see `bake_outputs`."""
+    """Plan and run an outline; see `bake_outputs`."""
     # Passes may keep states as soon as a source is opened.
     with atomic_outputs():
         return run_outputs(plan_outputs(outline, progress=progress), progress)
@@ -108,7 +108,7 @@ def bake_outline(outline: Outline, *, progress: Progress = None) -> list[OutputR
 def bake_take(
     stream: TakeStream, outline: Outline, *, progress: Progress = None
 ) -> OutputReport:
-    """Write a take that was made to the one output of an outline.
+    """Write an open take to the single output of an outline.
 
     Args:
         stream: The take, read once; its blocks may be made while they are.
@@ -127,7 +127,7 @@ def bake_take(
 def run_outputs(
     plans: Sequence[OutputPlan], progress: Progress = None
 ) -> list[OutputReport]:
-    """Run what is planned: read, author, write."""
+    """Run bake plans: read the sources, author and write the files."""
     reports: list[OutputReport] = []
     with atomic_outputs():
         for i, plan in enumerate(plans):

@@ -1,4 +1,4 @@
-"""Takes written as files of other formats than USD, by the table of writers."""
+"""Takes written to formats other than USD, through the table of writers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ConvertReport:
-    """What a conversion did."""
+    """Report of a conversion."""
 
     output: Path  # the file written
     span: FrameSpan  # first frame, last frame and rate, as the file has them
@@ -60,34 +60,34 @@ class ConvertReport:
 
     @property
     def head(self) -> dict[str, str]:
-        """The name of the report, that of the command."""
+        """Name of the report: its command."""
         return {self.command: VERSION}
 
     @property
     def named(self) -> list[Path]:
-        """The file that reports of solves name."""
+        """File that reports of solves name."""
         return [self.output]
 
     @property
     def channels(self) -> Sequence[ChannelError] | None:
-        """The errors of channels, where a clip was written."""
+        """Errors of the channels of a written clip."""
         return None if self.keyed is None else self.keyed.errors
 
     @property
     def cost(self) -> OutputCost:
-        """What it took, as far as it is known."""
+        """Time and memory that it took, where measured."""
         error = None if self.reduction is None else self.reduction.error
         return OutputCost(str(self.output), None, error)
 
     @property
     def reduction(self) -> Reduction | None:
-        """The keys and their error, where a clip was written."""
+        """Keys of a written clip and their error."""
         return None if self.keyed is None else self.keyed.reduction
 
 
 @dataclass(frozen=True, slots=True)
 class FilePlan:
-    """A take that is ready to be written as files of another format than USD."""
+    """A take that is ready to be written to a format other than USD."""
 
     take: TakePlan
     path: Path
@@ -144,7 +144,7 @@ class FilePlan:
 
 
 def _with_meshes(take: Take, plan: TakePlan) -> Take:
-    """Return a take of a USD file with the meshes that its motion does not need."""
+    """Return a take of a USD file with the meshes that its motion leaves out."""
     if take.rig.meshes or not is_usd(plan.source):
         return take
     full_rig, _ = open_rig(plan.source, plan.options.source.prim_path)
@@ -166,7 +166,7 @@ def _with_meshes(take: Take, plan: TakePlan) -> Take:
 
 
 def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> TakeFiles:
-    """Return the files of a take in a format."""
+    """Return the contents of a take's files in a format."""
     if writer.take:
         write = cast(Callable[..., TakeFiles], load_object(writer.take))
         return write(take, path, options)
@@ -185,7 +185,7 @@ def _files(writer: Writer, take: Take, path: Path, options: WriteOptions) -> Tak
 
 
 def _below(take: Take, path: Path, options: SourceOptions | None) -> Take:
-    """Return what an additive take is put on, at its frames."""
+    """Return the base take of an additive take, at the frames of that take."""
     from animtool.edit.combine import check_same_rig, other_frames
 
     base = open_source(path, options).collect()

@@ -45,7 +45,7 @@ def frame_start(
 
 
 def integer_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | None:
-    """Return the whole frames of a take whose first sample becomes a time code.
+    """Return the integer frames of a take whose first sample is at a time code.
 
     They reach to its end, and a part of a frame beyond. None where that time code is
     whole already, or where the samples are one a frame.
@@ -68,7 +68,7 @@ def start_notice(
     fps: Fraction,
     first: Fraction,
 ) -> list[Fault]:
-    """Say so where a source starts between frames, and the output on one (TAKE008).
+    """Warn where a source starts between frames and the output on one (TAKE008).
 
     Args:
         source_start: Time code of the source's first frame.

@@ -1,4 +1,4 @@
-"""The frames of a bake: when a take is sampled, what it is then, which joints move."""
+"""The frames of a bake: sample times, sampled motion and moving joints."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ class TimedTake:
 
     @property
     def frames(self) -> tuple[Fraction, Fraction] | None:
-        """First and last frame, where known before the blocks are read."""
+        """First and last frame, where known before blocks are read."""
         return None if self.times is None else (self.times.first, self.times.last)
 
 
 def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
-    """Return a take at the times of the output.
+    """Return a take sampled at the times of the output.
 
     The blocks stream through where each sample of the source is a sample of the
     output; otherwise the take is gathered and sampled anew.
@@ -102,7 +102,7 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
 def _straight_notices(
     plan: TakePlan, between: Between, times: SampleTimes
 ) -> list[Fault]:
-    """Say by how much straight lines may be off, unless a pass of the take did."""
+    """Report the error bound of linear interpolation, unless a pass reported it."""
     said = {notice.code for notice in plan.stream.notices}
     sample_times = Places(times.frames, times.fractions)
     return [
@@ -113,7 +113,7 @@ def _straight_notices(
 
 
 def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
-    """Return when to sample a take, and notice where it lacks frames."""
+    """Return the sample times of a take, with notices of missing frames."""
     options = plan.options
     source_frames = None
     if options.fps is not None and not options.keep_samples:
@@ -145,7 +145,7 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
 
 
 def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
-    """Name the frames of a shot that a take lacks; their nearest pose is held.
+    """Name the frames of a shot that a take lacks; their nearest pose is repeated.
 
     The last frame of a take lasts until the next would begin.
     """
@@ -196,7 +196,7 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
 def _sampled(
     plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
 ) -> TimedTake:
-    """Evaluate a source that is a function of time at the output's own times."""
+    """Sample a source that is a function of time at the output's sample times."""
     first = Fraction(1) if stream.start is None else stream.start
     clock = Clock(stream.fps, first, stream.step, stream.count)
     times = _sample_times(plan, clock)
@@ -221,7 +221,7 @@ def _streamed(plan: TakePlan, stream: TakeStream) -> TimedBlocks:
 
 
 def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
-    """Say so where a range reaches beyond the take."""
+    """Warn where a range reaches beyond the take."""
     frame_range = plan.options.frame_range
     if frame_range is None or plan.options.keep_samples:
         return []
@@ -237,7 +237,7 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
 
 
 def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
-    """Name what lies between the last frame written and the end asked for."""
+    """Name the part of a range after the last frame that is written."""
     where, frame_range = str(plan.source), plan.options.frame_range
     notices = []
     if times.dropped:
@@ -284,7 +284,7 @@ def _with_rest(plan: TakePlan, between: Between, frame: int) -> Rig:
 
 
 def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
-    """Return which joints are not at the rig's rest in every frame ``(J,)``."""
+    """Return a mask of the joints that leave the rest pose ``(J,)``."""
     moving = np.zeros(len(rig.joints), bool)
     ones = np.ones((len(rig.joints), 3))
     if plan.mapping is not None:
@@ -311,7 +311,7 @@ def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
 
 
 class BakedTake:
-    """One take on its way from its source to the writer."""
+    """A take on its way from its source to the writer."""
 
     def __init__(self, plan: TakePlan, watch: CharacterWatch | None = None) -> None:
         self.plan = plan
@@ -321,7 +321,7 @@ class BakedTake:
         self._timed: TimedTake | None = None
 
     def open(self) -> TimedTake:
-        """Return the source's frames at the output's times, counted as they pass."""
+        """Return the take at the output's times, with its frames counted."""
         if self._timed is not None:
             return self._timed
         stream = self.plan.stream
@@ -338,7 +338,7 @@ class BakedTake:
 
     @property
     def rig(self) -> Rig:
-        """The rig at rest."""
+        """Rig in its rest pose."""
         return self.open().rig
 
     def _counted(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
@@ -357,7 +357,7 @@ class BakedTake:
 
 
 def in_frames(plan: TakePlan) -> TakeStream:
-    """Return a take at the rate, in the frames and at the time codes of an output.
+    """Return a take resampled to the rate, frames and time codes of an output.
 
     Of its options ``fps``, ``frame_range`` and ``shot`` count; the plan's notices are
     added to.

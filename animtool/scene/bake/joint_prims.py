@@ -1,4 +1,4 @@
-"""Takes as animations of a skeleton: what the writer is told, and what it reports."""
+"""Takes as SkelAnimation prims: jobs of the writer and reports of takes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 class JointPrims:
-    """SkelAnimations of takes, with their skeleton where no rig layer has it."""
+    """SkelAnimations of takes, with a Skeleton where no rig layer has one."""
 
     def author(self, draft: BakeState) -> None:
         """Author the layers of every take."""
@@ -74,19 +74,19 @@ class JointPrims:
 
 @dataclass(frozen=True, slots=True)
 class JointFiles:
-    """The layers of takes as joints."""
+    """Layers of takes that are written as joints."""
 
     job: UsdJob
     authored: Authored
     result: UsdResult
 
     def write(self, save: Save) -> None:
-        """Write the layers, that which refers to the others last."""
+        """Write the layers; the one that refers to the others last."""
         write_usd(self.job, self.authored, self.result, save)
 
 
 def _job(plan: BakePlan, rest: Rig) -> UsdJob:
-    """Return what the writer is to do with every take."""
+    """Return the writer's job for every take."""
     mapping = plan.takes[0].mapping
     rig = rest if mapping is None else mapping.rig
     names, joints = _usd_names(plan, rig)
@@ -110,7 +110,7 @@ def _job(plan: BakePlan, rest: Rig) -> UsdJob:
 
 
 def _usd_names(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str]]:
-    """Return USD names of the joints, and their paths."""
+    """Return the USD names and paths of the joints."""
     if plan.target is not None:
         return plan.target.names, plan.target.skeleton.tokens
     names = joint_names(rig.joints, plan.options.strip_namespace)
@@ -122,7 +122,7 @@ def _usd_names(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str]]:
 
 
 def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
-    """Yield every take, made ready when the writer comes to it."""
+    """Yield takes for the writer; each is prepared when it is asked for."""
     for take in takes:
         usd_take, blocks = take.prepare(job.rig)
         root_motion = take.plan.options.root_motion
@@ -142,7 +142,7 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
 
 
 class _JointTake:
-    """One take as joints: those that are written, and the samples that are needed."""
+    """A take as joints: the joints and the samples to write."""
 
     def __init__(self, run: BakedTake) -> None:
         self.plan, self._run = run.plan, run
@@ -150,7 +150,7 @@ class _JointTake:
         self._thinned: Thinned | None = None
 
     def prepare(self, rig: Rig) -> tuple[UsdTake, TimedBlocks]:
-        """Return what the writer is told of the take, and its frames.
+        """Return the writer's description of the take, and its frames.
 
         The rig is as it is written: of the rig layer, or of the first take.
         """
@@ -189,7 +189,7 @@ class _JointTake:
         return take, blocks
 
     def report(self, job: UsdJob, written: WrittenTake) -> TakeReport:
-        """Return the result of the take."""
+        """Return the report of the take."""
         thinned = self._thinned
         joint = job.names.names[written.rounding.joint] if job.names.names else ""
         report = take_report(self._run, written, joint)
@@ -206,7 +206,7 @@ def _thinned(
     rig: Rig,
     step: Fraction,
 ) -> tuple[TimedBlocks, Thinned, tuple[Fraction, Fraction]]:
-    """Return the samples that are needed, what that does, first and last frame."""
+    """Return the samples to keep, their errors, and the first and last frame."""
     from animtool.edit.thin import thin_samples
 
     buffered = list(blocks)
@@ -226,14 +226,14 @@ def _thinned(
 
 
 def _shape_names(plan: TakePlan) -> tuple[str, ...]:
-    """Return the take's shapes as the output has them."""
+    """Return the names of the take's shapes in the output."""
     if plan.mapping is not None:
         return plan.mapping.shapes
     return tuple(shape.name for shape in plan.stream.rig.shapes)
 
 
 def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
-    """Return the curves of controls over the output's time codes."""
+    """Return the curves of controls in time codes of the output."""
     stream = plan.stream
     if not stream.control_curves:
         message = "there is no control whose curve could be kept"

@@ -1,4 +1,4 @@
-"""The takes of a clip library: their names, and whether one skeleton fits them all."""
+"""The takes of a clip library: names, and a check that one skeleton fits all."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ REST_RADIANS = 1e-5
 def take_names(
     sources: Sequence[Path], notices: list[Fault], stated_names: Sequence[str] = ()
 ) -> list[str]:
-    """Return legal and distinct names of takes, after their files or by their own.
+    """Return legal and distinct take names, from stated names or file names.
 
     Two that would be the same are added to the notices.
     """
@@ -49,7 +49,7 @@ def take_names(
 def rate_notice(
     names: Sequence[str], streams: Sequence[TakeStream], fps: Fraction
 ) -> list[Fault]:
-    """Say so where the takes have different rates."""
+    """Warn where takes have different rates."""
     rates = [stream.fps / stream.step for stream in streams]
     if len(set(rates)) < 2:
         return []
@@ -90,7 +90,7 @@ def in_joint_order(
 
 
 def _named(rig: Rig, options: BakeOptions) -> dict[str, str]:
-    """Return the parent of every joint, in order, all named as USD will have them.
+    """Return the parent of every joint by USD name, in order.
 
     So a BVH and what USD holds of it have the same joints. A root has none.
     """
@@ -102,7 +102,7 @@ def _named(rig: Rig, options: BakeOptions) -> dict[str, str]:
 
 
 def _difference(first: dict[str, str], other: dict[str, str], source: str) -> str:
-    """Return the first difference of the joints in words; empty for none."""
+    """Return the first difference between joints as text; empty for none."""
     for name, parent in first.items():
         if name not in other:
             return f"there is no joint {name!r}, which {source} has"
@@ -118,7 +118,7 @@ def _difference(first: dict[str, str], other: dict[str, str], source: str) -> st
 def _ordered(
     stream: TakeStream, names: list[str], order: list[str], first: Rig
 ) -> TakeStream:
-    """Return a take with its joints in another order, that of a first rig."""
+    """Return a take with its joints reordered as those of a first rig."""
     if names == order:
         return stream
     from animtool.usd.rigs.target import JointMap
@@ -144,7 +144,7 @@ def _ordered(
 
 
 def _rest_notice(first: Rig, other: Rig, path: str, source: str) -> list[Fault]:
-    """Say so where a take has another rest pose than the one that is written."""
+    """Warn where a take's rest pose differs from the one that is written."""
     distances = np.linalg.norm(
         first.rest_translations - other.rest_translations, axis=1
     )

@@ -1,4 +1,4 @@
-"""The outputs of a bake as they are asked for, checked before anything is read."""
+"""The requested outputs of a bake, checked before anything is read."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ STDOUT = Path("-")
 
 @dataclass(frozen=True, slots=True)
 class OutputEntry:
-    """One output of a bake, as it is asked for."""
+    """One requested output of a bake."""
 
     path: Path | None  # the file to write; None is stdout
     options: BakeOptions  # of the bake, those of the scene among them
@@ -54,7 +54,7 @@ class OutputEntry:
 
     @property
     def simulated(self) -> bool:
-        """Whether systems go into it."""
+        """Whether it contains systems."""
         return self.scene is not None and bool(self.scene.systems)
 
     @property
@@ -64,7 +64,7 @@ class OutputEntry:
 
     @property
     def files(self) -> list[Path]:
-        """The files to write; of chunks, those that they may replace."""
+        """Files to write; of chunks, those that may be replaced."""
         if self.path is None:
             return []
         if self.is_stage:
@@ -77,7 +77,7 @@ class OutputEntry:
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """What a bake will read and write."""
+    """Sources and outputs of a bake."""
 
     reading: SourceSet
     outputs: tuple[OutputEntry, ...]
@@ -85,13 +85,13 @@ class Outline:
 
     @property
     def scene(self) -> Scene | None:
-        """The one source, where it is a scene."""
+        """The source, if it is a single scene."""
         reading = self.reading
         return reading.scenes.get(reading.files[0]) if len(reading.files) == 1 else None
 
     @property
     def replacing(self) -> Outline:
-        """The same, which replaces what exists."""
+        """A copy that overwrites existing files."""
         outputs = (
             replace(entry, options=replace(entry.options, overwrite=True))
             for entry in self.outputs
@@ -100,7 +100,7 @@ class Outline:
 
     @property
     def files(self) -> list[Path]:
-        """Every file that is written."""
+        """Every file to write."""
         return [path for entry in self.outputs for path in entry.files]
 
 
@@ -112,7 +112,7 @@ def outlined(
     base: Path | None = None,
     rig_file: Path | None = None,
 ) -> Outline:
-    """Return what a bake will read and write; nothing is checked.
+    """Return the outline of a bake from sources and options, unchecked.
 
     Args:
         sources: What is read.
@@ -151,7 +151,7 @@ def outlined(
 
 
 def _holds_several(path: Path, options: BakeOptions) -> bool:
-    """Return whether an output holds all the takes that a source has."""
+    """Return whether an output contains all takes of a source."""
     if writes_stage(path):
         return form_of(options) is Form.LIBRARY
     writer = writer_of(path)
@@ -159,13 +159,13 @@ def _holds_several(path: Path, options: BakeOptions) -> bool:
 
 
 def is_several(scene: Scene) -> bool:
-    """Return whether a scene writes several files, or one that is no USD."""
+    """Return whether a scene writes several files, or one that is not USD."""
     path = scene.outputs[0].path
     return len(scene.outputs) > 1 or (path is not None and not writes_stage(path))
 
 
 def check_outline(outline: Outline) -> None:
-    """Refuse what can be refused before anything is read, all outputs at once.
+    """Refuse faults that show before anything is read, of all outputs at once.
 
     Raises:
         OptionError: Options exclude each other, an output exists, is read too, or two
@@ -201,7 +201,7 @@ def check_outline(outline: Outline) -> None:
 
 
 def outputs_twice(outline: Outline) -> list[Fault]:
-    """Return outputs of a scene that are one file (OUT007)."""
+    """Return faults of scene outputs that are the same file (OUT007)."""
     owners: dict[str, OutputEntry] = {}
     faults = []
     for entry in outline.outputs:
@@ -214,7 +214,7 @@ def outputs_twice(outline: Outline) -> list[Fault]:
 
 
 def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> None:
-    """Refuse an output that cannot be, before anything is read.
+    """Refuse an invalid output before anything is read.
 
     Args:
         entry: The output.
@@ -243,7 +243,7 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
 
 
 def check_settings(entry: OutputEntry) -> None:
-    """Refuse a name of no format, and options that exclude each other."""
+    """Refuse unknown formats and options that exclude each other."""
     path, options = entry.path, entry.options
     if path is not None and not entry.is_stage:
         writer = take_writer(path)
@@ -259,7 +259,7 @@ def check_settings(entry: OutputEntry) -> None:
 
 
 def take_name(options: BakeOptions, source: Path) -> str:
-    """Return what a source is called in a clip library."""
+    """Return the name of a source in a clip library."""
     from animtool.usd.layers.names import legal_name
 
     return legal_name(options.take or source_stem(source))
@@ -279,7 +279,7 @@ def _check_count(count: int, options: BakeOptions) -> None:
 
 
 def _check_systems(outline: Outline) -> None:
-    """Refuse what is simulated where a library, or no USD, is to hold it."""
+    """Refuse systems in outputs that hold a clip library or are not USD."""
     if len(outline.reading.files) == 1:
         return
     for scene in outline.reading.scenes.values():

@@ -1,4 +1,4 @@
-"""The plan of a bake: sources opened, each output ready to be written."""
+"""The plan of a bake: sources are open, and each output is ready to write."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def plan_stage(
 
 
 def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputPlan]:
-    """Check everything that can be checked before the work, and open the sources.
+    """Open the sources and check everything that can be checked before the work.
 
     Raises:
         AnimtoolError: As `animtool.bake` does.
@@ -104,7 +104,7 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
 
 
 def refusals(outline: Outline, take: Take | None) -> list[Fault]:
-    """Return what keeps the outputs of a scene from being planned, each at its entry.
+    """Return the faults that keep the outputs of a scene from being planned.
 
     take: of its sources, all passes done; None is of a scene that has none.
     """
@@ -127,7 +127,7 @@ def refusals(outline: Outline, take: Take | None) -> list[Fault]:
 
 
 def _at_entry(fault: Fault, entry: OutputEntry) -> Fault:
-    """Return a fault of an output, or of its name, at the entry of its scene."""
+    """Return the fault of an output, located at its entry in the scene."""
     if entry.location is None:
         return fault
     if fault.path == str(entry.path):
@@ -136,7 +136,7 @@ def _at_entry(fault: Fault, entry: OutputEntry) -> Fault:
 
 
 def _shared(stream: TakeStream, count: int) -> list[TakeStream]:
-    """Return streams of one take for several readers; it is gathered once."""
+    """Return one take as a stream for each of several readers; read once."""
     gathered: list[Motion] = []
 
     def blocks() -> Iterator[Motion]:
@@ -155,7 +155,7 @@ def _planned(
     notices: list[Fault],
     names: tuple[str, ...] = (),
 ) -> OutputPlan:
-    """Return what an output is to become, of sources that are open."""
+    """Return the plan of an output from open sources."""
     scene = entry.scene
     if not entry.is_stage:
         assert entry.path is not None
@@ -178,7 +178,7 @@ def _planned_file(
     writer: Writer,
     notices: list[Fault],
 ) -> FilePlan:
-    """Return a take as a file of another format than USD."""
+    """Return the plan of a take in a format other than USD."""
     options, left_out = entry.options, []
     if entry.scene is not None and entry.scene.systems:
         names = listed([system.name for system in entry.scene.systems], MAX_NAMED)
@@ -209,7 +209,7 @@ def _with_others(
     notices: list[Fault],
     names: tuple[str, ...],
 ) -> FilePlan:
-    """Return a file that holds several takes of one rig, each by its name."""
+    """Return the plan of a file that holds several named takes of one rig."""
     from animtool.scene.bake.library import in_joint_order
 
     writer = take_writer(plan.path)
@@ -231,7 +231,7 @@ def _with_others(
 
 
 def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
-    """Return what an output of a scene that has no source is to become."""
+    """Return the plan of an output of a scene without a source."""
     from animtool.scene.systems.bake import plan_systems
 
     assert entry.scene is not None
@@ -259,7 +259,7 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
 
 
 def _with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
-    """Return the plan of a take with the systems of its scene."""
+    """Return the plan of a take together with the systems of its scene."""
     if not scene.systems:
         return plan
     if plan.form is Form.LIBRARY:
@@ -280,7 +280,7 @@ def plan_takes(
     notices: list[Fault],
     stated_names: tuple[str, ...] = (),
 ) -> BakePlan:
-    """Return what takes are to become in USD; None is stdout.
+    """Return the plan of takes in one USD file; None is stdout.
 
     own_names: what the takes are called; empty is as their files are.
     """
@@ -360,7 +360,7 @@ def plan_takes(
 
 
 def _target(rig_layer: Path | None, prim_path: str | None) -> RigTarget | None:
-    """Return the rig of a layer, opened; None where there is none."""
+    """Return the opened rig of a rig layer; None without one."""
     if rig_layer is not None:
         from animtool.usd.rigs.target import open_target
 
@@ -371,7 +371,7 @@ def _target(rig_layer: Path | None, prim_path: str | None) -> RigTarget | None:
 
 
 def _check_props(plan: BakePlan) -> None:
-    """Refuse things beside characters that have no place in the output."""
+    """Refuse props that the output cannot hold."""
     tracks = [take.stream.tracks for take in plan.takes]
     if not any(tracks):
         return
@@ -411,7 +411,7 @@ def _mapped(
 
 
 def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
-    """Name what is simulated, and not written."""
+    """Name the simulated points that the output leaves out."""
     names = sorted({name for stream in streams for name in stream.points})
     if not names or options.deform:
         return []
@@ -432,7 +432,7 @@ def _rate_difference(target: RigTarget | None, fps: Fraction) -> list[Fault]:
 def start_of(
     options: BakeOptions, target: RigTarget | None, stream: TakeStream, source: Path
 ) -> Fraction:
-    """Return the first frame: asked for, the shot's, the source's, the project's, 1.
+    """Return the first frame: option, shot, source, project, then 1.
 
     At another rate, a source that starts between the frames of its stage starts at the
     frame of the same time: 960.96 of 24 a second is 1001 of 25.

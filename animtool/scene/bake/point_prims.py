@@ -1,4 +1,4 @@
-"""Meshes and strands of a take as point caches: which, by what, frame by frame."""
+"""Meshes and strands of a take as point caches, frame by frame."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ PIECE = 256
 
 @dataclass(frozen=True, slots=True)
 class DeformedCharacter:
-    """What a bake deforms."""
+    """Meshes and strands that a bake deforms."""
 
     rig: Rig  # the joints that carry the meshes
     surfaces: tuple[Surface, ...]
@@ -87,7 +87,7 @@ class DeformedCharacter:
     def only(
         self, surfaces: Sequence[str], strands: Sequence[str]
     ) -> DeformedCharacter:
-        """Return the character with some of its meshes and strands, in its order."""
+        """Return a copy with some of its meshes and strands, in its order."""
         kept = [part.name in surfaces for part in self.surfaces]
         kept += [part.name in strands for part in self.strands]
         return replace(
@@ -99,7 +99,7 @@ class DeformedCharacter:
 
 
 def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacter:
-    """Return what a take deforms.
+    """Return the meshes and strands that a take deforms.
 
     That is the meshes and strands of its own rig where this has meshes; else those of
     the rig layer, else those of the USD file that the take is from.
@@ -144,7 +144,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
 def _turned(
     surfaces: tuple[Surface, ...], up: UpAxis, source_up: UpAxis
 ) -> tuple[Surface, ...]:
-    """Stand meshes that no joint carries on another up axis; joints carry the others.
+    """Rotate meshes without a skin to another up axis; joints carry the others.
 
     Where the joints are turned, so is what they carry, wherever it was bound.
     """
@@ -164,7 +164,7 @@ def _turned(
 def pieces(
     blocks: TimedBlocks, *, neighbours: bool
 ) -> Iterator[tuple[FloatArray, Motion, slice]]:
-    """Yield short pieces of a motion; the slice says which of their frames count."""
+    """Yield short pieces of a motion, each with a slice of the frames that count."""
     before: tuple[FloatArray, Motion] | None = None
     cut = _cut(blocks)
     piece = next(cut, None)
@@ -194,7 +194,7 @@ def _cut(blocks: TimedBlocks) -> TimedBlocks:
 
 @dataclass
 class PointStream:
-    """Deforms a character frame by frame."""
+    """Frames of a character's deformed points."""
 
     character: DeformedCharacter
     meters_per_unit: float  # unit of the output [m]
@@ -205,7 +205,7 @@ class PointStream:
     seconds: list[float] = field(default_factory=list)
 
     def blocks(self, timed: TimedBlocks) -> Iterator[Block]:
-        """Yield frames of each mesh, those of a mesh in their order."""
+        """Yield the frames of each mesh in order."""
         character = self.character
         self.seconds = [0.0] * len(character.meshes)
         for codes, motion, counted in pieces(timed, neighbours=self.velocities):
@@ -227,7 +227,7 @@ class PointStream:
         codes: FloatArray,
         points: Channel,
     ) -> Iterator[Deformed]:
-        """Yield frames of a mesh whose points are not where its joints have them."""
+        """Yield frames of a mesh that shapes or strands displace."""
         surfaces = self.character.surfaces
         surface = surfaces[mesh] if mesh < len(surfaces) else None
         times = codes / self.rate if self.velocities else None
@@ -240,7 +240,7 @@ class PointStream:
     def _rounded(
         self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], counted: slice
     ) -> Iterator[Block]:
-        """Yield the frames of a piece that count, rounded."""
+        """Yield the counted frames of a piece in float32."""
         done = 0
         began = time.perf_counter()
         for part in deformed:
@@ -280,7 +280,7 @@ class PointStream:
 def _is_static(
     mesh: CharacterMesh, weights: FloatArray | None, world: WorldTransforms
 ) -> bool:
-    """Return whether nothing that a mesh follows moves."""
+    """Return whether a mesh has the same points in all frames."""
     if weights is not None and (weights != weights[:1]).any():
         return False
     skin = mesh.mesh.skin
@@ -310,12 +310,12 @@ def _repeated(one: Deformed, frames: int) -> Iterator[Deformed]:
 
 @dataclass(frozen=True, slots=True)
 class PointPrims:
-    """Meshes and strands of a character that the bake deforms."""
+    """Deformed meshes and strands of a character as prims."""
 
     character: DeformedCharacter
 
     def author(self, draft: BakeState) -> None:
-        """Author the prims; points in chunks are written already."""
+        """Author the prims; chunks of points are already written."""
         plan, (run,) = draft.plan, draft.runs
         stream, timed = run.plan.stream, run.open()
         job, character, spaces = _job(plan, self.character, timed.frames)
@@ -367,7 +367,7 @@ class PointPrims:
 
 @dataclass(frozen=True, slots=True)
 class ChunkFiles:
-    """A layer whose points are in files of some samples each, written already."""
+    """A layer whose points are stored in files of some samples each."""
 
     cache: ChunkedCache
     result: UsdResult
@@ -381,7 +381,7 @@ class ChunkFiles:
 def _author_props(
     layer: Any, plan: BakePlan, job: CacheJob, run: BakedTake, up: UpAxis
 ) -> list[str]:
-    """Write props of the take to a layer; return their prims."""
+    """Write the props of the take to a layer; return their prims."""
     assert run.props is not None
     mapping = plan.takes[0].mapping
     placements = prop_placements(
@@ -400,7 +400,7 @@ def _author_props(
 def _job(
     plan: BakePlan, character: DeformedCharacter, span: tuple[Fraction, Fraction] | None
 ) -> tuple[CacheJob, DeformedCharacter, Sequence[PointSpace]]:
-    """Return what the writer is to do, with which meshes, and where these stand."""
+    """Return the writer's job: meshes and their placement."""
     if plan.target is not None:
         return _layer_job(plan, character, span)
     paths, unit = plan.paths, plan.meters_per_unit

@@ -1,4 +1,4 @@
-"""What a bake reads and writes: sources, options that go together, files."""
+"""The sources, options and files of a bake."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ Source: TypeAlias = "Path | str | Scene | OpenTake"
 
 
 def source_file(source: Source) -> Path:
-    """Return the file that a source is read from."""
+    """Return the file of a source."""
     return Path(source) if isinstance(source, Path | str) else source.path
 
 
 @dataclass(frozen=True, slots=True)
 class SourceSet:
-    """What is to be read."""
+    """The sources to read."""
 
     files: list[Path]  # of the sources, in order
     scenes: dict[Path, Scene]  # what those say that are scenes
@@ -56,17 +56,17 @@ class SourceSet:
 
     @property
     def inputs(self) -> list[Path]:
-        """Every file that is named to be read."""
+        """Every input file that is named."""
         named = [path for scene in self.scenes.values() for path in scene.inputs]
         return [*self.files, *named]
 
     @property
     def unused(self) -> list[Fault]:
-        """Scenes that state how to bake them, where they are takes of a library."""
+        """Library takes that are scenes with bake options of their own."""
         return [] if len(self.files) == 1 else _unused(self.scenes)
 
     def open(self, options: BakeOptions, progress: Progress = None) -> list[TakeStream]:
-        """Return every source, opened; what is wrong with them is said at once."""
+        """Open every source; report the faults of all at once."""
         streams: list[TakeStream] = []
         errors: list[AnimtoolError] = []
         for i, (path, take) in enumerate(zip(self.files, self.takes, strict=True)):
@@ -88,7 +88,7 @@ class SourceSet:
     def _open_one(
         self, path: Path, options: BakeOptions, shown: Progress
     ) -> TakeStream:
-        """Return a source, opened; over a rig, without what joints cannot hold."""
+        """Open a source; over a rig, without what joints cannot hold."""
         try:
             return self._opened(path, options, shown)
         except FormatError as error:
@@ -121,7 +121,7 @@ class SourceSet:
 
 
 def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:
-    """Return what is to be read with every take of a file that holds several.
+    """Return the sources with every take of a file that holds several.
 
     That is a file alone, without a choice of one of its takes.
     """
@@ -139,7 +139,7 @@ def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:
 
 
 def source_set(sources: Sequence[Source]) -> SourceSet:
-    """Return the files of sources, those loaded that are scenes."""
+    """Return the sources and their files; scenes are loaded."""
     files = [source_file(source) for source in sources]
     scenes: dict[Path, Scene] = {}
     takes = [one.stream if isinstance(one, OpenTake) else None for one in sources]
@@ -154,7 +154,7 @@ def source_set(sources: Sequence[Source]) -> SourceSet:
 
 
 def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
-    """Say so where a take of a library is a scene that states how to bake it."""
+    """Warn where a library take is a scene whose bake options are ignored."""
     message = "the scene's fps, range and output are ignored here"
     hint = "set them once for the whole library, on the command"
     return [
@@ -198,7 +198,7 @@ def check_options(
 
 
 def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return what animation over a rig layer does not go with, and whether it is so."""
+    """Return the options that a rig layer excludes, and whether each is set."""
     refused = (option.over_layer for option in chosen_options(options).values())
     return [
         (
@@ -216,14 +216,14 @@ def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
 def _library_clashes(
     options: BakeOptions, *, to_stdout: bool
 ) -> list[tuple[bool, str]]:
-    """Return what a take of a library does not go with, and whether it is asked for."""
+    """Return the options that a library excludes, and whether each is set."""
     flags = [argument("output", "-")] if to_stdout else []
     flags += refused_options(options, "library")
     return [(True, f"a take of a library cannot use {flag}") for flag in flags]
 
 
 def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return what excludes a shot that places its media, and whether it is so."""
+    """Return the options that a placed shot excludes, and whether each is set."""
     shot = options.shot
     if shot is None or not shot.places_media or shot.fps is None:
         return []
@@ -246,7 +246,7 @@ def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
 def _chunk_clashes(
     options: BakeOptions, *, to_stdout: bool, simulated: bool
 ) -> list[tuple[bool, str]]:
-    """Return what chunks do not go with, and whether it is asked for."""
+    """Return the options that chunks exclude, and whether each is set."""
     if options.chunk is None:
         return []
     if not (options.deform or simulated):
@@ -267,7 +267,7 @@ def _chunk_clashes(
 
 
 def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return what does not go with point caches, and whether it is asked for."""
+    """Return the options that point caches exclude, and whether each is set."""
     if not options.deform:
         return []
     joints = f"{argument('deform', True)} writes points, not joints"
@@ -277,7 +277,7 @@ def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
 
 
 def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None:
-    """Raise `OptionError` where options are for USD or for keys, and the output not."""
+    """Raise `OptionError` for USD or key options that the output cannot use."""
     faults = []
     for name, option in chosen_options(options).items():
         if name in writer.options or "file" not in option.not_for:
@@ -294,14 +294,14 @@ def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None
 
 
 def of_keys(name: str, path: Path) -> Fault:
-    """Return the fault of an option of keys, where a file holds samples (CLI004)."""
+    """Return the fault of a key option on a file that holds samples (CLI004)."""
     message = f"{name} applies to keys, but this output holds samples"
     hint = f"write a .clip.yaml, or bake to USD with {argument('reduce')}"
     return Fault("CLI004", message, str(path), (), hint)
 
 
 def default_output(source: Path) -> Path:
-    """Return the file that a source is written to where none is named.
+    """Return the output of a source for which none is named.
 
     >>> default_output(Path("takes/wave.scene.yaml")).name
     'wave.usdc'
@@ -310,12 +310,12 @@ def default_output(source: Path) -> Path:
 
 
 def form_of(options: BakeOptions) -> Form:
-    """Return what is written."""
+    """Return the form of the output."""
     return Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
 
 
 def check_package(path: Path, options: BakeOptions) -> None:
-    """Refuse a package of several files that are written beside it (OUT004)."""
+    """Refuse a package whose layers are written to several files (OUT004)."""
     form = form_of(options)
     refused = {
         Form.SPLIT: argument("form", "split"),
@@ -332,7 +332,7 @@ def check_package(path: Path, options: BakeOptions) -> None:
 def output_files(
     path: Path, options: BakeOptions, *, simulated: bool = False
 ) -> list[Path]:
-    """Return the files to write; of chunks, those that they may replace.
+    """Return the files to write; of chunks, those that may be replaced.
 
     simulated: whether systems are written.
     """

@@ -1,4 +1,4 @@
-"""What a bake will do, step by step: what each reads, makes and leaves out."""
+"""The steps of a bake: the input, result and losses of each."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from animtool.usd.layers.jobs import Form
 
 
 class StepKind(StrEnum):
-    """What a step is."""
+    """Kind of a step."""
 
     SOURCE = "source"
     PROP = "beside"
@@ -56,14 +56,14 @@ class PlanStep:
 
 @dataclass(frozen=True, slots=True)
 class PlanSteps:
-    """What is done one after the other."""
+    """The steps of a bake in order."""
 
     steps: list[PlanStep]
     json_keys: ClassVar[str] = "'plan' steps"
 
 
 def bake_steps(outline: Outline) -> list[PlanStep]:
-    """Return the steps of a bake in their order; sources are read, passes are not run.
+    """Return the steps of a bake in order; sources are read, passes do not run.
 
     Raises:
         AnimtoolError: As `animtool.bake` does before it reads; files that exist are
@@ -92,7 +92,7 @@ def bake_steps(outline: Outline) -> list[PlanStep]:
 
 @dataclass(frozen=True, slots=True)
 class _TakeState:
-    """What is known of a take."""
+    """Known facts of a take between two steps."""
 
     rig: Rig  # its joints, shapes and controls
     moving: frozenset[TakePart]  # parts that hold values
@@ -105,7 +105,7 @@ class _TakeState:
 
     @staticmethod
     def of(stream: TakeStream) -> _TakeState:
-        """Return what is known of a take that is read for that."""
+        """Return the known facts of a take that was opened for that."""
         take = stream.collect()
         motion, rig = take.motion, take.rig
         frames = counted(take.clock.count, "frame")
@@ -132,7 +132,7 @@ class _TakeState:
 
 
 def _static_tracks(motion: Motion) -> Iterator[str]:
-    """Yield what of a motion is stored once, as it never moves."""
+    """Yield the parts of a motion that never move and are stored once."""
     for name, noun in (
         ("translations", "translation"),
         ("rotations", "rotation"),
@@ -158,7 +158,7 @@ def _source_step(path: Path, where: str, state: _TakeState) -> PlanStep:
 
 
 def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
-    """Add the sources and passes of a scene; return what is known behind them."""
+    """Add the sources and passes of a scene; return the facts of the result."""
     if len(scene.sources) > 1:
         for source in scene.sources:
             opened = open_source(source.path, source.options)
@@ -182,13 +182,13 @@ def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
 
 
 def _written(entry: OutputEntry) -> list[str]:
-    """Return the systems that go into an output."""
+    """Return the systems that an output contains."""
     systems = () if entry.scene is None else entry.scene.systems
     return [system.name for system in systems if system.written]
 
 
 def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep]:
-    """Return the steps of systems that an output has, or that these need."""
+    """Return the steps of an output's systems and those they depend on."""
     names = {
         system.name
         for entry in outputs
@@ -209,7 +209,7 @@ def _system_step(scene: Scene, system: SceneSystem) -> PlanStep:
 
 
 def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep]:
-    """Return the steps of a scene that has no source."""
+    """Return the steps of a scene without a source."""
     steps = _system_steps(scene, outputs)
     for entry in outputs:
         prims = listed(_written(entry))
@@ -223,7 +223,7 @@ def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanS
 
 
 def _where(entry: OutputEntry) -> str:
-    """Return the place of an output in its scene; empty where there is no scene."""
+    """Return the key of an output in its scene; empty without a scene."""
     return "" if entry.scene is None else entry.scene.outputs[0].location.where
 
 
@@ -249,7 +249,7 @@ def _prop_step(prop: SceneProp, track: Track) -> PlanStep:
 
 
 def _drops(entry: ScenePass) -> bool:
-    """Return whether a pass may take the curves of controls away."""
+    """Return whether a pass may drop the curves of controls."""
     # How even time is does not depend on the frames.
     any_clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
     if entry.pass_.even(entry.options, any_clock) is not None:
@@ -258,7 +258,7 @@ def _drops(entry: ScenePass) -> bool:
 
 
 def _added_parts(entry: ScenePass) -> frozenset[TakePart]:
-    """Return the parts that a pass adds to a take which has none."""
+    """Return the parts that a pass adds to a take."""
     return (entry.pass_.changes - entry.pass_.reads) & {TakePart.POINTS}
 
 
@@ -319,7 +319,7 @@ def _output_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
 
 
 def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
-    """Return the step of a file of another format than USD."""
+    """Return the step of an output that is not USD."""
     path = entry.path
     assert path is not None
     writer = take_writer(path)
@@ -349,14 +349,14 @@ def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
 
 
 def _named(files: list[Path]) -> list[str]:
-    """Return files as they are called, those marked that are there; else stdout."""
+    """Return file names, existing ones marked; without files, stdout."""
     return [f"{path} (exists)" if path.exists() else str(path) for path in files] or [
         "stdout"
     ]
 
 
 def _left_out(options: BakeOptions, form: Form, state: _TakeState) -> Iterator[str]:
-    """Yield what of a take a USD file does not get, and why."""
+    """Yield the parts of a take that USD does not hold, with the reason."""
     yield from _of_rig(options, form, state.rig)
     if state.curves and not options.deform:
         if not options.keep_curves:
@@ -378,7 +378,7 @@ def _left_out(options: BakeOptions, form: Form, state: _TakeState) -> Iterator[s
 
 
 def _of_rig(options: BakeOptions, form: Form, rig: Rig) -> Iterator[str]:
-    """Yield what of a rig a USD file does not get, and why."""
+    """Yield the parts of a rig that USD does not hold, with the reason."""
     if options.deform:
         yield "skeleton and its animation: points are written instead"
         if not options.velocities:

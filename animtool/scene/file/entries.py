@@ -1,4 +1,4 @@
-"""The entries of a scene file: sources, things beside them, passes, outputs."""
+"""The entries of a scene file: sources, props, passes, systems and outputs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from animtool.systems.framework.spec import EntryRecord, SystemSpec
 
 @dataclass(frozen=True, slots=True)
 class EntryLocation:
-    """Where in a file something is said."""
+    """Location of an entry in a file."""
 
     path: Path  # the file
     line: int  # 1-based
@@ -46,11 +46,11 @@ class EntryLocation:
         hint: str | None = None,
         severity: Severity = Severity.ERROR,
     ) -> Fault:
-        """Return a fault that is here."""
+        """Return a fault at this location."""
         return self.locate(Fault(code, message, hint=hint, severity=severity))
 
     def key_of(self, fault: Fault) -> str | None:
-        """Return the key that a fault names, or the nearest one around what it names.
+        """Return the key that a fault names, or its nearest enclosing key.
 
         >>> at = Place(Path("a.yaml"), 1, 1, "systems[0]", {"bodies[1]": (4, 7)})
         >>> at.key_of(Fault("SIM061", "two bodies", where="bodies[1].name"))
@@ -62,7 +62,7 @@ class EntryLocation:
         return key or None
 
     def locate(self, fault: Fault) -> Fault:
-        """Return a fault that has no file as one that is here, or at a key of it."""
+        """Return a fault without a file at this location, or at a key of it."""
         if fault.path is not None:
             return fault
         (line, column), where = (self.line, self.column), self.where
@@ -76,7 +76,7 @@ class EntryLocation:
 
     @contextmanager
     def located(self) -> Iterator[None]:
-        """Give faults that have no file this place.
+        """Attach this location to faults without a file that the block raises.
 
         Raises:
             FormatError: What an `OptionError` or a `FormatError` said.
@@ -95,7 +95,7 @@ class EntryLocation:
 def entry_location(
     document: Document, at: Location, model: FileModel | None = None
 ) -> EntryLocation:
-    """Return a place in a document, with those of the keys that its model was given."""
+    """Return the location of an entry and of the keys that its model has."""
     keys = {}
     for name in () if model is None else sorted(model.model_fields_set):
         keys[name] = document.place((*at, name))
@@ -122,7 +122,7 @@ class SceneSource:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneProp(PropRequest):
-    """A thing beside the character of a scene."""
+    """A prop of a scene: camera, object or attributes."""
 
     # Time code of its file that comes with the first frame; None is the number of that
     # frame.
@@ -145,7 +145,7 @@ class ScenePass:
 
 @dataclass(frozen=True, slots=True)
 class SystemFacts:
-    """A system in numbers, before it is simulated."""
+    """Size, method and step of a system, before it is simulated."""
 
     counts: dict[str, int]  # what it is made of, by kind
     method: str  # its solver, or its integrator
@@ -159,7 +159,7 @@ STEPS = "steps"  # what a setting of a kind that has no methods is called
 
 @dataclass(frozen=True, slots=True)
 class SystemSetup:
-    """What a system is made of, as its file says it."""
+    """A system as its file describes it."""
 
     spec: SystemSpec
     around: Any  # what it runs into: `Surroundings`
@@ -172,47 +172,47 @@ class SystemSetup:
 
     @property
     def _shown_record(self) -> SystemSpec | EntryRecord:
-        """What says of it what it is."""
+        """The record that describes the system."""
         return self.spec if self.record is None else self.record
 
     @property
     def joined(self) -> tuple[tuple[str, Location], ...]:
-        """Names of systems that it is one with, and where they stand."""
+        """Names of the systems that it is joined to, and their locations."""
         names = () if self.record is None else self.record.joined
         return tuple((name, (*self.at, *location_of(key))) for name, key in names)
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """Files that are written along with the output."""
+        """Files that it writes besides the output."""
         return () if self.spec.save is None else (self.spec.save,)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files that are read along with the scene."""
+        """Files that it reads besides the scene."""
         characters = (Path(one.file) for one in self.around.characters)
         resume = [self.resume] if self.resume else []
         return (*characters, *self.carriers, *self.around.followed, *resume)
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """What acts on it, in words."""
+        """Text of everything that acts on it."""
         return (*self._shown_record.reads, *self.around.reads)
 
     @property
     def makes(self) -> str:
-        """What results from it, in words."""
+        """Text of its result."""
         by = "" if self.method == STEPS else f" by {self.method}"
         steps = "" if self.spec.step is None else f" in steps of {self.spec.step:g} s"
         return f"{self._shown_record.title},{by}{steps}"
 
     @property
     def method(self) -> str:
-        """Its method, or what stands for one."""
+        """Its method, or ``steps`` for a kind without methods."""
         return str(getattr(self.spec, self.spec.method_key, STEPS))
 
     @property
     def facts(self) -> SystemFacts:
-        """What it is made of, in numbers."""
+        """Its size, method and step."""
         counts, step = self._shown_record.counts, self.spec.step
         return SystemFacts(counts, self.method, step, self.around.count)
 

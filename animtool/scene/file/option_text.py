@@ -1,4 +1,4 @@
-"""Options of a bake, read from text as a person writes it."""
+"""Options of a bake, parsed from text."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def parse_rest(text: str) -> int | None:
 
 
 def parse_source_rest(text: str) -> int | str | None:
-    """Return ``rig``, or what `parse_rest` does.
+    """Return ``rig``, or the result of `parse_rest`.
 
     Raises:
         ValueError: It is none of these.

@@ -1,4 +1,4 @@
-"""Values of keys of scenes and batches that are options."""
+"""Keys of scenes and batches that set options."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class KeyReader:
-    """Reads values of a file and records its faults."""
+    """Reads the values of keys and records their faults."""
 
     document: Document
     roots: tuple[Path, ...]  # folders that files may be in
@@ -37,7 +37,7 @@ class KeyReader:
     def parsed(
         self, at: Location, value: Any, parse: Callable[[Any], Value]
     ) -> Value | None:
-        """Return a value, None of None; and a fault where it is none."""
+        """Return a parsed value, None for None; record a fault if it is invalid."""
         if value is None:
             return None
         try:
@@ -47,7 +47,7 @@ class KeyReader:
             return None
 
     def read_file(self, at: Location, name: str) -> Path:
-        """Return a file to read, which must be there."""
+        """Return an existing file to read."""
         path = referred_input(self.document, at, name, self.roots)
         return Path(name) if path is None else path
 
@@ -59,7 +59,7 @@ def option_keys(
     at: Location,
     reader: KeyReader,
 ) -> dict[str, Any]:
-    """Return the arguments of a record of options that the keys of a model give.
+    """Return the arguments of an options record that a model's keys set.
 
     Args:
         record: Of options.
@@ -80,7 +80,7 @@ def option_keys(
 
 
 def _value(kind: OptionKind, value: Any, at: Location, reader: KeyReader) -> Any:
-    """Return what a key means; None, and its fault recorded, where it means nothing."""
+    """Return the value of a key; None with a recorded fault if it is invalid."""
     if kind == "file":
         return reader.read_file(at, value)
     if kind == "lengths":
@@ -116,7 +116,7 @@ _PARSERS: dict[OptionKind, Callable[[Any], Any]] = {
 
 
 class OutputReader:
-    """Makes outputs of the entries of a scene.
+    """Reads the outputs of a scene.
 
     Attributes:
         start: Time code of its first frame; None where it states none.
@@ -138,14 +138,14 @@ class OutputReader:
         return self._keys.parsed(("fps",), self._model.fps, parse_rate)
 
     def preroll(self) -> Preroll | None:
-        """Return the frames before those of the shot, if it has them."""
+        """Return the number of frames before the shot, if stated."""
         shot, frames = self._model.shot, self._shot()
         if shot is None or frames is None or not shot.preroll:
             return None
         return Preroll(self.start, frames.start - shot.preroll, self._fps())
 
     def _shot(self) -> Shot | None:
-        """Return the shot's frames; its rate is that of the output."""
+        """Return the shot's frames, at the rate of the output."""
         shot = self._model.shot
         if shot is None:
             return None
@@ -206,7 +206,7 @@ class OutputReader:
         return Path(name) if path is None else path
 
     def _check_keys(self, at: Location, model: OutputModel, writer: Writer) -> None:
-        """Refuse what only other kinds of files have."""
+        """Refuse keys of other kinds of files."""
         allowed = {"file", "start", *writer.options}
         for name in sorted(model.model_fields_set - allowed):
             message = f"{name} does not apply to a {writer.name} file"
@@ -214,7 +214,7 @@ class OutputReader:
             self._document.add("SCN039", (*at, name), message, hint)
 
     def _frames(self) -> FrameRange | None:
-        """Return the frames to write: a range, or the cut with its handles."""
+        """Return the frames to write: a range, or the cut and its handles."""
         shot, of_shot = self._model.shot, self._shot()
         at: Location = ("range",) if shot is None else ("shot", "cut")
         ends = self._model.range if shot is None else shot.cut

@@ -1,4 +1,4 @@
-"""Reading a scene file, ``*.scene.yaml``: a source, passes, an output."""
+"""Reading scene files, ``*.scene.yaml``: sources, passes, systems, outputs."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def scene_of_document(
 
 
 def _expand_short_forms(document: Document) -> None:
-    """Write ``source: walk.bvh``, ``output: a.usdc`` and ``range: 1-24`` in full."""
+    """Expand ``source: walk.bvh``, ``output: a.usdc`` and ``range: 1-24``."""
     value = document.value
     full: dict[str, Any] = {}
     for key in ("source", "output"):
@@ -126,7 +126,7 @@ def _expand_short_forms(document: Document) -> None:
 
 
 def stated_rate(path: Path) -> Fraction | None:
-    """Return the rate that a scene file states as a number; None where it has none."""
+    """Return the rate that a scene file states as a number; None without one."""
     document = read_document(path).value
     fps = document.get("fps") if isinstance(document, dict) else None
     try:
@@ -139,7 +139,7 @@ _PRIM_PATH = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
 def _overlap(one: str, other: str) -> bool:
-    """Return whether a path is another, or below it."""
+    """Return whether one path is the other or below it."""
     return f"{one}/".startswith(f"{other}/") or f"{other}/".startswith(f"{one}/")
 
 
@@ -178,7 +178,7 @@ class _SceneReader:
         )
 
     def _systems(self) -> tuple[SceneSystem, ...]:
-        """Return what is simulated, alone or beside a source."""
+        """Return the systems of the scene."""
         model = self.model
         if model.source is None and not model.systems:
             hint = (
@@ -209,7 +209,7 @@ class _SceneReader:
         return SceneSystem(spec.name, kind, setup, location, unit=self.units.stated)
 
     def _kind(self, at: Location, entry: SystemModel) -> str | None:
-        """Return the kind that an entry names."""
+        """Return the system kind that an entry names."""
         kinds = sorted(entry.model_fields_set)
         known = ", ".join(SYSTEM_KINDS)
         if len(kinds) == 1:
@@ -225,12 +225,12 @@ class _SceneReader:
         return None
 
     def _written_systems(self) -> Any:
-        """Return the systems as written, under a misspelt key too."""
+        """Return the raw entries of systems, under a misspelt key too."""
         written = self.document.spellings.get(("systems",), "systems")
         return self.document.value[written]
 
     def _check_simulated(self) -> None:
-        """Refuse what there is only with a source, and outputs of other kinds."""
+        """Refuse keys that need a source, and outputs that are not USD."""
         model = self.model
         for key in sorted({"rig", "passes", "shot", "props"} & model.model_fields_set):
             message = f"{key} needs a scene with a source"
@@ -330,14 +330,14 @@ class _SceneReader:
 
 @dataclass(frozen=True, slots=True)
 class _PassReader:
-    """Reads passes; files that they write are in ``output_roots``."""
+    """Reads passes; ``output_roots`` are the folders they may write to."""
 
     keys: KeyReader
     output_roots: Sequence[Path]
     units: SceneUnits
 
     def passes(self, entries: Sequence[Mapping[str, Any]]) -> Iterator[ScenePass]:
-        """Yield the passes of entries."""
+        """Yield the passes of the entries."""
         for i, entry in enumerate(entries):
             for name, values in entry.items():
                 pass_ = self._pass(("passes", i, name), name, values or {})
@@ -372,7 +372,7 @@ class _PassReader:
     def _with_colliders(
         self, at: Location, options: Any
     ) -> tuple[Any, tuple[Path, ...]]:
-        """Return options with what they run into, and the files that this goes with."""
+        """Return options with their colliders, and the colliders' files."""
         entries = {
             name: models
             for name in AROUND
@@ -391,7 +391,7 @@ class _PassReader:
 
 
 def _check_pass(keys: KeyReader, at: Location, pass_: Pass, options: Any) -> None:
-    """Note what is wrong with options whatever the take is."""
+    """Record faults of options that do not depend on the take."""
     for option, check in pass_.checks(options).items():
         try:
             check()

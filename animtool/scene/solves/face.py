@@ -1,4 +1,4 @@
-"""Faces from files to files: landmarks, a rig, and what became of them."""
+"""Face solves between files: landmarks, a rig, and the report."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ MAX_MEAN_ROTATION = np.radians(75)
 
 @dataclass(frozen=True, slots=True)
 class FaceJob:
-    """What `animtool mocap face` is told."""
+    """Arguments of `animtool mocap face`."""
 
     capture: Path  # npz with landmarks, or a file of markers
     rig: Path  # rig file or USD file
@@ -63,13 +63,13 @@ class FaceJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """What it writes."""
+        """The output."""
         return SolvedOutput.of(self.output, self.capture, self.bake, self.rig)
 
 
 @dataclass(slots=True)
 class FaceResult:
-    """What became of a job."""
+    """Report of a face solve."""
 
     job: FaceJob
     fit: FaceFit
@@ -90,7 +90,7 @@ class FaceResult:
 
     @property
     def outputs(self) -> list[Path]:
-        """The files that were written."""
+        """Written files."""
         return [] if self.written is None else self.written.files
 
     @property
@@ -100,7 +100,7 @@ class FaceResult:
 
     @property
     def residual_unit(self) -> str:
-        """The unit of residuals."""
+        """Unit of residuals."""
         return "px" if self.pixels else "m"
 
     @property
@@ -110,12 +110,12 @@ class FaceResult:
 
     @property
     def rate(self) -> float:
-        """Frames solved a second."""
+        """Solved frames a second."""
         return self.frames / max(self.seconds["solve"], 1e-9)
 
 
 def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
-    """Bring a face onto its landmarks, and write the take.
+    """Fit a face to its landmarks and write the take.
 
     Args:
         job: What to do.
@@ -136,7 +136,7 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
 
 
 def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
-    """Return a face brought onto its landmarks; nothing is written."""
+    """Return a face fitted to its landmarks, without writing it."""
     began = time.perf_counter()
     capture = read_capture(
         job.capture, unit=job.reading.unit, up=job.reading.up, fps=job.reading.fps
@@ -198,7 +198,7 @@ def _model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
 def _undistorted(
     job: FaceJob, capture: FaceCapture, points: FloatArray
 ) -> tuple[FloatArray | None, FloatArray]:
-    """Return the camera, and landmarks in its pixels free of distortion."""
+    """Return the camera, and landmarks in its pixels without distortion."""
     if not capture.pixels:
         if job.camera is not None:
             message = "is for landmarks in pixels, but these are positions"
@@ -255,7 +255,7 @@ def _proportions(
 
 
 def _turned_up(fit: FaceFit) -> FaceFit:
-    """Return a fit in a world with Z up as one with Y up."""
+    """Return a fit rotated from Z up to Y up."""
     return replace(
         fit,
         rotations=multiply(_Y_UP, fit.rotations),
@@ -266,7 +266,7 @@ def _turned_up(fit: FaceFit) -> FaceFit:
 def face_motion(
     fit: FaceFit, links: ShapeLinks, rig: Rig, head: str
 ) -> tuple[Motion, list[Fault]]:
-    """Return weights and head pose as motion of a rig, and what is odd.
+    """Return weights and head pose as motion of a rig, with warnings.
 
     Args:
         fit: The face over frames.
@@ -309,7 +309,7 @@ def face_motion(
 def _head_translations(
     fit: FaceFit, rig: Rig, joint: int, translations: Channel
 ) -> tuple[Channel, list[Fault]]:
-    """Return translations that bring the head to its place by those of its root."""
+    """Return root translations that bring the head to its fitted position."""
     root = rig.upwards(joint)[-1]
     if rig.joints[root].type is not JointType.FREE:
         message = (

@@ -1,4 +1,4 @@
-"""Inverse kinematics from files to files: a rig, targets, poses to start from."""
+"""Inverse kinematics between files: a rig, targets and a start pose."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class IkJob:
-    """What `animtool ik` is told."""
+    """Arguments of `animtool ik`."""
 
     rig: Path  # rig file, USD file or BVH
     targets: Path  # targets file
@@ -91,7 +91,7 @@ class IkJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """What it writes."""
+        """The output."""
         source = self.targets if self.start is None else self.start
         rig = _named_rig(self.rig, self.output)
         return SolvedOutput.of(self.output, source, self.bake, rig)
@@ -99,7 +99,7 @@ class IkJob:
 
 @dataclass(slots=True)
 class IkReport:
-    """What came of it."""
+    """Report of an IK solve."""
 
     solved: TakeIk  # the take at its targets
     goals: list[GoalReport]  # what became of each goal
@@ -122,26 +122,26 @@ class IkReport:
 
     @property
     def channels(self) -> Sequence[ChannelError] | None:
-        """The errors of channels, where a clip was written."""
+        """Errors of the channels of a written clip."""
         return None if self.written is None else self.written.channels
 
     @property
     def outputs(self) -> list[str]:
-        """The files that were written."""
+        """Written files."""
         if self.written is None:
             return []
         return [str(path) for path in self.written.named] or ["stdout"]
 
     @property
     def moved(self) -> bool:
-        """Whether frames are written under other numbers than they were solved as."""
+        """Whether written frames have other numbers than solved ones."""
         clock, span = self.solved.take.clock, self.span
         same = (span.first, span.fps) == (clock.start, clock.fps)
         return self.written is not None and not same
 
     @property
     def span(self) -> FrameSpan:
-        """Frames of what was written, or of what was solved where nothing was."""
+        """Written frames, or solved frames where nothing was written."""
         return (
             self.solved.take.clock.span if self.written is None else self.written.span
         )
@@ -161,7 +161,7 @@ class MissedGoalsError(ToleranceError):
 
 @dataclass(frozen=True, slots=True)
 class IkContext:
-    """A rig, its targets, and the take to bring to them."""
+    """A rig, its targets, and the take to solve."""
 
     tracks: TargetTracks  # the targets
     take: Take  # the poses to start from
@@ -194,7 +194,7 @@ def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
 
 
 def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
-    """Return the index of a frame of a take; None is the first.
+    """Return the index of a take's frame; None is the first.
 
     Args:
         take: Of a file.
@@ -218,7 +218,7 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Give faults that name no file the one that they are about."""
+    """Add a file to faults that name none."""
     try:
         yield
     except (FormatError, OptionError) as error:
@@ -227,7 +227,7 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
-    """Solve a job, and write what comes of it.
+    """Solve a job and write its output.
 
     Outputs are checked before the work. Nothing is written where ``strict`` refuses.
 
@@ -256,7 +256,7 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
 
 
 def _named_rig(rig: Path, output: Path | None) -> Path | None:
-    """Return the rig if it is a file that a clip beside the output may name."""
+    """Return the rig if a clip of the output can refer to its file."""
     if output is None or output == STDOUT:
         return None
     inside = any(rig.resolve().is_relative_to(root) for root in project_roots(output))
@@ -295,7 +295,7 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
 
 
 def _as_fine(job: IkJob) -> TakeOptions:
-    """Return options that solve to within what is taken for a miss."""
+    """Return options whose tolerances are as strict as those of missed goals."""
     length, angle = _missed_by(job)
     options = job.options
     return replace(
@@ -306,7 +306,7 @@ def _as_fine(job: IkJob) -> TakeOptions:
 
 
 def _missed_by(job: IkJob) -> tuple[float, float]:
-    """Return by how much a goal is off that is missed [m], [rad]."""
+    """Return the error of a missed goal [m], [rad]."""
     options, length, angle = job.options, job.tolerance, job.angle_tolerance
     return (
         max(MISSED_LENGTH, options.tolerance) if length is None else length,
@@ -318,7 +318,7 @@ MAX_NAMED = 6
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
-    """Return a take that stays where controls at their defaults leave the rig."""
+    """Return a take with controls at their defaults in all frames."""
     last = clock.start + clock.step * (clock.count - 1)
     empty = Clip("rest", clock.fps, clock.start, last, ())
     return empty.sample(rig, step=clock.step)
@@ -332,7 +332,7 @@ def open_start(
     *,
     progress: Progress = None,
 ) -> Take:
-    """Return a take of a rig: a clip for it, or motion of joints of the same names.
+    """Return a take of a rig: its clip, or motion of joints with the same names.
 
     Joints that the motion lacks stay at rest; what it has beside the rig's is left
     out. Both are said in the take's notices.
@@ -349,7 +349,7 @@ def open_start(
 
 
 def _within(take: Take, shot: Shot | None) -> Take:
-    """Return the samples that the frames of a shot lie between."""
+    """Return the samples between which the frames of a shot lie."""
     if shot is None:
         return take
     clock = take.clock
@@ -364,7 +364,7 @@ def _within(take: Take, shot: Shot | None) -> Take:
 
 
 def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
-    """Return the motion of the joints that both have, and what is left out."""
+    """Return the motion of common joints, and notices of the joints left out."""
     names = map_names(rig, take.rig)
     if (names.joints < 0).all():
         message = f"has no joint of {rig.name!r}"

@@ -1,4 +1,4 @@
-"""Matching from files to files: poses of a rig's limbs, written as targets."""
+"""Limb matching between files: poses of a rig's limbs, written as targets."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from animtool.scene.sources.open import SourceOptions
 
 @dataclass(frozen=True, slots=True)
 class MatchJob:
-    """What `animtool ik --match` is told."""
+    """Arguments of `animtool ik --match`."""
 
     rig: Path  # rig file, USD file or BVH, with chains
     take: Path  # file with the poses
@@ -51,7 +51,7 @@ class MatchJob:
 
 @dataclass(frozen=True, slots=True)
 class MatchReport:
-    """What came of it."""
+    """Report of limb matching."""
 
     tracks: TargetTracks  # the targets
     clock: Clock  # of the poses
@@ -65,7 +65,7 @@ class MatchReport:
 
 
 def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
-    """Write the targets that give the limbs of a take back.
+    """Write targets that reproduce the limbs of a take.
 
     Args:
         job: What to do.

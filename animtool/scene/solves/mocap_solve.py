@@ -1,4 +1,4 @@
-"""Solving markers from files to files: a capture, a rig, a template."""
+"""Marker solves between files: a capture, a rig, a template."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MocapSolveJob:
-    """What `animtool mocap solve` is told."""
+    """Arguments of `animtool mocap solve`."""
 
     source: Path  # file of markers
     template: Path  # where they are
@@ -63,14 +63,14 @@ class MocapSolveJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """What it writes, but for arrays beside a rig."""
+        """The output, without the arrays of a rig."""
         others, rig = (self.write_rig, self.write_template), self.write_rig or self.rig
         return SolvedOutput.of(self.output, self.source, self.bake, rig, others)
 
 
 @dataclass(slots=True)
 class MocapSolveResult:
-    """What a job did."""
+    """Report of a marker solve."""
 
     source: Path
     rig: Path
@@ -91,12 +91,12 @@ class MocapSolveResult:
 
     @property
     def seconds_per_frame(self) -> float:
-        """How long a frame took [s]."""
+        """Time for a frame [s]."""
         return self.seconds["solve"] / max(self.solve.score.frames, 1)
 
 
 def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveResult:
-    """Solve a capture on a rig, and write the motion.
+    """Solve a capture on a rig and write the motion.
 
     Args:
         job: What to do.
@@ -141,7 +141,7 @@ def _check(job: MocapSolveJob) -> None:
 
 
 def _write_subject(job: MocapSolveJob, result: MocapSolveResult) -> list[Path]:
-    """Write the rig and the template of a calibration; the files."""
+    """Write the rig and the template of a calibration; return the files."""
     calibration = result.calibration
     if calibration is None:
         return []

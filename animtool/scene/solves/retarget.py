@@ -1,4 +1,4 @@
-"""Retargeting from files to files: a take, a rig, and what became of it."""
+"""Retargeting between files: a take, a rig, and the report."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RetargetJob:
-    """What `animtool retarget` is told."""
+    """Arguments of `animtool retarget`."""
 
     source: Path  # BVH, USD or clip with the take
     rig: Path  # rig file, USD file or BVH that it goes onto
@@ -58,14 +58,14 @@ class RetargetJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """What it writes, the map among it."""
+        """The outputs, the map included."""
         others = (self.write_map,)
         return SolvedOutput.of(self.output, self.source, self.bake, self.rig, others)
 
 
 @dataclass(slots=True)
 class RetargetResult:
-    """What became of a job."""
+    """Report of retargeting."""
 
     source: Path
     rig: Path
@@ -87,7 +87,7 @@ class RetargetResult:
 
     @property
     def pairs(self) -> list[dict[str, object]]:
-        """The joints that follow each other, by their names."""
+        """Names of the mapped joints."""
         ours, theirs = self.source_rig.names, self.target.names
         return [
             {
@@ -100,22 +100,22 @@ class RetargetResult:
 
     @property
     def seconds_per_frame(self) -> float:
-        """How long a frame took [s]."""
+        """Time for a frame [s]."""
         return self.seconds["solve"] / max(self.score.frames, 1)
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the take can be used; frames are numbered as the output has them."""
+        """Whether the take is usable; frames are those of the output."""
         return self.going.verdict().numbered(self.numbers)
 
     @property
     def score(self) -> RetargetReport:
-        """How well the take fits."""
+        """Score of the fit."""
         return self.going.report()
 
 
 def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResult:
-    """Bring a take onto another rig, and write it.
+    """Retarget a take to another rig and write it.
 
     Args:
         job: What to do.
@@ -152,7 +152,7 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
 
 
 def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
-    """Return how the output numbers the frames of the take."""
+    """Return the frame numbers of the take in the output."""
     start, rate = report.start, report.rate
     fps = job.bake.fps or rate
     if isinstance(report.written, ConvertReport) or report.written is None:
@@ -175,7 +175,7 @@ def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
 
 
 def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
-    """Return a take without where it stands, over a rig that stands somewhere.
+    """Return a take without its placement, over a rig that has one.
 
     Unless an option says which, or the take rides on what moves: as a bake has it.
     """

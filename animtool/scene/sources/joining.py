@@ -1,4 +1,4 @@
-"""Several sources as one take: on the rig, the rate and the frames of the first."""
+"""Several sources as one take with the rig, rate and frames of the first."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MAX_NAMED = 6
 
 @dataclass(frozen=True, slots=True)
 class SourcePart:
-    """A source that is to be one of several."""
+    """One of several sources to join."""
 
     stream: TakeStream
     tracks: TrackNames | None  # what it brings; None is what it moves
@@ -48,7 +48,7 @@ class SourcePart:
 
 
 def joined(first: SourcePart, others: Sequence[SourcePart]) -> TakeStream:
-    """Return the first source with tracks of others in place of its own.
+    """Return the first source with tracks replaced by those of the others.
 
     It has the rig, the rate and the frames of the first. The others are found on that
     rig by name, start with the first or where time codes say, and are held at their own
@@ -73,7 +73,7 @@ def joined(first: SourcePart, others: Sequence[SourcePart]) -> TakeStream:
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
-    """A source on the rig of the first."""
+    """A source mapped to the rig of the first."""
 
     part: SourcePart  # what it was made of
     take: Take  # all of it
@@ -82,7 +82,7 @@ class _Layer:
     notices: list[Fault]  # of its file
 
     def frames(self, rate: Fraction, first: int, count: int) -> Motion:
-        """Return its motion at frames of the first source, held at its ends."""
+        """Return its motion at frames of the first source, clamped to its ends."""
         clock = self.take.clock
         if self.part.stream.curve is None:
             return other_frames(self.take, rate, first, count, self.delay * rate)
@@ -107,7 +107,7 @@ class _Layer:
 
 
 def _stored_like(motion: Motion, like: Motion) -> Motion:
-    """Return a motion that stores as moving what another does, as blocks have to."""
+    """Return a motion with the same animated entries as another."""
 
     def same(channel: Channel, other: Channel) -> Channel:
         return Channel(other.rest, other.animated, channel.gather(other.animated))
@@ -126,7 +126,7 @@ def _stored_like(motion: Motion, like: Motion) -> Motion:
 
 
 def _layer(first: SourcePart, other: SourcePart) -> _Layer:
-    """Return a source as it stands on the rig and the clock of the first."""
+    """Return a source mapped to the rig and the clock of the first."""
     rig = first.stream.rig
     stream, names = on_rig(other.stream, rig, other.note)
     placed, take = replace(other, stream=stream), stream.collect()
@@ -161,7 +161,7 @@ def _layer(first: SourcePart, other: SourcePart) -> _Layer:
 
 
 def _delay(first: SourcePart, other: SourcePart) -> Fraction:
-    """Return by how much a source starts later than the first [s]."""
+    """Return the delay of a source after the first [s]."""
     parts = (first, other)
     if first.timecode is None and other.timecode is None:
         return Fraction(0)
@@ -184,7 +184,7 @@ def _delay(first: SourcePart, other: SourcePart) -> Fraction:
 
 
 def _taken_twice(layer: _Layer, before: Sequence[_Layer]) -> list[Fault]:
-    """Say so where a source brings what another before it did, and was not told."""
+    """Warn where two sources set the same tracks without a track list."""
     if layer.part.tracks is not None:
         return []
     rig = layer.take.rig
@@ -199,13 +199,13 @@ def _taken_twice(layer: _Layer, before: Sequence[_Layer]) -> list[Fault]:
 
 @dataclass(frozen=True, slots=True)
 class _Joining:
-    """The first source, and what is put on it."""
+    """The first source and the layers over it."""
 
     base: TakeStream
     layers: list[_Layer]
 
     def stream(self) -> TakeStream:
-        """Return the whole."""
+        """Return the joined take."""
         joined = replace(
             self.base, blocks=self._blocks(), control_curves=self._control_curves()
         )
@@ -245,13 +245,13 @@ class _Joining:
         return motion
 
     def _base_at(self, times: FloatArray) -> Motion:
-        """Return the motion of the first source; of samples at rest."""
+        """Return the motion of the first source; at rest if it is sampled."""
         if self.base.curve is not None:
             return self.base.curve(times)
         return rest_motion(self.base.rig).select(np.zeros(len(times), np.int64))
 
     def _control_curves(self) -> dict[str, Curves]:
-        """Return the curves of controls, each of the source that brings it."""
+        """Return the curves of controls, each from the source that sets it."""
         merged = dict(self.base.control_curves)
         for layer in self.layers:
             clock, curves = layer.take.clock, layer.part.stream.control_curves
@@ -267,12 +267,12 @@ class _Joining:
         return merged
 
     def _say_frames(self, count: int) -> None:
-        """Say which frames each source lacks, and how much of it is left out."""
+        """Report missing and unused frames of each source."""
         for layer in self.layers:
             self.base.notices.extend(self._frames_of(layer, count))
 
     def _frames_of(self, layer: _Layer, count: int) -> Iterator[Fault]:
-        """Yield what there is to say of frames."""
+        """Yield messages on the frames of a source."""
         clock, note = layer.take.clock, layer.part.note
         # In frames of the first source, from its first.
         begin, last = layer.delay * self._rate, Fraction(count - 1)

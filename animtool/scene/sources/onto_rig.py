@@ -1,4 +1,4 @@
-"""A motion brought onto another rig, by the names of joints, shapes and controls."""
+"""Mapping of a motion to another rig by names of joints, shapes and controls."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from animtool.rig.skeleton import Rig
 
 
 def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
-    """Return a rig, wherever it lives, and what there is to say of it."""
+    """Return a rig of any format, with notices."""
     if path.is_file() and find_reader(path) is USD:
         from animtool.usd.rigs.stored import read_whole_rig
 
@@ -47,7 +47,7 @@ RESTING = "they stay at rest"
 
 
 class Notify(Protocol):
-    """Makes a fault of a source, with the place where that is named."""
+    """Creates faults of a source, located where it is named."""
 
     def __call__(
         self,
@@ -61,7 +61,7 @@ class Notify(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class NameMap:
-    """Where what a rig has is in another one."""
+    """Indices of one rig's joints, shapes and controls in another."""
 
     rig: Rig
     # Of the other rig, by joint of this one; -1 where it has none ``(J,)``.
@@ -71,7 +71,7 @@ class NameMap:
     spare: tuple[int, ...]  # joints of the other rig that this one lacks
 
     def apply(self, motion: Motion) -> Motion:
-        """Return a motion of the other rig as one of this; what it lacks is at rest."""
+        """Return a motion of the other rig on this one; missing tracks are at rest."""
         rig, ones = self.rig, np.ones((len(self.rig.joints), 3))
         nothing = np.zeros((len(rig.shapes), 1))
         defaults = np.array([[control.default] for control in rig.controls])
@@ -85,7 +85,7 @@ class NameMap:
 
 
 def map_names(rig: Rig, other: Rig) -> NameMap:
-    """Return where what a rig has is in another, by name.
+    """Return the indices of a rig's tracks in another rig, by name.
 
     A joint whose source called it otherwise is found under both names.
     """
@@ -106,7 +106,7 @@ def map_names(rig: Rig, other: Rig) -> NameMap:
 
 
 def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, NameMap]:
-    """Return a source on a rig, by name, and where that has what.
+    """Return a source mapped to a rig by name, and the name map.
 
     What the rig lacks is left out; what only the rig has stays at rest.
     """
@@ -138,7 +138,7 @@ def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, Name
 
 
 def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
-    """Return notices of what only one of two rigs has."""
+    """Return notices of tracks that only one of two rigs has."""
     shapes = set(names.shapes.tolist())
     joints = [other.names[j] for j in names.spare]
     spare = [shape.name for i, shape in enumerate(other.shapes) if i not in shapes]
@@ -157,7 +157,7 @@ def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
 def on_rig_file(
     path: Path, stream: TakeStream, rig_path: Path, *, forced: bool
 ) -> TakeStream:
-    """Return a source on a rig that lives elsewhere."""
+    """Return a source mapped to a rig of another file."""
 
     def note(
         code: str,
@@ -202,7 +202,7 @@ def _moved_if(
 
 
 def _moved(channel: Channel, indices: IntArray, rest: FloatArray) -> Channel:
-    """Return the values at some indices, -1 being one that stays at rest."""
+    """Return a channel's entries at indices; -1 is an entry at rest."""
     there = indices >= 0
     values = np.array(rest, np.float64)
     values[there] = channel.rest[indices[there]]

@@ -1,4 +1,4 @@
-"""Opening a source by what it is."""
+"""Opening a source by its format."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _UNITS = "sets the unit of a BVH, a glTF or an FBX; this file states its own"
 @inherits_docs
 @dataclass(frozen=True, slots=True)
 class SourceOptions:
-    """What a source is, where the file does not say.
+    """Properties of a source that its file does not state.
 
     Attributes:
         force_fit: Take motion that does not fit the rig all the same.
@@ -224,33 +224,33 @@ class SourceOptions:
     shot: Shot | None = None
 
     def __post_init__(self) -> None:
-        """Take the rate as it is written."""
+        """Convert the rate from a number or text."""
         if self.fps is not None:
             object.__setattr__(self, "fps", rate_option(self.fps))
 
 
 @dataclass(frozen=True, slots=True)
 class OpenTake:
-    """A take that is open already, as a source."""
+    """An open take, as a source."""
 
     path: Path  # the file that messages and reports name
     stream: TakeStream  # its motion, which can be read once
 
 
 def is_usd(path: Path) -> bool:
-    """Return whether a path is that of a USD file."""
+    """Return whether a path is a USD file."""
     return READERS.get(path.suffix.lower()) is USD
 
 
 def motion_bytes(path: Path) -> int:
-    """Return the size of a file that holds motion; 0 of a scene, which names others."""
+    """Return the size of a motion file; 0 for a scene, which names others."""
     # That it is gone since is said by those who look at what was read.
     state = None if is_named(path, "scene") else FileState.of(path)
     return 0 if state is None else state.size
 
 
 def source_stem(path: Path) -> str:
-    """Return a file's name without what says its kind.
+    """Return a file's name without the suffixes of its kind.
 
     >>> source_stem(Path("takes/walk.clip.yaml"))
     'walk'
@@ -259,7 +259,7 @@ def source_stem(path: Path) -> str:
 
 
 def takes_option(path: Path, name: str) -> bool:
-    """Return whether files of a path's suffix take an option of `SourceOptions`.
+    """Return whether a file format supports an option of `SourceOptions`.
 
     >>> takes_option(Path("walk.bvh"), "unit"), takes_option(Path("walk.bvh"), "rig")
     (True, False)
@@ -273,7 +273,7 @@ def takes_option(path: Path, name: str) -> bool:
 def fitting_options(
     options: SourceOptions, path: Path, others: Sequence[Path]
 ) -> SourceOptions:
-    """Return options for one of several files that are opened alike.
+    """Return the options that apply to one of several files.
 
     What files of its kind do not take is left out, where one of the others takes it.
     All take a rig.
@@ -356,7 +356,7 @@ def open_source(
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
-    """Return what opens the take of each Skeleton of a USD file, by its path."""
+    """Return openers of the take of each Skeleton of a USD file, by path."""
     from animtool.usd.takes.stage_takes import read_characters
 
     note_input(path)
@@ -368,7 +368,7 @@ def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
 
 
 def _driven(stream: TakeStream) -> TakeStream:
-    """Return a source with what its rig drives in place of what it says of that."""
+    """Return a source whose driven tracks are evaluated from its rig."""
     if not stream.rig.is_driven:
         return stream
     from animtool.motion.driving import driven_stream

@@ -1,4 +1,4 @@
-"""What a scene carries beside its character, on the frames of its sources."""
+"""Props of a scene, sampled at the frames of its sources."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ VISIBLE_SHEAR = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class OpenProp:
-    """A thing that a scene names, open."""
+    """An open prop of a scene."""
 
     entry: SceneProp  # what the scene says of it
     source: PropSource
@@ -44,7 +44,7 @@ def open_props(
     meter: Meter,
     notices: list[Fault],
 ) -> list[OpenProp]:
-    """Return the things that a scene names, open, in a world of an up axis.
+    """Open the props of a scene, in a world with an up axis.
 
     source: the file of the take, whose things go where that is brought.
     """
@@ -75,7 +75,7 @@ def with_props(
     fps: Fraction | None,
     dropped: Callable[[FloatArray], Placement] | None = None,
 ) -> TakeStream:
-    """Return a take with more things beside its rig, on its frames.
+    """Return a take with more props, sampled at its frames.
 
     first: number of its first frame; None is what it says itself, or 1; fps: frames a
     second of the output; None is the take's time codes; dropped: as `TakeStream` has
@@ -111,7 +111,7 @@ def _counted(
     meter: Meter,
     notices: list[Fault],
 ) -> Track:
-    """Return a track whose reading is counted, and shear of it said."""
+    """Return a track whose reading is measured, and whose shear is reported."""
     noticed = False
 
     def sample(times: FloatArray) -> Transforms:
@@ -131,7 +131,7 @@ def _counted(
 
 @dataclass(frozen=True, slots=True)
 class _Prop:
-    """A thing on the frames of a take."""
+    """A prop sampled at the frames of a take."""
 
     opened: OpenProp
     begin: Fraction  # time code of its file at the first frame
@@ -144,7 +144,7 @@ class _Prop:
     def track(
         self, stream: TakeStream, dropped: Callable[[FloatArray], Placement] | None
     ) -> Track:
-        """Return its track, brought along where a take's place is dropped."""
+        """Return its track, transformed with a take whose placement is dropped."""
         track = self.opened.track
         if dropped is None or not track.along:
             return track
@@ -158,7 +158,7 @@ class _Prop:
         return placed_track(track, back)
 
     def notes(self, fps: Fraction) -> Iterator[Fault]:
-        """Yield what there is to say of it, whatever the frames are."""
+        """Yield notices of the prop that do not depend on frames."""
         source, entry = self.opened.source, self.opened.entry
         note = entry.location.fault
         if source.unstated:
@@ -181,7 +181,7 @@ class _Prop:
 
 @dataclass(frozen=True, slots=True)
 class _PropStream:
-    """A take, and what comes beside it."""
+    """A take with its props."""
 
     stream: TakeStream
     props: Sequence[_Prop]
@@ -198,7 +198,7 @@ class _PropStream:
             first += block.frames
 
     def added(self, motion: Motion, times: FloatArray) -> Motion:
-        """Return a motion with the times ``(F, N)`` of the things, behind others."""
+        """Return a motion with the times ``(F, N)`` of props appended."""
         if motion.track_times is not None:
             times = np.concatenate([motion.track_times.dense()[..., 0], times], axis=1)
         return replace(motion, track_times=_channel(times))
@@ -212,6 +212,6 @@ class _PropStream:
 
 
 def _channel(times: FloatArray) -> Channel:
-    """Return times ``(F, N)`` as a channel in which all move, as blocks have to."""
+    """Return times ``(F, N)`` as a channel whose entries are all animated."""
     count = times.shape[1]
     return Channel(np.zeros((count, 1)), np.arange(count), times[..., None])

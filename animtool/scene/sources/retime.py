@@ -1,4 +1,4 @@
-"""Takes at other times: frames before the first, and the frames of a shot."""
+"""Retimed takes: preroll frames, and frames of a shot."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from animtool.scene.sources.away import no_frames
 
 @dataclass(frozen=True, slots=True)
 class Preroll:
-    """How early passes are to begin, in frames of the output."""
+    """Number of frames that passes need before the output."""
 
     # Of the take's first frame; None is what its source says, or 1.
     start: Fraction | None
@@ -29,7 +29,7 @@ class Preroll:
     fps: Fraction | None  # frames a second of the output; None is the take's rate
 
     def frames(self, stream: TakeStream) -> int:
-        """Return how many frames a take has too few before its first."""
+        """Return the number of frames that a take lacks before its first."""
         start = self.start if self.start is not None else stream.start
         lacking = (Fraction(1) if start is None else start) - self.first
         rate = stream.fps / stream.step
@@ -37,7 +37,7 @@ class Preroll:
 
 
 def begun_early(stream: TakeStream, count: int) -> TakeStream:
-    """Return a take with frames before its first that hold it.
+    """Return a take with frames before its first that repeat its pose.
 
     The take's own frames keep their time codes.
     """
@@ -84,7 +84,7 @@ def without_first(stream: TakeStream, count: int, start: Fraction | None) -> Tak
 
 
 def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
-    """Return a take whose time codes are shot frames, each sample at its own time.
+    """Return a take in shot frames, each sample at its exact time.
 
     Nothing is resampled or left out; a shot that does not place its media leaves the
     take as it is. One that holds a pose has that of each of its frames.
@@ -105,7 +105,7 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
 def _moved(
     stream: TakeStream, shot: Shot, start: Fraction, step: Fraction
 ) -> TakeStream:
-    """Return a take with its samples at other frames, its curves at their times."""
+    """Return a take with its samples at other frames and its curves retimed."""
     assert shot.fps is not None
     ratio = stream.fps * shot.speed / shot.fps
     curve, first = stream.curve, float(1 if stream.start is None else stream.start)
@@ -130,7 +130,7 @@ def _moved(
 
 
 def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
-    """Return a take whose last sample comes first; it is read whole."""
+    """Return a take reversed in time; all of it is read."""
     assert shot.fps is not None
     motion = stream.collect().motion
     between = stream.step / stream.fps
@@ -141,7 +141,7 @@ def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
 
 
 def _constant_pose(stream: TakeStream, shot: Shot) -> TakeStream:
-    """Return one pose of a take in every frame of a shot; the take is read whole."""
+    """Return one pose of a take in every frame of a shot; all of it is read."""
     assert shot.fps is not None
     assert shot.media_in is not None
     take, count = stream.collect(), shot.end - shot.start + 1

@@ -1,4 +1,4 @@
-"""What hangs on the character of a scene runs into: the world that systems have."""
+"""Colliders of springs on a scene's character, taken from its systems."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def around_take(
     options: Any,
     lead: float = 0.0,
 ) -> tuple[TakeStream, Colliders]:
-    """Return a take, and what the options of a pass name that is run into.
+    """Return a take, and the colliders that the options of a pass name.
 
     The systems that they name are simulated with those that these need, over the frames
     of the take; the scene's own character is the take as it is. Its frames are then
@@ -64,7 +64,7 @@ def around_take(
 
 
 def _turned(colliders: Colliders, rotation: FloatArray) -> Colliders:
-    """Return colliders turned about the origin, by a quaternion ``(4,)``."""
+    """Return colliders rotated about the origin by a quaternion ``(4,)``."""
     return Colliders(
         [replace(one, poses=_turned_poses(one.poses, rotation)) for one in colliders],
         [
@@ -85,14 +85,14 @@ def _turned_poses(poses: Poses, rotation: FloatArray) -> Poses:
 
 
 def _turned_rows(rows: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Return origins and quaternions ``(…, 7)`` turned about the origin."""
+    """Return origins and quaternions ``(…, 7)`` rotated about the origin."""
     origins = so3.rotate(rotation, rows[..., :3])
     return np.concatenate([origins, so3.multiply(rotation, rows[..., 3:])], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
 class _TurnedMotion:
-    """A surface in motion, turned about the origin."""
+    """A moving surface, rotated about the origin."""
 
     motion: SheetMotion
     rotation: FloatArray  # ``(4,)``
@@ -102,16 +102,16 @@ class _TurnedMotion:
         return np.asarray(so3.rotate(self.rotation, self.motion.points(t)))
 
     def triangles(self, t: float) -> IntArray:
-        """Return corners of its triangles ``(T, 3)`` at such a time."""
+        """Return the corners of its triangles ``(T, 3)``."""
         return self.motion.triangles(t)
 
     def forget(self, t: float) -> None:
-        """Take note that no time before one will be asked for [s]."""
+        """Drop data before a time, which will not be sampled again [s]."""
         self.motion.forget(t)
 
 
 class _TurnedBodies:
-    """Rigid bodies that nothing pushes, turned about the origin."""
+    """Rigid bodies that are not pushed, rotated about the origin."""
 
     def __init__(self, bodies: MovingBodies, rotation: FloatArray) -> None:
         self._bodies, self._rotation = bodies, rotation
@@ -120,7 +120,7 @@ class _TurnedBodies:
 
     @property
     def fastest(self) -> float:
-        """Speed of the fastest so far [m/s]."""
+        """Highest speed of the bodies so far [m/s]."""
         return self._bodies.fastest
 
     def ends(self, t0: float, t1: float) -> FloatArray:
@@ -128,5 +128,5 @@ class _TurnedBodies:
         return _turned_rows(self._bodies.ends(t0, t1), self._rotation)
 
     def forget(self, t: float) -> None:
-        """Take note that no time before one will be asked for [s]."""
+        """Drop data before a time, which will not be sampled again [s]."""
         self._bodies.forget(t)

@@ -1,4 +1,4 @@
-"""Systems as prims of a bake: alone, or alongside a take."""
+"""Systems as prims of a bake: alone, or with a take."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ Displacement: TypeAlias = Callable[[FloatArray], FloatArray | None]
 
 @dataclass(frozen=True, slots=True)
 class SystemPrims:
-    """Points, curves and meshes that systems simulate."""
+    """Prims of simulated points, curves and meshes."""
 
     scene: Scene
     job: SimulatedJob
@@ -62,11 +62,11 @@ class SystemPrims:
     displacement: Displacement | None = None  # of a layer; None is the same
 
     def seconds(self, code: Fraction) -> float:
-        """Return when a time code is, on the clock of the systems [s]."""
+        """Return the time of a time code on the clock of the systems [s]."""
         return float((code - self.start) / self.job.metadata.span.fps)
 
     def author(self, draft: BakeState) -> None:
-        """Simulate; without chunks, as soon as the layer is saved."""
+        """Simulate; without chunks, when the layer is saved."""
         plan = draft.plan
         prims = self if self.watch is None else self._on_take(self.watch)
         codes, job = prims.codes, prims.job
@@ -88,7 +88,7 @@ class SystemPrims:
         draft.growth = frames
 
     def _on_take(self, watch: CharacterWatch) -> SystemPrims:
-        """Return these with the time codes of the take."""
+        """Return a copy with the time codes of the take."""
         codes = [Fraction(code) for code in watch.codes.tolist()]
         stated = self.job.metadata
         span = FrameSpan(codes[0], codes[-1], stated.span.fps)
@@ -102,7 +102,7 @@ class SystemPrims:
         return replace(self, job=job, start=start, codes=tuple(codes))
 
     def _begin(self, draft: BakeState) -> None:
-        """Begin a layer of systems alone, and its report."""
+        """Create a layer that holds only systems, and its report."""
         plan, metadata = draft.plan, self.job.metadata
         layer = simulated_layer(self.job, plan.output)
         take = WrittenTake("", metadata.span, samples=len(self.codes))
@@ -127,7 +127,7 @@ class SystemPrims:
 
 @dataclass(slots=True)
 class SystemFrames:
-    """Frames of systems, simulated as they are written; see `Growth`."""
+    """Frames of systems, simulated while they are written; see `Growth`."""
 
     prims: SystemPrims
     job: SimulatedJob
@@ -141,7 +141,7 @@ class SystemFrames:
     ended: Any = None
 
     def chunk(self, layer: Any, output: Path | None, size: int) -> None:
-        """Simulate into files of so many samples, which a layer joins."""
+        """Simulate into files of some samples each, which a layer joins."""
         assert output is not None
         clips = system_files(output)
         self.files, self.written = chunk_simulated(
@@ -159,7 +159,7 @@ class SystemFrames:
         return growing.size
 
     def _end(self, layer: Any) -> None:
-        """End with the last frame that was reached; keep states that are asked for."""
+        """Set the last frame that was reached; save requested states."""
         run, prims = self.run, self.prims
         if run.stopped is not None and prims.watch is None:
             metadata = prims.job.metadata
@@ -171,7 +171,7 @@ class SystemFrames:
         run.save_states(prims.scene.path.resolve().parent)
 
     def complete(self, draft: BakeState) -> None:
-        """Add what was simulated to the report."""
+        """Add the simulated frames to the report."""
         report, run, written = draft.report, self.run, self.written
         assert report is not None
         report.notices += run.notices
@@ -198,7 +198,7 @@ class SystemFrames:
 
 
 def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
-    """Return what is to become of the systems of a scene."""
+    """Return the plan of a scene's systems."""
     _check(scene, options)
     fps = options.fps or FPS
     frames, scene_frames = options.frame_range, scene.bake.frame_range
@@ -234,7 +234,7 @@ def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction,
 
 
 def _check(scene: Scene, options: BakeOptions) -> None:
-    """Refuse what only characters have."""
+    """Refuse options that need a character."""
     names = [option.label for option in refused_options(options, "systems").values()]
     if options.form in {Form.SPLIT, Form.LAYER, Form.LIBRARY}:
         names.insert(options.rig_layer is not None, f"as: {options.form}")
@@ -248,7 +248,7 @@ def _check(scene: Scene, options: BakeOptions) -> None:
 
 
 def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
-    """Return what is to become of the systems of a scene that has a source.
+    """Return the plan of a scene's systems with a take.
 
     They are below the character's model, so that both are in one world wherever that
     stands: in its unit, turned to its up axis.
@@ -274,7 +274,7 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
 
 
 def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
-    """Refuse systems whose prims something else has."""
+    """Refuse systems whose prim paths are taken."""
     paths, target = plan.paths, plan.target
     tracks = plan.takes[0].stream.tracks
     taken = {paths.root: "the character"}
@@ -295,7 +295,7 @@ def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
 
 
 def _is_other(target: RigTarget, path: str) -> bool:
-    """Return whether a shot has another prim there than an earlier bake's."""
+    """Return whether a stage has a prim there that no earlier bake wrote."""
     prim = target.stage.GetPrimAtPath(target.on_stage(path))
     if not prim or any(map(prim.IsA, ("PointBased", "PointInstancer"))):
         return False

@@ -1,4 +1,4 @@
-"""What carries particles that are held: joints, vertices and prims in motion."""
+"""Carriers of pinned particles: joints, vertices and prims in motion."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class OnJoint:
     location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
-        """Return what is wrong with it, at its key; None where it is there."""
+        """Return the fault of an unknown joint, at its key; None without one."""
         if self.joint in rig.names:
             return None
         message = f"unknown joint {self.joint!r} of {rig.name!r}"
@@ -48,7 +48,7 @@ class OnJoint:
         return Fault("SIM053", message, hint=hint, where="joint")
 
     def poses(self, characters: CharacterMotions) -> Poses:
-        """Return where it is over time."""
+        """Return its poses over time."""
         character = characters.of(self.file)
         _check(self.fault(character.rig), self.location)
         return joint_poses(
@@ -67,7 +67,7 @@ class OnVertex:
     location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
-        """Return what is wrong with it, at its key; None where it is there."""
+        """Return the fault of an unknown vertex, at its key; None without one."""
         fault = no_mesh(rig, self.mesh)
         if fault is not None:
             return fault
@@ -79,7 +79,7 @@ class OnVertex:
         return Fault("SIM053", message, where="vertex")
 
     def poses(self, characters: CharacterMotions) -> Poses:
-        """Return where it is over time; it never turns."""
+        """Return its positions over time, with constant rotation."""
         character = characters.of(self.file)
         _check(self.fault(character.rig), self.location)
         # The next block stands where the last one did.
@@ -107,11 +107,11 @@ class OnPrim:
     frame: float | None = None  # time code that comes at 0 s; None is the first
 
     def poses(self, characters: CharacterMotions) -> Poses:  # noqa: ARG002
-        """Return where it is over time."""
+        """Return its poses over time."""
         return self.over_time()
 
     def over_time(self) -> Poses:
-        """Return where it is over time, the frame of 0 s among its times."""
+        """Return its poses over time, with a sample at 0 s."""
         from animtool.usd.props.reader import open_prop
 
         prop = open_prop(PropRequest(self.file, self.prim, self.prim), UpAxis.Y)
@@ -130,7 +130,7 @@ class OnPrim:
 
 
 def moved_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
-    """Return where an entry stands that moves and turns by itself."""
+    """Return the poses of an entry with its own translation and rotation keys."""
     if not model.moves and not model.turns:
         return entry_poses
     translation_keys = np.array(model.moves or [[0.0] * 4])

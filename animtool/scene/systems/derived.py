@@ -1,4 +1,4 @@
-"""What a kind gets that is a spec and a build: it is read, run and tried from these."""
+"""Reading, running and trials of a system kind, derived from its spec and build."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ Reader: TypeAlias = Callable[[Location, Any], Any]
 
 @dataclass(frozen=True, slots=True)
 class Prototype:
-    """A mesh, and the phases of its cycle; those that are equal are shown by one."""
+    """A mesh that copies are made of, at the phases of its cycle."""
 
     path: Path
     prim: str | None  # of a USD file
@@ -69,7 +69,7 @@ class Prototype:
     samples: int  # phases of what moves
 
     def __call__(self) -> tuple[MeshFrame, ...]:
-        """Return its mesh at each phase; of what does not move there is one.
+        """Return its mesh at each phase; one for a static mesh.
 
         Raises:
             OptionError: There is no such mesh (SIM051, SIM053).
@@ -119,7 +119,7 @@ def _frame(points: FloatArray, counts: IntArray, indices: IntArray) -> MeshFrame
 
 
 class SpecPartReader(EntryReader):
-    """Reads what the models of entries hold.
+    """Reads the entries of a system spec by the types of their keys.
 
     Attributes:
         carriers: Files of what carries others.
@@ -139,7 +139,7 @@ class SpecPartReader(EntryReader):
     def parts(
         self, at: Location, model: FileModel, keys: Collection[str] | None = None
     ) -> dict[str, Any]:
-        """Return what keys of a model are read as, by key; plain ones are left out.
+        """Return the parsed entries of a model by key, without plain values.
 
         A list has one of each entry, without those that faults leave none. A model in a
         model is such parts again, or its record, and what is placed has its ``poses``
@@ -171,7 +171,7 @@ class SpecPartReader(EntryReader):
         return parts
 
     def entry(self, at: Location, model: FileModel) -> Any:
-        """Return the parts of a model, or its record; None where faults leave none."""
+        """Return the parts of a model, or its record; None with faults."""
         self.note_ranges(at, model)
         parts = self.parts(at, model)
         if not isinstance(model, RecordModel):
@@ -183,7 +183,7 @@ class SpecPartReader(EntryReader):
     def _reader(
         self, annotation: Any, marks: Sequence[Any] = (), *, check: bool
     ) -> Reader | None:
-        """Return what reads entries of a type; None for plain values.
+        """Return the method that reads entries of a type; None for plain values.
 
         Faults of places and shapes are noted where nothing else does.
         """
@@ -204,7 +204,7 @@ class SpecPartReader(EntryReader):
         return next((read for read in inner if read is not None), None)
 
     def prototype(self, at: Location, model: PrototypeModel) -> Prototype | None:
-        """Return a mesh that copies are made of; a USD file is looked at now."""
+        """Return the mesh of copies; a USD file is checked now."""
         if (model.prim is None) is (model.mesh is None):
             message = "write either the prim of a USD file, or the mesh of a rig"
             hint = "write prim: /bird/body, or mesh: body"
@@ -219,7 +219,7 @@ class SpecPartReader(EntryReader):
         return prototype
 
     def gaits(self, at: Location, model: GaitsModel) -> GaitsSource | None:
-        """Return clips of a rig; they are looked at now, once for all of one rig."""
+        """Return gait clips of a rig, checked now and once for each rig."""
         from animtool.scene.systems.gaits import GaitsSource
 
         rig = self.followed((*at, "rig"), model.rig)
@@ -231,7 +231,7 @@ class SpecPartReader(EntryReader):
         return None if self.opened(at, source) is None else source
 
     def physics(self, at: Location, model: PhysicsStageModel) -> Physics | None:
-        """Return what UsdPhysics says of a stage."""
+        """Return the UsdPhysics bodies of a stage."""
         from animtool.usd.physics.read import read_bodies
 
         path = self.followed((*at, "file"), model.file)
@@ -247,7 +247,7 @@ class SpecPartReader(EntryReader):
             return None
 
     def names(self, at: Location, entry: str | int) -> list[str | int]:
-        """Return a name or number, or those of an array; none of one not read."""
+        """Return a name or number, or those of an array; none if unreadable."""
         if not isinstance(entry, str) or ".npz" not in entry:
             return [entry]
         above = [step for step in at[:-2] if isinstance(step, str)]
@@ -255,7 +255,7 @@ class SpecPartReader(EntryReader):
         return [] if values is None else [int(n) for n in values.ravel().tolist()]
 
     def rest_mesh(self, at: Location, model: PrimMeshModel) -> StillMesh | None:
-        """Return a mesh of a USD file as it is at its first frame."""
+        """Return a mesh of a USD file at its first frame."""
         from animtool.usd.caches.reader import read_still_mesh
 
         path = self.input((*at, "file"), model.file)
@@ -270,7 +270,7 @@ class SpecPartReader(EntryReader):
     def carrying_character(
         self, at: Location, model: CarryingJointModel | CarryingVertexModel
     ) -> OnJoint | OnVertex | None:
-        """Return a joint or a vertex that carries others.
+        """Return a joint or vertex as a carrier.
 
         It is checked now; of the scene's own character that is later.
         """
@@ -299,7 +299,7 @@ class SpecPartReader(EntryReader):
         return carrier
 
     def carrying_prim(self, at: Location, model: CarryingPrimModel) -> OnPrim | None:
-        """Return a prim that carries others."""
+        """Return a prim as a carrier."""
         from animtool.usd.props.reader import open_prop
 
         path = self.input((*at, "file"), model.file)
@@ -311,11 +311,11 @@ class SpecPartReader(EntryReader):
         return OnPrim(path, model.prim, model.frame)
 
     def carrying_body(self, at: Location, model: CarryingBodyModel) -> OnBody:  # noqa: ARG002
-        """Return a rigid body that carries others; systems are looked at later."""
+        """Return a rigid body as a carrier; its system is checked later."""
         return OnBody(model.system, model.body)
 
     def _sound(self, at: Location, part: Any, *, check: bool) -> Any:
-        """Return what an entry is read as, and note its own faults if asked to."""
+        """Return a parsed entry, with its own faults recorded if requested."""
         self.sound &= part is not None
         for why in part.faults() if check and part is not None else ():
             self.note(at, Fault("SIM020", why))
@@ -345,7 +345,7 @@ READERS: Mapping[Any, str] = {
 
 
 def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
-    """Return what marks a type, or one that it may be."""
+    """Return the markers of a type or of its alternatives."""
     inner = [_marks(one, ()) for one in get_args(annotation)]
     metadata = getattr(annotation, "__metadata__", ())
     return [*marks, *metadata, *(mark for part in inner for mark in part)]
@@ -358,7 +358,7 @@ def read_spec(
     roots: Sequence[Path],
     units: SceneUnits = METRES,
 ) -> SystemSetup | None:
-    """Return the setup of an entry; None where faults leave none.
+    """Return the setup of an entry; None with faults.
 
     ``units`` are those of the scene, which arrays of files that it names count too.
 

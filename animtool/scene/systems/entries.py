@@ -1,4 +1,4 @@
-"""Reading what entries of systems have in common, all faults noted."""
+"""Reading of entries that systems have in common; all faults are recorded."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ RecordT = TypeVar("RecordT", bound=Checked)
 
 
 class EntryReader:
-    """Makes records of the keys of an entry.
+    """Reads records from the keys of an entry.
 
     Attributes:
         document: Where faults are noted.
@@ -74,17 +74,17 @@ class EntryReader:
         self.files: list[Path] = []
 
     def note(self, at: Location, fault: Fault) -> None:
-        """Note a fault at a place."""
+        """Record a fault at a location."""
         self.sound = False
         self.document.add(fault.code, at, fault.message, fault.hint)
 
     def note_all(self, at: Location, faults: Located) -> None:
-        """Note faults, each at its place below another."""
+        """Record faults, each at a key below a location."""
         for key, fault in faults:
             self.note((*at, *key), fault)
 
     def note_ranges(self, at: Location, model: FileModel) -> None:
-        """Note the numbers of an entry that are out of their ranges."""
+        """Record numbers of an entry that are out of range."""
         for fault in range_faults(model, OF_ENTRY):
             self.note((*at, fault.where or ""), fault)
 
@@ -95,7 +95,7 @@ class EntryReader:
         code: str | None = None,
         kind: type[AnimtoolError] = AnimtoolError,
     ) -> Kind | None:
-        """Return what a function reads; None, and its faults, where it raises.
+        """Return what a function reads; None with recorded faults if it raises.
 
         With a code that is the first alone, as one of that code.
         """
@@ -109,7 +109,7 @@ class EntryReader:
     def checked(
         self, at: Location, record: RecordT | None, model: FileModel
     ) -> RecordT | None:
-        """Return what an entry is made into, its own faults noted at their keys."""
+        """Return a record after recording its faults at their keys."""
         if record is None:
             self.sound = False
             return None
@@ -122,7 +122,7 @@ class EntryReader:
     def note_entry(
         self, at: Location, model: FileModel, faults: Sequence[Fault]
     ) -> None:
-        """Note faults of a whole entry, each at its key where that is given."""
+        """Record faults of an entry, each at its key if that is present."""
         for fault in faults:
             key = fault.where
             self.note((*at, key) if key in model.model_fields_set else at, fault)
@@ -130,12 +130,12 @@ class EntryReader:
     def each(
         self, at: Location, models: Iterable[Any], read: Callable[[Location, Any], Any]
     ) -> list[Any]:
-        """Return what entries of a list are read as, without those that leave none."""
+        """Return the parsed entries of a list, without faulty ones."""
         parts = [read((*at, i), model) for i, model in enumerate(models)]
         return [part for part in parts if part is not None]
 
     def around(self, at: Location, key: str, models: Iterable[Any]) -> tuple[Any, ...]:
-        """Return what is run into, as one of the keys of `AROUND` lists it."""
+        """Return the parsed colliders of one of the keys in `AROUND`."""
         readers: Mapping[str, Callable[[Location, Any], Any]] = {
             "colliders": self.collider,
             "characters": self.character_collider,
@@ -146,7 +146,7 @@ class EntryReader:
         return tuple(self.each((*at, key), converted, readers[key]))
 
     def collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
-        """Return the collider of an entry that makes sense."""
+        """Return a valid collider of an entry; None with faults."""
         shape = self.shape((*at, "shape"), model.shape)
         poses = None if shape is None else self.poses(at, model, "SIM020")
         collider = None
@@ -155,11 +155,11 @@ class EntryReader:
         return self.checked(at, collider, model)
 
     def shape(self, at: Location, entry: Named) -> Any:
-        """Return a shape of colliders."""
+        """Return a collider shape."""
         return self.named(at, entry, SHAPES, "shape", "SIM020")
 
     def force(self, at: Location, entry: Named) -> Force | None:
-        """Return a force of the table, its numbers in their ranges."""
+        """Return a force, its numbers checked for their ranges."""
         from animtool.systems.particles.forces.table import find_force
 
         ((name, options),) = entry.items()
@@ -173,14 +173,14 @@ class EntryReader:
         return force
 
     def emitter_shape(self, at: Location, entry: Named) -> Any:
-        """Return where particles are made: a place, on the surface of a mesh too."""
+        """Return an emitter shape, which may be the surface of a mesh."""
         from animtool.systems.particles.places import PLACES, MeshSurface
 
         shape = self.named(at, entry, PLACES, "place", "SIM021")
         return MeshSurface(shape) if isinstance(shape, Mesh) else shape
 
     def mesh(self, at: Location, model: MovingMeshModel) -> MovingMeshModel | None:
-        """Return the mesh of a USD file, whose points may move, with its whole path."""
+        """Return a mesh of a USD file, possibly animated, with its full path."""
         path = self.followed((*at, "file"), model.file)
         if path is None:
             return None
@@ -190,7 +190,7 @@ class EntryReader:
         return mesh
 
     def poses(self, at: Location, model: PlacedModel, code: str) -> Poses | None:
-        """Return where an entry stands over time; None where what is noted leaves none.
+        """Return the poses of an entry over time; None with faults.
 
         Args:
             at: Place of the entry.
@@ -223,7 +223,7 @@ class EntryReader:
         entry_poses: Poses,
         code: str,
     ) -> Poses | None:
-        """Return the poses of what goes with a prim."""
+        """Return the poses of an entry that follows a prim."""
         assert model.prim is not None
         for key in ("moves", "turns"):
             if getattr(model, key):
@@ -247,7 +247,7 @@ class EntryReader:
     def character_collider(
         self, at: Location, model: CharacterModel
     ) -> CharacterModel | None:
-        """Return a character that is run into, with the whole path of its file."""
+        """Return a character collider, with its file's full path."""
         path = self.character(at, model)
         if path is None:
             return None
@@ -258,7 +258,7 @@ class EntryReader:
         return model.model_copy(update={"file": str(path)})
 
     def surface(self, at: Location, model: SystemSurfaceModel) -> SystemSurfaceModel:
-        """Return a surface of the scene that an entry names."""
+        """Return the surface of a scene's system that an entry names."""
         self.note_ranges(at, model)
         return model
 
@@ -267,7 +267,7 @@ class EntryReader:
         at: Location,
         model: CharacterModel | CarryingJointModel | CarryingVertexModel,
     ) -> Path | None:
-        """Return the file of a character; the scene's own has that of the scene."""
+        """Return the file of a character; the scene file for its own one."""
         if model.source is (model.file is not None):
             message = "write either a file, or the character of this scene"
             hint = "write file: walk.clip.yaml, or source: true"
@@ -305,13 +305,13 @@ class EntryReader:
     def record(
         self, at: Location, kind: type[Kind], values: dict[str, Any], name: str
     ) -> Kind | None:
-        """Return a record of options, all of which are checked."""
+        """Return a record of options after checking all of them."""
         record, faults = record_of_options(kind, values, name)
         self.note_all(at, faults)
         return None if faults else record
 
     def _mesh(self, at: Location, values: dict[str, Any]) -> Mesh | None:
-        """Return the mesh whose arrays a file has."""
+        """Return the mesh of a file's arrays."""
         unknown = unknown_options(values, ["points", "triangles", "closed"], "mesh")
         self.note_all(at, unknown)
         closed = values.get("closed", False)
@@ -333,7 +333,7 @@ class EntryReader:
         return Mesh(points, np.asarray(triangles, np.int64), closed)
 
     def _height_field(self, at: Location, values: dict[str, Any]) -> Mesh | None:
-        """Return the mesh of the heights that a file has."""
+        """Return the mesh of a file's heights."""
         what = "a height field needs heights, such as hill.npz"
         heights = self._named_array(at, values, "heights", what)
         if heights is not None:
@@ -351,7 +351,7 @@ class EntryReader:
     def _named_array(
         self, at: Location, values: dict[str, Any], key: str, what: str
     ) -> npt.NDArray[np.float64] | None:
-        """Return the array that an option names, which must be given."""
+        """Return the array that a required option names."""
         text = values.get(key)
         if isinstance(text, str):
             return self.array((*at, key), text, key)
@@ -362,7 +362,7 @@ class EntryReader:
     def array(
         self, at: Location, text: str, default: str | None = None
     ) -> npt.NDArray[np.float64] | None:
-        """Return the array that a reference names; None, and a fault, where none is.
+        """Return the array of a reference; None with a fault if unreadable.
 
         ``default`` is the name of the array where it gives none; None is its key.
         """
@@ -381,25 +381,25 @@ class EntryReader:
         return values if why is None else None
 
     def input(self, at: Location, name: str) -> Path | None:
-        """Return a file to read; None, and a fault, where there is none."""
+        """Return a file to read; None with a fault if it is missing."""
         path = referred_input(self.document, at, name, self.roots)
         self.sound &= path is not None
         return path
 
     def followed(self, at: Location, name: str) -> Path | None:
-        """Return a USD file to read, which the system goes with; None as `input`."""
+        """Return a USD file that the system depends on; None as in `input`."""
         path = self.input(at, name)
         self.files += [] if path is None else [path]
         return path
 
     def output(self, at: Location, name: str) -> None:
-        """Note what keeps a file from being written."""
+        """Record the fault of a file that cannot be written."""
         path = referred(self.document, at, name, self.roots, written=True)
         self.sound &= path is not None
 
 
 def _array_fault(values: npt.NDArray[np.float64]) -> str | None:
-    """Return why a system can do nothing with an array."""
+    """Return why an array is not usable in a system."""
     if not values.ndim:
         return "is a single number, not a list"
     if np.abs(values).max(initial=0.0) > MAX_NUMBER:

@@ -1,4 +1,4 @@
-"""How systems of a scene depend on each other."""
+"""Dependencies between the systems of a scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.systems.framework.spec import Member
 
 
 def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
-    """Return systems by number, those that are simulated as one together.
+    """Return groups of system indices in simulation order.
 
     What others need comes before them; else they stand in the scene's order.
     """
@@ -36,7 +36,7 @@ def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
 
 
 def needed(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
-    """Return which systems must be there before some that are simulated as one.
+    """Return the systems that a joined group depends on.
 
     Those that they need, and what these need, each with what it is joined to.
     """
@@ -53,7 +53,7 @@ def needed(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
 def simulated_with(
     systems: Sequence[SceneSystem], requested: Sequence[int]
 ) -> list[int]:
-    """Return some systems, what they are joined to, and what these need."""
+    """Return some systems with those they are joined to or depend on."""
     every, included = in_order(systems), {*requested}
     while True:
         groups = [group for group in every if not included.isdisjoint(group)]
@@ -71,7 +71,7 @@ def simulated_with(
 
 
 def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
-    """Return systems that are joined together, each group as its first stands.
+    """Return groups of joined systems, ordered by their first member.
 
     Those that the same rigid bodies carry are joined by these.
     """
@@ -94,7 +94,7 @@ def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
 def check_links(
     document: Document, systems: Sequence[SceneSystem], names: Sequence[str]
 ) -> None:
-    """Note names of systems that there are none of, and joints that cannot be."""
+    """Record unknown system names and invalid joins."""
     sound = len(systems) == len(names)
     for system in systems:
         setup = system.setup
@@ -118,7 +118,7 @@ def check_met(
     systems: Sequence[SceneSystem],
     names: Sequence[str],
 ) -> None:
-    """Note what passes name that cannot be run into (SIM183, SIM184, SCN063)."""
+    """Record unknown colliders that passes name (SIM183, SIM184, SCN063)."""
     for entry in passes:
         at = location_of(entry.location.where)
         for i, one in enumerate(getattr(entry.options, "characters", ())):
@@ -156,7 +156,7 @@ def _check_body(
     body: str,
     where: str,
 ) -> bool:
-    """Note a body that a rigid system has not (SIM162); builds know all of stages."""
+    """Record a body that a rigid system lacks (SIM162); stages are checked later."""
     specs: list[Any] = [each.setup.spec for each in systems if each.name == name]
     if not specs or specs[0].stages:
         return True
@@ -170,13 +170,13 @@ def _check_body(
 
 
 def member_of(system: SceneSystem) -> Member:
-    """Return an entry as a build sees it."""
+    """Return an entry in the form that a build takes."""
     setup = system.setup
     return Member(system.name, system.kind, setup.spec, setup.parts, setup.record)
 
 
 def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
-    """Note what keeps systems that are joined from being one."""
+    """Record faults of systems that cannot be joined."""
     members = [member_of(system) for system in systems]
     for system in systems:
         record = system.setup.record
@@ -196,7 +196,7 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
 
 
 def _check_circles(document: Document, systems: Sequence[SceneSystem]) -> bool:
-    """Note the first system that runs into another which runs into it."""
+    """Record the first cycle of systems that collide with each other."""
     try:
         in_order(systems)
     except CycleError as error:
@@ -216,7 +216,7 @@ def _check_circles(document: Document, systems: Sequence[SceneSystem]) -> bool:
 def check_names(
     document: Document, at: Location, requested: Sequence[str], names: Sequence[str]
 ) -> None:
-    """Note names of systems for an output that there are none of."""
+    """Record unknown system names of an output."""
     known = sorted({*names})
     for i, name in enumerate(requested):
         if name not in names:
@@ -235,7 +235,7 @@ def _check_name(
     names: Sequence[str],
     having: str,
 ) -> bool:
-    """Note a name that is none of another system that can serve."""
+    """Record a name that is not another suitable system."""
     self_name = None if system is None else system.name
     named = [other for other in systems if other.name == name]
     message, hint = "", None

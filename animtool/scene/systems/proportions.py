@@ -1,4 +1,4 @@
-"""Systems that do not fit the characters beside them: far off, or far too large."""
+"""Systems that do not fit their characters: far away, or out of scale."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def misplaced(
     characters: CharacterMotions,
     main_rig: Rig | None = None,
 ) -> list[Fault]:
-    """Return warnings of systems that do not fit the characters that they go with.
+    """Return warnings of systems that do not fit their characters.
 
     Pins that begin beyond the size of their character (SIM168), as far as the nearest
     of their particles is, at 0 s; else systems that are far off or large, and would fit
@@ -69,7 +69,7 @@ def misplaced(
 
 
 def _characters(system: SceneSystem) -> list[Path]:
-    """Return the files of the characters that a system goes with."""
+    """Return the files of the characters that a system depends on."""
     files = [Path(str(one.file)) for one in system.setup.around.characters]
     pins = getattr(system.setup.record, "pinned", ())
     carriers = [pinned.carrier for pinned in pins]
@@ -80,7 +80,7 @@ def _characters(system: SceneSystem) -> list[Path]:
 def _out_of_scale(
     system: SceneSystem, rig: Rig, counted: LengthUnit
 ) -> Iterator[Fault]:
-    """Yield the warning of a system that fits a character in the rig's unit alone."""
+    """Yield the warning of a system that fits a character only in the rig's unit."""
     points = _points(system)
     tall, size = _sizes(rig)
     scale = rig.meters_per_unit / counted.meters
@@ -111,7 +111,7 @@ def _out_of_scale(
 
 
 def _points(system: SceneSystem) -> FloatArray:
-    """Return where a system is at 0 s, as far as its entry says it ``(N, 3)`` [m]."""
+    """Return the stated positions of a system at 0 s ``(N, 3)`` [m]."""
     positions: FloatArray | None = getattr(system.setup.record, "positions", None)
     if positions is not None:
         return positions
@@ -147,7 +147,7 @@ def _first_frame(character: CharacterMotion) -> CharacterMotion:
 def _faults(
     pinned: PinnedPoints, characters: CharacterMotions, counted: LengthUnit
 ) -> Iterator[Fault]:
-    """Yield the warning of what is pinned, if it is far from what carries it.
+    """Yield the warning of a pin that is far from its carrier.
 
     counted: what lengths of the system count.
     """
@@ -176,7 +176,7 @@ def _faults(
 
 
 def _counting_as(unit: str) -> str:
-    """Return how a scene counts in a unit; empty of one that it cannot name."""
+    """Return how to state a unit in a scene; empty if it has no name."""
     if unit not in {one.value for one in LengthUnit}:
         return ""
     return f"units: {{length: {unit}}} in the scene uses the rig's unit"

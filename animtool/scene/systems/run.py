@@ -1,4 +1,4 @@
-"""Systems of a scene taken through the frames, those that tear looked at first."""
+"""A run of systems through the frames, after a tear pre-pass."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def last_states(
     character: CharacterMotion | None = None,
     progress: Progress = None,
 ) -> Mapping[int, Any]:
-    """Return the states that some systems end in, by number.
+    """Return the final states of some systems, by index.
 
     A mesh that parts has all its points from the first frame on, so that it keeps its
     topology: what will tear must be known before anything is written. Systems that
@@ -75,7 +75,7 @@ LIKELY = 9.0
 
 
 class SystemRun:
-    """Systems under way.
+    """A run of systems.
 
     Attributes:
         systems: What is simulated.
@@ -93,7 +93,7 @@ class SystemRun:
         progress: Progress = None,
         main_rig: Rig | None = None,
     ) -> None:
-        """Begin: ``last`` [s]; ``main_rig`` is the rig of the scene's own character."""
+        """Build the systems: ``last`` [s]; ``main_rig`` is the scene's rig."""
         _check_steps(systems, last)
         self.systems = systems
         self.seconds = [0.0] * len(systems)
@@ -119,7 +119,7 @@ class SystemRun:
         )
 
     def _shown(self, last: float) -> SystemProgress | None:
-        """Return where systems tell how far they are."""
+        """Return the progress callbacks of the systems."""
         if self._phases is None:
             return None
 
@@ -132,7 +132,7 @@ class SystemRun:
 
     @property
     def notices(self) -> list[Fault]:
-        """What is odd so far, each at the place of its system."""
+        """Warnings collected so far, each located at its system."""
         duplicates = duplicate_prims([self.systems[i] for i in self.written])
         return (
             duplicates
@@ -146,7 +146,7 @@ class SystemRun:
 
     @property
     def simulated(self) -> list[dict[str, object]]:
-        """What became of each that has something to say, as plain values."""
+        """Reports of the systems as plain values."""
         return [said for opened in self._open if (said := opened.report())]
 
     def rows(
@@ -157,7 +157,7 @@ class SystemRun:
         *,
         keep_stopped: bool = False,
     ) -> Iterator[tuple[float, list[Any]]]:
-        """Yield every time code with what each system that is written is then.
+        """Yield every time code with the frames of the written systems.
 
         With ``keep_stopped`` they end before the first frame that a system does not
         reach, unless that is the first of all.
@@ -187,7 +187,7 @@ class SystemRun:
     def _check_resumed(
         self, codes: Sequence[Fraction], times: Sequence[float], fps: Fraction
     ) -> None:
-        """Refuse frames before the state that a system goes on from (SIM035)."""
+        """Refuse frames before the state that a system resumes (SIM035)."""
         faults = []
         for system, opened in zip(self.systems, self._open, strict=True):
             run = opened.run
@@ -204,7 +204,7 @@ class SystemRun:
             raise FormatError(faults)
 
     def _note_kept(self) -> None:
-        """Note states that were to be saved of frames that there are not (SIM185)."""
+        """Warn of states to save at frames outside the range (SIM185)."""
         for i, at in self._saving.items():
             code = self._kept[i][0] if i in self._kept else None
             if at is not None and code != at:
@@ -216,7 +216,7 @@ class SystemRun:
                 self._warnings.append(fault)
 
     def _run_tear_pre_pass(self, times: Sequence[float]) -> None:
-        """Let systems whose frames need to know how they end see that."""
+        """Give their final states to systems that need them in advance."""
         runs = {i: self._open[i].run for i in self.written}
         predicted = {
             i: run
@@ -233,7 +233,7 @@ class SystemRun:
         self.seconds[min(predicted)] += time.perf_counter() - began
 
     def _before(self, code: Fraction, error: ToleranceError) -> list[Fault]:
-        """Return the faults of a system that stopped, the last with the frame."""
+        """Return the faults of a stopped system, the last with the frame."""
         *others, last = error.faults
         message = last.message + f", before frame {float(code):g}"
         hints = [last.hint] if last.hint else []
@@ -243,7 +243,7 @@ class SystemRun:
         return [*others, replace(last, message=message, hint=", ".join(hints) or None)]
 
     def _keep(self, code: Fraction) -> None:
-        """Keep the states that are to be saved at a time code."""
+        """Keep the states that are saved at a time code."""
         for i in self._saving:
             # Who is pushed takes who pushes it along: all end at the same time.
             self._open[i].run.receive()
@@ -252,7 +252,7 @@ class SystemRun:
                 self._kept[i] = float(code), self._open[i].run.receive()
 
     def save_states(self, folder: Path) -> None:
-        """Write the states that systems are to save, into the folder of their scene.
+        """Write the states to save, into the folder of the scene.
 
         Raises:
             OutputError: One cannot be written.
@@ -271,7 +271,7 @@ class SystemRun:
         return row
 
     def note(self, written: Sequence[CachedMesh]) -> None:
-        """Add what is odd about prims to the notices, each at its system."""
+        """Add the notices of prims, each located at its system."""
         self._warnings += [
             self.systems[i].location.locate(notice)
             for i, prim in zip(self.written, written, strict=True)
@@ -279,7 +279,7 @@ class SystemRun:
         ]
 
     def reports(self, written: Sequence[CachedMesh], scene: str) -> list[MeshReport]:
-        """Return what became of each that is written, of a file."""
+        """Return the report of each written system."""
         return [
             MeshReport(
                 self.systems[i].name,
@@ -295,7 +295,7 @@ class SystemRun:
 
 
 def _unlikely(system: SceneSystem) -> list[str]:
-    """Return a hint at the number of a system that is farthest from those of scenes."""
+    """Return a hint at the number of a system that is most unusual."""
     values = system.setup.spec.model_dump(exclude_unset=True, by_alias=True)
     sizes = [*_sizes(values, ""), *_sizes(system.setup.parts, "")]
     far = [(abs(math.log10(size)), name, size) for name, size in sizes if size > 0]
@@ -323,7 +323,7 @@ def _sizes(node: Any, name: str) -> Iterator[tuple[str, float]]:
 
 
 def _step_end(frame: float, length: float, fps: Fraction) -> str:
-    """Return why a state is of no whole frame; empty where it is of one."""
+    """Return why a state is between frames; empty if it is on one."""
     if abs(frame - round(frame)) < 1e-6 or length * float(fps) > 1:
         return ""
     return (
@@ -333,7 +333,7 @@ def _step_end(frame: float, length: float, fps: Fraction) -> str:
 
 
 def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
-    """Refuse systems that would take hours, by their steps (SCN091)."""
+    """Refuse systems whose steps would take hours (SCN091)."""
     faults = []
     for system in systems:
         step = system.setup.facts.step or LONGEST_STEP
@@ -354,7 +354,7 @@ def system_job(
     meters_per_unit: float,
     up: UpAxis,
 ) -> SimulatedJob:
-    """Return what is to be written of systems: ``meters_per_unit`` [m]."""
+    """Return the writer's job for systems: ``meters_per_unit`` [m]."""
     rotation = up_from_up(up, UpAxis.Y)
     written = [system for system in systems if system.written]
     return SimulatedJob(
@@ -367,7 +367,7 @@ def system_job(
 
 
 def duplicate_prims(systems: Sequence[SceneSystem]) -> list[Fault]:
-    """Return a warning for every system whose prim another's name has (SCN090)."""
+    """Return a warning for each system whose prim name is taken (SCN090)."""
     said = []
     for system, prim in zip(systems, _prim_names(systems), strict=True):
         if prim != legal_name(system.name):

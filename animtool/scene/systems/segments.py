@@ -77,7 +77,7 @@ def _index(systems: Sequence[SceneSystem], name: str) -> int:
 
 
 def _view(opened: EntryRun, name: str) -> SpringView:
-    """Return what a rope or strands show."""
+    """Return the rows of a rope or strand that are shown."""
     view = opened.simulation
     if isinstance(view, SpringView) and isinstance(view.body.shape, Curves):
         return view
@@ -87,7 +87,7 @@ def _view(opened: EntryRun, name: str) -> SpringView:
 
 
 def _particles(view: SpringView, name: str, particle: str) -> IntArray:
-    """Return the particle before one, and it, as numbers of the run ``(2,)``."""
+    """Return the rows of a particle and of the one before it ``(2,)``."""
     body = view.body
     number = particle.strip().removeprefix("-").isdecimal()
     particles, faults = numbered([int(particle) if number else particle], body)

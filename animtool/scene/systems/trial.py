@@ -1,4 +1,4 @@
-"""Systems simulated in several ways: methods, steps and tolerances."""
+"""Trials of systems with other methods, steps and tolerances."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def system_trials(
     times: FloatArray,
     character: CharacterMotion | None = None,
 ) -> list[tuple[list[SceneSystem], Trial]]:
-    """Return what can be simulated in several ways, with the systems of each.
+    """Return the trials of systems, with the systems of each.
 
     ``times`` ``(F,)`` [s].
     """
@@ -83,7 +83,7 @@ def _trial(
     rebuild: Callable[[], BuildContext],
     times: FloatArray,
 ) -> Trial:
-    """Return what is simulated as one in the way of its file, and in others.
+    """Return the trial of jointly simulated systems.
 
     ``rebuild`` opens what it needs, each time anew; ``times`` ``(F,)`` [s].
     """
@@ -119,7 +119,7 @@ def _trial(
 
 
 def _scene_text(system: SceneSystem, changes: Mapping[str, Any]) -> str:
-    """Return the keys of a system that ask for a setting."""
+    """Return the keys of a system that select a setting."""
     keys = ", ".join(
         f"{key}: {value:.6g}" if isinstance(value, float) else f"{key}: {value}"
         for key, value in changes.items()
@@ -129,7 +129,7 @@ def _scene_text(system: SceneSystem, changes: Mapping[str, Any]) -> str:
 
 
 def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
-    """Return methods, steps and tolerances about those of a file."""
+    """Return methods, steps and tolerances around those of a spec."""
     tolerance = getattr(spec, "tolerance", None)
     default = TOLERANCE if tolerance is None else tolerance
     options = {} if _is_fixed(spec_method) else {"tolerance": default}
@@ -149,7 +149,7 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
         return tried
 
     def references() -> list[list[Setting]]:
-        """Return finer and finer steps of the exact method, else of that of the file.
+        """Return ever finer steps of the exact method, else of the spec's.
 
         Where the exact one is not stable, those of the file's own, or far shorter ones.
         """
@@ -177,7 +177,7 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
 
 
 def _budget(method: str, most: int, *, other: bool) -> int | None:
-    """Return the most evaluations that a step of a method may take; None is any.
+    """Return the maximum of evaluations in a step of a method; None is unlimited.
 
     ``most`` is how many points there were at once in a run, ``other`` whether the
     method is another than that of the file.
@@ -199,7 +199,7 @@ def _budget(method: str, most: int, *, other: bool) -> int | None:
 
 
 def _outcome(run: SimulationRun, times: FloatArray) -> Outcome:
-    """Return what a simulation comes to, at times ``(F,)`` [s]."""
+    """Return the result of a simulation at times ``(F,)`` [s]."""
     began = time.perf_counter()
     shots: list[Shot] = []
     energies, status, reason, stable = [], Status.OK, "", None
@@ -229,19 +229,19 @@ def _outcome(run: SimulationRun, times: FloatArray) -> Outcome:
 
 
 def _is_fixed(method: str) -> bool:
-    """Return whether a method takes steps of one length; those of a kind's own do."""
+    """Return whether a method takes steps of constant length."""
     known = method in INTEGRATORS
     return not known or find_integrator(method).control is Control.FIXED
 
 
 def _same(shots: Sequence[Shot]) -> bool:
-    """Return whether no point comes or goes."""
+    """Return whether the number of points is constant."""
     ids = [shot.ids for shot in shots if shot.ids is not None]
     return all(np.array_equal(each, ids[0]) for each in ids)
 
 
 def _shot(frame: Frame) -> Shot:
-    """Return what a table compares of a frame."""
+    """Return the compared points of a frame."""
     if isinstance(frame, TransformsFrame):
         arms = [np.linalg.norm(mesh.points, axis=1) for mesh in frame.meshes]
         sizes = np.abs(frame.scales).max(initial=0.0)

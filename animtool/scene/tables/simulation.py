@@ -1,4 +1,4 @@
-"""Ways to make what a scene simulates and solves: methods, steps and tolerances."""
+"""Work-precision trials of a scene's systems, springs and IK passes."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ MAX_INSTANTS = 100
 
 
 def simulates(scene: Scene) -> bool:
-    """Return whether there is anything to simulate in a scene."""
+    """Return whether a scene simulates anything."""
     return bool(scene.systems) or any(
         entry.pass_.name == "simulate" for entry in scene.passes
     )
@@ -61,7 +61,7 @@ def simulates(scene: Scene) -> bool:
 def simulation_trials(
     scene: Scene, options: BakeOptions | None = None
 ) -> list[tuple[EntryLocation, Trial]]:
-    """Return ways to simulate what a scene does, and to reach its targets, in order.
+    """Return the trials of a scene's systems and passes, in order.
 
     Args:
         scene: It has systems, or passes that simulate or bring to targets.
@@ -91,7 +91,7 @@ def _write_systems(
     setting: Setting,
     output: Path,
 ) -> None:
-    """Write a scene in which some systems have another setting."""
+    """Write a scene with another setting of some systems."""
     assert trial.changes is not None
     changes = dict(trial.changes(setting))
     systems = list(scene.systems)
@@ -105,7 +105,7 @@ def _write_systems(
 def _write_pass(
     scene: Scene, at: int, setting: Setting, output: Path, name: str
 ) -> None:
-    """Write a scene in which an option of a pass is that of a setting."""
+    """Write a scene with another option of a pass."""
     passes = list(scene.passes)
     options = replace(passes[at].options, **{name: setting[name]})
     passes[at] = replace(passes[at], options=options)
@@ -125,7 +125,7 @@ def _write(scene: Scene, output: Path) -> None:
 def _times(
     scene: Scene, options: BakeOptions
 ) -> tuple[FloatArray, CharacterMotion | None]:
-    """Return when systems are looked at [s], and the character beside them."""
+    """Return the compared times of systems [s], and the scene's character."""
     # Nothing is written: chunks would need a file.
     first = scene.outputs[0]
     plain = replace(first, bake=replace(first.bake, chunk=None))
@@ -139,7 +139,7 @@ def _times(
 
 
 def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
-    """Return those of a take's times [s] that are in the range of an output."""
+    """Return a take's times [s] in the range of an output."""
     frame_range = plan.options.frame_range
     if frame_range is None:
         return times
@@ -149,7 +149,7 @@ def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
 
 
 def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial]]:
-    """Return what passes of a scene simulate or bring to targets, at their entries.
+    """Return the trials of a scene's spring and IK passes, with their entries.
 
     Raises:
         FormatError: A source is malformed, or a pass cannot be applied to it.
@@ -195,13 +195,13 @@ def _simulates(entry: ScenePass) -> bool:
 def _attach_trial(
     scene: Scene, entry: ScenePass, take: Take, body: Body, instants: int
 ) -> Trial:
-    """Return an attachment in the steps of its pass, and in more or fewer."""
+    """Return the trial of a spring attachment, with more and fewer steps."""
     clock = take.clock
     spread = np.linspace(0, clock.count - 1, min(clock.count, instants))
     frames = np.unique(spread.astype(np.int64))
 
     def passed(motion: Motion, **options: float) -> tuple[Motion, dict[str, Any]]:
-        """Return what the pass with some options makes of a motion, and its report."""
+        """Return the result of the pass on a motion, and its report."""
         stream = replace(TakeStream.of(take), blocks=iter([motion]))
         changed = replace(entry.options, **options)
         done = scene.passed(stream, replace(entry, options=changed))
@@ -248,7 +248,7 @@ def _attach_trial(
 
 
 def _figures(report: Mapping[str, Any]) -> dict[Figure, float]:
-    """Return how an attachment was strained, and how deep in what it meets."""
+    """Return the strain of an attachment and its penetration depth."""
     figures = {Figure.STRETCH: float(report["stretch"])}
     if report["kind"] == AttachKind.CLOTH:
         figures[Figure.DEPTH] = float(report["depth"]["value"])
@@ -257,7 +257,7 @@ def _figures(report: Mapping[str, Any]) -> dict[Figure, float]:
 
 
 def _attached(rig: Rig, body: Body, motion: Motion) -> FloatArray:
-    """Return the points of an attachment that are compared ``(F, N, 3)`` [m]."""
+    """Return the compared points of an attachment ``(F, N, 3)`` [m]."""
     if isinstance(body, SurfaceBody):
         return motion.points[body.mesh.name].dense()
     assert isinstance(body, ChainBody)

@@ -1,4 +1,4 @@
-"""Ways to write a take: sample rates, samples left out, keys."""
+"""Work-precision trials of a take's output: sample rates, reduction, keys."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ SOURCE = Setting("source", ())  # what the source has, in float64
 
 
 def take_trials(source: Source, options: BakeOptions | None = None) -> list[Trial]:
-    """Return ways to write a take in USD, and ways to write it as keys.
+    """Return the trials of a take as USD samples and as keys.
 
     Stages are written into a temporary folder and evaluated by UsdSkel, rounding and
     interpolation included. A clip is compared with its curves between the frames, a
@@ -107,7 +107,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
 
 
 def _in_range(take: Take, plan: BakePlan) -> Take:
-    """Return the frames of a take that the output is to have."""
+    """Return the frames of a take that the output has."""
     frames, clock = plan.options.frame_range, take.clock
     if frames is None:
         return take
@@ -121,7 +121,7 @@ def _in_range(take: Take, plan: BakePlan) -> Take:
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """Where the points of a take are at some instants [s]."""
+    """Reference points of a take at some times [s]."""
 
     rig: Rig
     seconds: FloatArray
@@ -148,13 +148,13 @@ class _Known:
         return _Known(take.rig, frames / float(clock.rate), shots)
 
     def where(self, shot: int, point: int) -> str:
-        """Return the joint that carries a point, and when."""
+        """Return the joint of a point, and the time."""
         each = len(self.shots[shot].points) // max(1, len(self.rig.joints))
         return f"{self.rig.names[point // each]} at {self.seconds[shot]:.2f} s"
 
 
 def _shots(rig: Rig, world: WorldTransforms) -> list[Shot]:
-    """Return the points that joints carry, for each instant."""
+    """Return the points that joints carry, at each time."""
     attached = attached_points(rig, SHELL)
     return [
         Shot(
@@ -181,7 +181,7 @@ def _samples(
     *,
     curved: bool,
 ) -> Trial:
-    """Return ways to write a take's samples in USD."""
+    """Return the trial of a take's samples in USD."""
     requested = plan.options
     plain = BakeOptions(source=requested.source, to_up=requested.to_up)
     rate = take.clock.rate if requested.fps is None else requested.fps
@@ -237,7 +237,7 @@ def _samples(
 
 
 def _scene_text(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -> str:
-    """Return how a scene's output asks for a setting, or a command of another file."""
+    """Return how a scene's output or a command selects a setting."""
     if setting.method == RATE:
         key, value = "fps", str(rates[setting["fps"]])
     else:
@@ -253,7 +253,7 @@ def _scene_text(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -
 
 @dataclass(frozen=True, slots=True)
 class _Baked:
-    """A stage that was written."""
+    """A written stage."""
 
     samples: int
     bytes: int
@@ -269,7 +269,7 @@ def _bake(source: Source, output: Path, options: BakeOptions) -> _Baked:
 
 
 def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:
-    """Return ways to write a take as keys of a clip."""
+    """Return the trial of a take as keys of a clip."""
 
     def run(setting: Setting) -> Outcome:
         if setting == SOURCE:

@@ -1,4 +1,4 @@
-"""Time against error of what an input can trade, by one runner for all of it."""
+"""Tables of time against error, for everything that an input offers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SUITE = ("orbits.scene.yaml", "rope.scene.yaml", "reach.scene.yaml", "arm.clip.y
 
 @dataclass(frozen=True, slots=True)
 class Tradeoffs:
-    """What an input can trade, one table for each thing that is made of it.
+    """Tables of an input, one for each result.
 
     Attributes:
         source: The file.
@@ -49,7 +49,7 @@ class Tradeoffs:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two settings of a table as stages, to be looked at beside each other."""
+    """Two settings of a table as stages, for comparison by eye."""
 
     table: int  # index of the table
     settings: tuple[Setting, Setting]  # the current one, and another
@@ -65,7 +65,7 @@ def measure_tradeoffs(
     folder: Path | None = None,
     progress: Progress = None,
 ) -> Tradeoffs:
-    """Measure time against error of all that an input can trade.
+    """Measure time against error for all results of an input.
 
     That is the integrator, step and tolerance of what a scene simulates, method and
     tolerance of what it brings to targets, and the sample rate, the thinning and the
@@ -95,7 +95,7 @@ def measure_tradeoffs(
 def suite_tradeoffs(
     *, budget: float | None = None, progress: Progress = None
 ) -> Tradeoffs:
-    """Measure animtool's own examples, as `measure_tradeoffs` does its source.
+    """Measure animtool's own examples; see `measure_tradeoffs`.
 
     They are comets by each integrator, a rope by each solver, an arm that reaches by
     each method, and a wave of it as samples and keys: what this machine makes of them.
@@ -115,7 +115,7 @@ def suite_tradeoffs(
 def simulation_tradeoffs(
     scene: Scene, options: BakeOptions | None = None, *, progress: Progress = None
 ) -> Tradeoffs:
-    """Measure what a scene simulates and solves, as `measure_tradeoffs` does."""
+    """Measure a scene's simulations and solves; see `measure_tradeoffs`."""
     trials = simulation_trials(scene, options)
     return _measured(scene.path, trials, None, progress)
 
@@ -123,7 +123,7 @@ def simulation_tradeoffs(
 def take_tradeoffs(
     source: Source, options: BakeOptions | None = None, *, progress: Progress = None
 ) -> Tradeoffs:
-    """Measure ways to write the take of a source, as `measure_tradeoffs` does."""
+    """Measure settings of a take's output; see `measure_tradeoffs`."""
     trials: list[tuple[EntryLocation | None, Trial]] = [
         (None, trial) for trial in take_trials(source, options)
     ]
@@ -131,7 +131,7 @@ def take_tradeoffs(
 
 
 def ik_tradeoffs(job: IkJob, *, progress: Progress = None) -> Tradeoffs:
-    """Measure ways to solve a job, as `measure_tradeoffs` does; nothing is written."""
+    """Measure settings of an IK job; see `measure_tradeoffs`."""
     return _measured(job.targets, [(None, job_trial(job))], None, progress)
 
 
@@ -175,7 +175,7 @@ def _pairs(
     tables: Sequence[TrialTable],
     folder: Path,
 ) -> list[Pair]:
-    """Write two settings of each table, where they can be looked at."""
+    """Write two settings of each table as stages."""
     pairs = []
     for i, ((_, trial), table) in enumerate(zip(trials, tables, strict=True)):
         other = _other(table)
@@ -191,7 +191,7 @@ def _pairs(
 
 
 def _other(table: TrialTable) -> TrialRow | None:
-    """Return what to look at beside the chosen setting; None where there is nothing."""
+    """Return the setting to compare with the chosen one; None without any."""
     better = table.recommended
     if better is not None and not better.chosen:
         return better
@@ -200,7 +200,7 @@ def _other(table: TrialTable) -> TrialRow | None:
 
 
 def _beyond(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
-    """Return a warning for each table in which nothing keeps the budget (SIM176)."""
+    """Return a warning for each table without a setting in the budget (SIM176)."""
     faults = []
     for table in tables:
         if table.budget is None or table.recommended is not None:
