@@ -131,7 +131,7 @@ _lock = threading.Lock()
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Record that USD reads a file in the block, unless it has crashed before (USD160)."""
+    """Record a file that USD reads in the block; refuse one that crashed it (USD160)."""
     listener = _state.listener
     if listener is None:
         yield
