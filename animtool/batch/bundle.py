@@ -52,11 +52,11 @@ MAX_SECONDS = 1e9
 class Cuts:
     """Shot options of the command line that extend a batch file."""
 
-    path: Path | None = None  # the timeline; None is that of the batch file
+    path: Path | None = None  # the timeline; None is the batch file's
     words: tuple[str, ...] = ()  # options of its shots, in place of the batch's
 
 
-# Of what no timeline cuts.
+# Items without a timeline.
 NO_CUTS = Cuts()
 
 

@@ -146,7 +146,7 @@ def _client(address: str) -> Any:
         except Exception as error:
             connections.put(error)
 
-    # Its own timeout does not count what a server that is no scheduler answers.
+    # Its own timeout does not cover answers of a server that is not a scheduler.
     with warnings.catch_warnings():
         # Versions of workers are compared before the first item.
         warnings.simplefilter("ignore")
@@ -283,8 +283,8 @@ class _ClusterWorker:
     threads: int  # how many it has
     fit: bool | None = None  # whether it builds items; None is not known yet
     host: str = ""  # its machine
-    going: int = 0  # items that it has now
-    built: int = 0  # items that it built
+    going: int = 0  # current items
+    built: int = 0  # finished items
 
     def has_room(self, *, queue_next: bool) -> bool:
         """Return whether to send an item; with ``queue_next`` one more."""
@@ -298,7 +298,7 @@ class _ClusterWorker:
 class _Sent:
     """A running task: an item, or a check of a worker without one."""
 
-    worker: _ClusterWorker  # to whom
+    worker: _ClusterWorker  # its receiver
     item: Item | None = None
 
 
@@ -308,7 +308,7 @@ class _Farm:
 
     client: Any  # the way to the cluster
     name: str  # of the run
-    work: Work  # what it is given
+    work: Work  # its input
     tokens: Mapping[str, str]  # files by which workers know the disks of outputs
     workers: dict[str, _ClusterWorker] = field(default_factory=dict)  # those that live
     sent: dict[Any, _Sent] = field(default_factory=dict)  # by future
@@ -350,7 +350,7 @@ class _Farm:
             with suppress(Empty):
                 future, value = self.ended.get(timeout=POLL_INTERVAL)
                 if future in self.sent:
-                    yield from self._heard(self.sent.pop(future), value)
+                    yield from self._handle_answer(self.sent.pop(future), value)
             yield from self._delivered()
 
     def _said(self) -> Iterator[Fault]:
@@ -451,14 +451,16 @@ class _Farm:
         why = f"{count}, all excluded: the warnings say why"
         raise _unusable(self.work.argument, why, RESUME)
 
-    def _heard(self, sent: _Sent, value: object) -> Iterator[ItemOutcome | Fault]:
+    def _handle_answer(
+        self, sent: _Sent, value: object
+    ) -> Iterator[ItemOutcome | Fault]:
         """Process the answer of a worker: a check or the outcome of an item."""
         worker, item = sent.worker, sent.item
         if item is None:
             yield from self._checked(worker, value)
             return
         if isinstance(value, BaseException):
-            # Where the worker is lost, the next count says so.
+            # A lost worker shows in the next count.
             yield from self._loss(sent, f"{type(value).__name__}: {value}")
             return
         worker.going -= 1

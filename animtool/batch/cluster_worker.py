@@ -43,8 +43,8 @@ class WorkerCheck:
     """Requirements of a worker before it is sent an item."""
 
     task: WorkerTask  # how it builds items
-    inputs: tuple[InputCheck, ...]  # files that it must see
-    # By path, what is in files in the output folders, which the run wrote just now.
+    inputs: tuple[InputCheck, ...]  # required files
+    # Content by path of files that the run just wrote to the output folders.
     tokens: Mapping[str, str]
 
 

@@ -25,7 +25,7 @@ from animtool.core.timecode import is_timecode, parse_timecode
 class CutMetadata:
     """Metadata of shots; None is not stated."""
 
-    start_frame: int | None = None  # first frame of the shot, that of its head handle
+    start_frame: int | None = None  # first frame of the shot, including the head handle
     cut_start: int | None = None  # first frame of the cut, behind the head handle
     handles: int | None = None  # shot frames before and after the cut
     first_timecode: str | None = None  # of the media, such as 01:00:00:00

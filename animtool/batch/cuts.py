@@ -128,7 +128,7 @@ def timeline_rate(
     rates = Counter(picture_rates(timeline.tracks))
     total = sum(rates.values())
     if not total:
-        # No clip has a range that could be shown, and each that is there says so.
+        # No clip has a visible range; each clip is reported.
         return Fraction(1), []
     chosen, count = rates.most_common(1)[0]
     if len(rates) == 1:
@@ -155,7 +155,7 @@ def _agreed(stated: Fraction, asked: Fraction | None, path: str) -> Fraction:
 def picture_rates(composition: Any) -> Iterator[Fraction]:
     """Yield the rate of every clip and gap on video tracks.
 
-    A clip without a range of its own counts at the rate of its media's.
+    A clip without a source range counts at the rate of its media range.
     """
     for child in composition:
         if hasattr(child, "find_children"):
@@ -173,7 +173,7 @@ def picture_rates(composition: Any) -> Iterator[Fraction]:
 # What names of files and of variables' users may hold everywhere.
 # What a person reads of a timeline of thousands of clips.
 MAX_FAULTS, MAX_NAMED = 100, 100
-# With what else a file's name has, within what disks allow.
+# Leaves room for the rest of a file name within the limits of disks.
 MAX_NAME = 120
 _LEGAL = re.compile(r"[^A-Za-z0-9_-]+")
 
@@ -194,7 +194,7 @@ class CutList:
     """The shots of a timeline."""
 
     shots: list[Cut] = field(default_factory=list)  # in its order
-    # What was left out of it, or changed.
+    # Notices of clips that were left out or changed.
     notices: list[Fault] = field(default_factory=list)
 
 
@@ -271,12 +271,12 @@ class _CutReader:
 
     def read(self) -> CutList:
         """Return the shots."""
-        return self.taken_from(self.clips().clips)
+        return self.cuts_of(self.clips().clips)
 
     def read_one(self, name: str | None) -> CutList:
         """Return a named shot."""
         walk = self.clips()
-        return self.taken_from(_named(walk.clips, name, self.path, walk.skipped))
+        return self.cuts_of(_named(walk.clips, name, self.path, walk.skipped))
 
     def clips(self) -> Walk:
         """Return the visible clips with the names of their shots."""
@@ -312,7 +312,7 @@ class _CutReader:
         self.cuts.notices += notices
         return timeline
 
-    def taken_from(self, entries: Sequence[ShownClip]) -> CutList:
+    def cuts_of(self, entries: Sequence[ShownClip]) -> CutList:
         """Return the shots of clips."""
         for entry in entries:
             self.clip(entry)

@@ -38,7 +38,7 @@ from animtool.core.files.output import inside
 from animtool.core.files.reading import (
     MatchedFile,
     PathResolver,
-    files_meant,
+    matching_files,
     nearest_file,
 )
 from animtool.core.names import check_unused, is_named
@@ -157,10 +157,10 @@ def _unused(scene: Scene, count: int) -> Fault:
 class Batch:
     """A batch with its items."""
 
-    name: str  # what its records are called
+    name: str  # name of its records
     items: tuple[Item, ...]  # in order
     item_task: ItemTask  # how each is made
-    limits: Limits  # what each may take
+    limits: Limits  # limits of each item
     jobs: int | None  # how many processes; None is one for each processor
     root: Path  # folder of all outputs, absolute, from which records name files
     named: tuple[Path, ...] = ()  # files that all items are made with, such as a scene
@@ -310,7 +310,7 @@ def _check_variables(
     if sample is not None:
         used |= set(getattr(sample, "variables", ()))
     elif any(is_named(path, "scene") for path in item_task.kinds):
-        # Each has its own, and says what is wrong with them when it is made.
+        # Each holds its faults until the items are built.
         used |= set(variables)
     taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
     check_unused(variables, used - taken)
@@ -533,4 +533,4 @@ def _suffixes(spec: BatchSpec) -> Sequence[str]:
 
 
 def _meant(folder: Path, text: str, suffixes: Sequence[str]) -> list[MatchedFile]:
-    return list(files_meant(os.fspath(folder / text), suffixes))
+    return list(matching_files(os.fspath(folder / text), suffixes))

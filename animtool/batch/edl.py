@@ -317,7 +317,7 @@ def _paired(events: Sequence[Event]) -> Iterator[tuple[Event, bool]]:
         yield event, pair
 
 
-# What stands for several tracks.
+# Channels of several tracks.
 CHANNELS = {
     "B": ("V", "A1"),
     "AA": ("A1", "A2"),

@@ -51,7 +51,7 @@ class Work:
     queue_next: bool = True
 
 
-# Yields the outcome of each item as it ends, and warnings about what builds them;
+# Yields the outcome of each item as it ends, and warnings about workers;
 # closing the iterator ends the work.
 Run: TypeAlias = Callable[[Work], Iterator[ItemOutcome | Fault]]
 
@@ -75,7 +75,7 @@ class Executor:
         """Return the function that builds items."""
         return cast(Run, load_object(self.run))
 
-    def get_ready(self, item_task: ItemTask) -> None:
+    def prepare(self, item_task: ItemTask) -> None:
         """Start slow preparations before the first item."""
         if self.ready:
             cast(Callable[[ItemTask], None], load_object(self.ready))(item_task)

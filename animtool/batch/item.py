@@ -23,7 +23,7 @@ from animtool.batch.records import (
     object_of,
     text_in,
 )
-from animtool.batch.spec import BatchSpec, named_from
+from animtool.batch.spec import BatchSpec, relative_name
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.files.output import inside, name_problem
@@ -267,10 +267,10 @@ def values_text(values: Mapping[str, str]) -> str:
 class Item:
     """One input of a batch and its output."""
 
-    number: int  # its place among those of the batch, from 1
-    file: MatchedFile  # what it is made of
+    number: int  # its number in the batch, from 1
+    file: MatchedFile  # its input
     output: Path  # the file to write; of several the first
-    # What names stand for in its scene, beside those of its input.
+    # Values of names in its scene, besides those of its input.
     names: Mapping[str, str] = field(default_factory=dict)
     # Every file to write, where its scene names several outputs, or one that is no USD;
     # empty where they follow from ``output``.
@@ -297,9 +297,9 @@ class Item:
 class ItemTask:
     """How items are built."""
 
-    # A scene that says what is done to each; None bakes each as it is.
+    # A scene to apply to each; None bakes each input itself.
     scene: Path | None = None
-    # What names in scenes stand for, beside those of each input.
+    # Values of names in scenes, besides those of each input.
     variables: Mapping[str, str] = field(default_factory=dict)
     # How to bake, where there is no scene.
     options: BakeOptions = field(default_factory=BakeOptions)
@@ -314,7 +314,7 @@ class ItemTask:
         """Return the values of the names in a scene."""
         names = input_names(item.file)
         if self.scene is None:
-            # A scene that is an input is no input of its own.
+            # A scene that is an input has no input itself.
             del names["input"]
         return {**names, **item.names, **self.variables, **item.variables}
 
@@ -401,16 +401,16 @@ class ItemTask:
 
     def described(self, item: Item, root: Path) -> dict[str, object]:
         """Return everything but files that affects how an item is built."""
-        plain: dict[str, object] = {"input": named_from(item.file.path, root)}
+        plain: dict[str, object] = {"input": relative_name(item.file.path, root)}
         if self.scene is not None or is_named(item.file.path, "scene"):
             names = self.names(item)
             for key in names.keys() & {"input", "folder"}:
-                names[key] = named_from(Path(names[key]), root)
+                names[key] = relative_name(Path(names[key]), root)
             plain["variables"] = names
         if item.shot is not None:
             plain["shot"] = {k: str(v) for k, v in plain_value(item.shot).items()}
         if self.scene is not None:
-            plain["scene"] = named_from(self.scene, root)
+            plain["scene"] = relative_name(self.scene, root)
             plain["strict"] = self.options.strict
         else:
             plain["options"] = self._digest(item.file.path, root)
@@ -433,7 +433,7 @@ def _plain(value: object, root: Path) -> object:
     if isinstance(value, tuple):
         return [_plain(part, root) for part in value]
     if isinstance(value, Path):
-        return named_from(value, root)
+        return relative_name(value, root)
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return str(value)

@@ -54,7 +54,7 @@ class Failures:
     """Failed items."""
 
     why: dict[str, str] = field(default_factory=dict)  # of each, by key
-    length: int = 0  # of what could be read [bytes]
+    length: int = 0  # length of the readable part [bytes]
     damaged: tuple[Fault, ...] = ()  # warnings of lines that cannot be used
 
 
@@ -93,7 +93,7 @@ def _line(key: str, why: str) -> dict[str, str]:
     return {"item": key, "why": why.replace("\0", "\\0")[:MAX_WHY]}
 
 
-# A run of some items holds the lock of the whole for a moment, to see that it is free.
+# A run of some items briefly takes the batch's lock to check that it is free.
 TIMEOUT = 5.0
 # The numbers of items that a part of a batch is called by.
 _PART = re.compile(r"([0-9]{1,9})-([0-9]{1,9})")
@@ -189,7 +189,7 @@ class Ledger:
     def __init__(self, files: _Files, now: int) -> None:
         self.now, self._files = now, files
         self.history, local = _read(files)
-        # What is damaged is told once.
+        # Damaged lines are reported once.
         self._grown = bool(self.history.damaged)
         self._closing = ExitStack()
         writer = ManifestWriter(files.named(".jsonl"), local.manifest)
@@ -294,7 +294,7 @@ def _sign(files: _Files) -> int:
 
     path = files.named(".owner")
     owner = json.dumps({"process": os.getpid(), "host": platform.node()})
-    # A link may lead to what is not ours, and a pipe nowhere.
+    # A link may lead to a foreign file, and a pipe nowhere.
     flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
     for name in ("O_NOFOLLOW", "O_NONBLOCK"):
         flags |= getattr(os, name, 0)

@@ -81,7 +81,7 @@ class ItemRecord:
 
     key: str  # its output, named as files are
     how: str  # digest of everything but files that decided how
-    versions: str  # digest of the versions of what made it
+    versions: str  # digest of the versions of its builders
     inputs: tuple[FileRecord, ...]  # the files that were looked at
     outputs: tuple[FileRecord, ...]  # the files that were written
     # When, by the clock of the disk that it was written to [ns]. Files that are as
@@ -176,7 +176,7 @@ class Manifest:
     # The distinct files that items refer to, with their numbers.
     files: dict[FileRecord, int] = field(default_factory=dict)
     next: int = 0  # the number of the next of them
-    length: int = 0  # of what could be read [bytes]
+    length: int = 0  # length of the readable part [bytes]
     # Warnings of lines that cannot be used.
     damaged: list[Fault] = field(default_factory=list)
 
@@ -198,7 +198,7 @@ class Manifest:
 def read_manifest(path: Path) -> Manifest:
     """Return a manifest; an empty one without a file.
 
-    A line that cannot be used is left out, and `Manifest.damaged` says so.
+    Unusable lines are skipped and listed in `Manifest.damaged`.
     """
     manifest, reader = Manifest(), LineReader(path, HEAD)
     lines = _Lines(manifest)

@@ -8,7 +8,7 @@ from dataclasses import field, replace
 from pathlib import Path
 
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.files.reading import MatchedFile, PathResolver, files_meant
+from animtool.core.files.reading import MatchedFile, PathResolver, matching_files
 from animtool.core.record import dataclass
 
 
@@ -62,7 +62,7 @@ def overridden(
         meant = {
             resolve(file.path)
             for text in override.inputs
-            for file in files_meant(os.fspath(folder / text), suffixes)
+            for file in matching_files(os.fspath(folder / text), suffixes)
         }
         matched = [by_location[where] for where in meant if where in by_location]
         for input_path in matched:

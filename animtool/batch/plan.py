@@ -13,7 +13,7 @@ from animtool.batch.discover import Batch
 from animtool.batch.item import Item
 from animtool.batch.ledger import History
 from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_digest
-from animtool.batch.spec import named_from, package_versions, path_of_name
+from animtool.batch.spec import package_versions, path_of_name, relative_name
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, OptionError, OutputError
 from animtool.core.files.output import name_key
@@ -41,11 +41,11 @@ class Decision:
 
     item: Item  # the item
     reason: BuildReason  # why
-    detail: str = ""  # the file that changed, or what happened last time
+    detail: str = ""  # the changed file, or the last failure
     # The item's record with what files are now, where they were touched and are still
     # the same.
     refreshed: ItemRecord | None = None
-    scores: tuple[PassScores, ...] = ()  # of what is up to date
+    scores: tuple[PassScores, ...] = ()  # record of an up-to-date item
 
     @property
     def due(self) -> bool:
@@ -77,7 +77,7 @@ class Planner:
 
     def key(self, item: Item) -> str:
         """Return the key of an item's record."""
-        return named_from(item.output, self._batch.root)
+        return relative_name(item.output, self._batch.root)
 
     def how(self, item: Item) -> str:
         """Return a digest of all settings that affect how an item is built."""

@@ -86,7 +86,7 @@ class _Worker:
 
     def give(self, item: Item) -> None:
         self.item, self.began = item, time.perf_counter()
-        # Where it is gone already, its sentinel says so.
+        # If it has ended, its sentinel shows that.
         with contextlib.suppress(OSError):
             self.connection.send(item)
 
@@ -124,11 +124,11 @@ class _Worker:
 class _Pool:
     """The processes of a run."""
 
-    builder: ItemBuilder  # what makes items
-    items: Iterator[Item]  # what is to be made
-    limits: Limits  # what each may take
+    builder: ItemBuilder  # builds the items
+    items: Iterator[Item]  # items to build
+    limits: Limits  # limits of each item
     queue_next: (
-        bool  # whether the next item is begun before it is told how the last ended
+        bool  # whether to send the next item before the last outcome is received
     )
     left: bool = True  # whether there may be more items
     workers: list[_Worker] = field(default_factory=list)  # those that live
@@ -164,16 +164,16 @@ class _Pool:
         }
         ready = wait(list(watched), self._time_left())
         for worker in dict.fromkeys(watched[cast(Any, key)] for key in ready):
-            yield from self._heard(worker)
+            yield from self._handle_message(worker)
         for worker in list(self.workers):
             waited = time.perf_counter() - worker.began
             if not worker.ready and waited > LONGEST_START:
                 self._failed_to_start(worker)
-            fault = self._beyond(worker)
+            fault = self._exceeded_limit(worker)
             if fault is not None:
                 yield self._lost(worker, fault)
 
-    def _heard(self, worker: _Worker) -> Iterator[ItemOutcome]:
+    def _handle_message(self, worker: _Worker) -> Iterator[ItemOutcome]:
         sent = worker.received()
         if sent == READY:
             worker.ready, self.failed_starts = True, 0
@@ -189,7 +189,7 @@ class _Pool:
         else:
             worker.process.join(TIMEOUT)
             code = worker.process.exitcode or 0
-            # Who is killed from outside was not ended by the file that it read.
+            # A process killed from outside was not crashed by the file it read.
             if worker.path and -code in CRASHES and code != -9:
                 yield self._lost(worker, crash_fault(worker.path, -code))
                 return
@@ -212,7 +212,7 @@ class _Pool:
 
     def _ended(self, worker: _Worker, outcome: ItemOutcome) -> Iterator[ItemOutcome]:
         worker.item = None
-        retired = outcome.retired or self._swollen(worker)
+        retired = outcome.retired or self._leaks_memory(worker)
         # One that fails may be the last that is begun: that is known when it is heard.
         if self.queue_next and outcome.status is ItemStatus.DONE and not retired:
             self.feed(worker)
@@ -221,7 +221,7 @@ class _Pool:
             self.workers.remove(worker)
             worker.end(kill=False)
 
-    def _beyond(self, worker: _Worker) -> Fault | None:
+    def _exceeded_limit(self, worker: _Worker) -> Fault | None:
         """Return by how much an item exceeds its limits."""
         limits = self.limits
         if worker.item is None or worker not in self.workers:
@@ -257,7 +257,7 @@ class _Pool:
             folders = [folder.resolve() for folder in worker.item.folders]
             remove_leftovers(folders, worker.process.pid)
 
-    def _swollen(self, worker: _Worker) -> bool:
+    def _leaks_memory(self, worker: _Worker) -> bool:
         """Return whether leftovers of items use half of the memory limit."""
         limit = self.limits.memory
         return limit is not None and _used_bytes(worker.process) > limit / 2

@@ -27,9 +27,9 @@ class ItemReport:
     """Report of an item."""
 
     item: Item  # the item
-    status: ItemStatus  # what became of it
+    status: ItemStatus  # its status
     reason: BuildReason  # why it was made, or not
-    detail: str = ""  # the file that changed, or what happened last time
+    detail: str = ""  # the changed file, or the last failure
     seconds: float = 0.0  # wall time of making it; 0 where it was not made
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes

@@ -19,7 +19,7 @@ from animtool.batch.plan import (
     check_overwrites,
 )
 from animtool.batch.report import BatchReport, ItemReport
-from animtool.batch.spec import BatchSpec, named_from, path_of_name
+from animtool.batch.spec import BatchSpec, path_of_name, relative_name
 from animtool.batch.work import ItemBuilder, ItemOutcome, ItemStatus
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.leftovers import remove_leftovers
@@ -34,7 +34,7 @@ class RunOptions:
 
     Attributes:
         jobs: How many items are made at a time; None is as the batch says.
-        executor: What makes them, and behind ``=`` what that is told.
+        executor: Name of the executor, with its argument after ``=``.
         numbers: First and last item to look at; None is all.
         dry_run: Make nothing; say what would be.
         force: Make every item, also what is up to date.
@@ -169,7 +169,7 @@ class _BatchRun:
         self.ended: dict[int, ItemReport] = {}
         self.begun: set[int] = set()
         self.failures = 0
-        self.notices: list[Fault] = []  # warnings about what builds the items
+        self.notices: list[Fault] = []  # warnings about workers
 
     def plan(self, items: Sequence[Item]) -> None:
         """Decide which items to build, and check their outputs."""
@@ -180,7 +180,7 @@ class _BatchRun:
             self.decisions[item.number] = decision
             if decision.due:
                 if not due:
-                    self._executor()[0].get_ready(self.batch.item_task)
+                    self._executor()[0].prepare(self.batch.item_task)
                 due.append(item)
             if decision.refreshed is not None:
                 self.ledger.add(decision.refreshed)
@@ -191,7 +191,9 @@ class _BatchRun:
 
     def _is_known(self, path: Path) -> bool:
         """Return whether a run of the batch wrote a file, or began to."""
-        return named_from(path, self.batch.root) in self.ledger.history.manifest.known
+        return (
+            relative_name(path, self.batch.root) in self.ledger.history.manifest.known
+        )
 
     def _executor(self) -> tuple[Executor, str]:
         """Return the executor of items, and its work."""
@@ -262,13 +264,13 @@ class _BatchRun:
                 except OptionError as error:
                     self._ended(ItemOutcome.failed(item, *error.faults))
                     continue
-            self.ledger.claim([named_from(path, self.batch.root) for path in paths])
+            self.ledger.claim([relative_name(path, self.batch.root) for path in paths])
             self.listener.began(item)
             yield item
 
     def _ended(self, outcome: ItemOutcome) -> None:
         if outcome.number not in self.begun or outcome.number in self.ended:
-            # An executor of a plug-in said it twice, or of what it was not given.
+            # An executor of a plug-in reported it twice, or an unknown item.
             return
         decision = self.decisions[outcome.number]
         item = decision.item

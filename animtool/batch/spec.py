@@ -15,7 +15,7 @@ from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 from animtool.scene.bake.options import BakeOptions
 
-# Beyond what anybody waits for, and within what systems can count.
+# Longer than any run, and within the range of system timers.
 MAX_SECONDS = 1e9
 MAX_BYTES = 10**18
 
@@ -78,7 +78,7 @@ def bytes_text(size: int) -> str:
 UP = ".."
 
 
-def named_from(path: Path, root: Path) -> str:
+def relative_name(path: Path, root: Path) -> str:
     """Return a file's path relative to a folder; absolute without a common root.
 
     >>> named_from(Path("/job/takes/a.bvh"), Path("/job/out"))
@@ -162,7 +162,7 @@ class BatchSpec:
         output: Pattern of the files to write; None is beside each input.
         limits: What each may take.
         jobs: How many processes; None is one for each processor.
-        path: The file that says it; None where there is none.
+        path: The batch file; None without one.
         cuts: A timeline whose clips are the items; None has one for each input.
         handles: Shot frames before and after the cuts of a timeline; None is as that
             says, else 0.

@@ -37,7 +37,7 @@ class Variants:
 
     # Of each variant, the value of every name, as written.
     rows: tuple[Mapping[str, str], ...]
-    path: Path | None = None  # the file that it was read from; None where there is none
+    path: Path | None = None  # the source file; None without one
 
     @property
     def names(self) -> tuple[str, ...]:

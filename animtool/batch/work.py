@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from animtool.batch.item import Item, ItemTask
 from animtool.batch.manifest import FileRecord, record_of
-from animtool.batch.spec import named_from
+from animtool.batch.spec import relative_name
 from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, excerpt
 from animtool.core.files.placing import output_error
@@ -58,7 +58,7 @@ class ItemOutcome:
     seconds: float  # wall time of making it
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes
-    measured: Measured | None = None  # what the bake measured
+    measured: Measured | None = None  # measurements of the bake
     scores: tuple[PassScores, ...] = ()  # how well passes did
     inputs: tuple[FileRecord, ...] = ()  # the files that were looked at
     outputs: tuple[FileRecord, ...] = ()  # the files that were written
@@ -144,19 +144,19 @@ class ItemBuilder:
         records = []
         for path, state in sorted(inputs.states.items()):
             known = None if state is None else self._digests.get(state)
-            name = named_from(path, self.root)
+            name = relative_name(path, self.root)
             if known is None or known.path != name:
                 known = record_of(path, name, state)
                 # Of a younger one the same state may mean another content later.
                 if state is not None and state.changed < at:
                     self._digests[state] = known
             records.append(known)
-        # What was read again for its digest is still what was read first.
+        # The file read again for its digest is unchanged.
         inputs.check()
         return tuple(records)
 
     def _output(self, path: Path) -> FileRecord:
-        return record_of(path, named_from(path, self.root), FileState.of(path))
+        return record_of(path, relative_name(path, self.root), FileState.of(path))
 
 
 def _measured(reports: Sequence[OutputReport]) -> Measured:
@@ -190,7 +190,7 @@ def _forget_layers() -> None:
         forget_layers()
 
 
-# The last freezes what the others brought.
+# The last one freezes the imported objects.
 PRELOAD = "animtool.batch.preload"
 ALWAYS = (
     "animtool.batch.work",

@@ -28,7 +28,7 @@ class WorkerTask:
     """How a worker process builds items."""
 
     builder: ItemBuilder  # makes them
-    limits: Limits  # what each may take
+    limits: Limits  # limits of each item
     folder: str  # the current folder, from which paths of items start
 
 
@@ -83,7 +83,7 @@ def main() -> None:
     with os.fdopen(os.dup(1), "wb") as results:
         os.dup2(2, 1)
         task: WorkerTask = pickle.load(sys.stdin.buffer)
-        # Whoever sends an item waits for what became of it before it sends the next.
+        # The sender waits for an outcome before it sends the next item.
         outcomes = run_processes(
             task.builder, _items(), task.limits, 1, queue_next=False
         )

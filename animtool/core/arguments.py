@@ -27,7 +27,7 @@ _CLAUSE = re.compile(f"{_OPEN}([^{_OPEN}{_CLOSE}]*){_CLOSE}")
 class Argument:
     """An argument that a text names."""
 
-    name: str  # of the field; `source.fps` of what is read
+    name: str  # dotted name of the field, such as `source.fps`
     value: str | None = None  # as files write it, where the text states one
 
     @property

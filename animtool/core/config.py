@@ -84,11 +84,11 @@ class Config:
     # Folders that files of the project may refer into: the one that the settings are
     # in, and those they name.
     roots: tuple[Path, ...] = ()
-    # What `animtool validate` makes of it, as written.
+    # Options of `animtool validate`, unparsed.
     validate: Mapping[str, Any] = field(default_factory=dict)
     # The most that is read of one archive of arrays [MB]; None is 1000.
     max_array_mb: int | None = None
-    path: Path | None = None  # the file that says so; None where there is none
+    path: Path | None = None  # the settings file; None without one
     timeline: TimelineConfig = TimelineConfig()
 
 

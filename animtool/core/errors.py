@@ -88,7 +88,7 @@ class Fault:
     def __str__(self) -> str:
         """Return ``file:line:column: CODE where: message; hint``, as far as known.
 
-        What is no error is said by its name, before the code. It is one line, with
+        Severities other than error precede the code. It is one line, with
         escapes as `escaped` writes them, and calls arguments as Python does.
         """
         prefix = ""
@@ -169,7 +169,7 @@ def refuse(
     raise OptionError(Fault(code, message, where=where, hint=hint))
 
 
-# What is wrong, the key that it is at, and a hint.
+# Message, key, and hint of a fault.
 Problem: TypeAlias = tuple[str, str | None, str | None]
 
 

@@ -19,8 +19,8 @@ class ListedFormat:
 
     suffix: str  # of the files
     source: str  # ``animtool``, or the object that an entry point names
-    can: tuple[str, ...]  # what it does with them; empty where it cannot be loaded
-    about: str  # what they are, or why it cannot be loaded
+    can: tuple[str, ...]  # its operations; empty if it cannot be loaded
+    about: str  # its description, or why it cannot be loaded
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,13 @@ class JunitCase:
     """A test case: a file."""
 
     name: str  # the file
-    # What became of it.
+    # Its result.
     outcome: Literal["passed", "failure", "error", "skipped"] = "passed"
-    code: str = ""  # of what is wrong
-    message: str = ""  # what is wrong, in a line
-    text: str = ""  # all of it
-    output: str = ""  # what there is to say beside that
-    seconds: float | None = None  # how long it took; None says nothing of it
+    code: str = ""  # fault codes
+    message: str = ""  # the fault in a line
+    text: str = ""  # the complete text
+    output: str = ""  # further output
+    seconds: float | None = None  # duration; None if unknown
 
 
 def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:

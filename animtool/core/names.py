@@ -12,7 +12,7 @@ from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.quantities import CONTROL
 from animtool.core.similar import by_likeness, similar
 
-# What stands in for a name that is missing, and is none.
+# Placeholder of a missing name.
 UNKNOWN = "?"
 # Valid names that a hint is looked for among.
 MAX_NAMES = 2000

@@ -57,7 +57,7 @@ class _OldNames:
         """Return the spec of an old name; None for any other."""
         if not new_name(name):
             return None
-        # From now on before others, which would find what is below the new name.
+        # From now on first: later finders would find modules below the new name.
         sys.meta_path.remove(cast(Any, self))
         sys.meta_path.insert(0, cast(Any, self))
         return ModuleSpec(name, cast(Any, self))

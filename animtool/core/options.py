@@ -88,7 +88,7 @@ class _DocOfKeys:
         return f"{head.rstrip()}\n\n{listed}{rest or '    '}"
 
 
-# One of a docstring, with the lines that it goes on in.
+# An attribute of a docstring, with its continuation lines.
 _ATTRIBUTE = r"^( {8}(\w+): .*\n(?: {12}.*\n)*)"
 
 
@@ -115,14 +115,16 @@ class Option:
     label: str = ""  # as refusals name it in a scene
     not_for: tuple[str, ...] = ()  # uses that refuse it
     over_layer: str = ""  # why an animation layer refuses it; empty where it does not
-    # Other options that it excludes, and how a refusal says so, if not the usual way.
+    # Options that it excludes, with the refusal's message if not the default.
     excludes: Mapping[str, str] = field(default_factory=dict)
-    goes_with: str = ""  # another option that it wants, or none
-    lacking: str = ""  # how a refusal says that it lacks that, if not the usual way
+    goes_with: str = ""  # another option that it needs, or none
+    lacking: str = ""  # the refusal's message where that is missing, if not the default
     scene: Key | None = None
     batch: Key | None = None
     help: str = ""  # of the command line; empty where commands have another such option
-    metavar: str | None = None  # what help calls the value; None is as its kind is
+    metavar: str | None = (
+        None  # placeholder of the value in help; None is that of its kind
+    )
     choices: tuple[str, ...] = ()  # on the command line; of a switch, off and on
     least: int = 0  # of a count
     reason: str = ""  # why a source may not take it
@@ -253,7 +255,7 @@ def chosen_options(record: Any) -> dict[str, Option]:
     }
 
 
-def called(name: str, inherits_docs: Option) -> str:
+def option_marker(name: str, inherits_docs: Option) -> str:
     """Return the marker of an option in a text."""
     return argument(name, {"switch": True, "answer": False}.get(inherits_docs.kind))
 
@@ -261,18 +263,20 @@ def called(name: str, inherits_docs: Option) -> str:
 def refused_options(record: Any, use: str) -> dict[str, Option]:
     """Return the chosen options that a use refuses, by their markers.
 
-    By what stands for each in a text.
+    By the marker of each in a text.
     """
     chosen = chosen_options(record).items()
     return {
-        called(name, option): option for name, option in chosen if use in option.not_for
+        option_marker(name, option): option
+        for name, option in chosen
+        if use in option.not_for
     }
 
 
 def clashes(record: Any) -> list[str]:
     """Return messages of chosen options that exclude or lack one another."""
     options, chosen = options_of(record), chosen_options(record)
-    names = {name: called(name, option) for name, option in options.items()}
+    names = {name: option_marker(name, option) for name, option in options.items()}
     messages = []
     for name, one in chosen.items():
         for other, message in one.excludes.items():

@@ -14,7 +14,7 @@ from animtool.core.names import nearest
 from animtool.core.record import dataclass
 
 _DOCS = resources.files("animtool") / "docs"
-# Folders of pages, and what the pages in them are.
+# Folders of pages, and the kind of their pages.
 KINDS = {
     "tutorials": "Tutorials",
     "howto": "How-to guides",

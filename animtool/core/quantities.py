@@ -16,7 +16,7 @@ import json
 import math
 import re
 
-# A class of a regular expression: what no name has a use for.
+# A class of a regular expression: characters that names never need.
 CONTROL = "\x00-\x1f\x7f-\x9f\ud800-\udfff"
 # Controls, what ends a line, what has no width, what turns the direction of text, and
 # joiners, save between letters that are joined.
@@ -90,9 +90,9 @@ _LENGTHS = (
 )
 # Of a number that is printed without an exponent.
 MAX_ZEROS = 15
-# Shorter lengths are what rounding in float64 leaves [m].
+# Shorter lengths are rounding errors of float64 [m].
 MIN_LENGTH = 1e-12
-# Smaller angles are what rounding in float64 leaves [deg].
+# Smaller angles are rounding errors of float64 [deg].
 MIN_ANGLE = 1e-6
 _DURATIONS = ((1.0, 1.0, "s"), (1e-3, 1e-3, "ms"), (0.0, 1e-6, "µs"))
 _SIZES = ((1e9, 1e9, "GB"), (1e6, 1e6, "MB"), (1e3, 1e3, "kB"), (0.0, 1.0, "B"))

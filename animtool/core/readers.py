@@ -12,7 +12,7 @@ from typing import Any, cast
 
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, FormatError, OptionError
-from animtool.core.files.reading import open_input, unreadable, why_no_file
+from animtool.core.files.reading import not_a_file_reason, open_input, unreadable
 from animtool.core.format_table import FormatTable, ListedFormat, suffix_text
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
@@ -77,7 +77,7 @@ class Reader:
         return _opener(self.markers, "markers", path)
 
 
-# A zip file of a stage and all that it refers to.
+# A zip file of a stage and its dependencies.
 PACKAGE = ".usdz"
 
 BVH = Reader(
@@ -207,7 +207,7 @@ TIMELINE_SUFFIXES = (
 )
 
 
-# Files of tools, and what of them is read once they export it.
+# Files of applications, and the formats to export them to.
 EXPORTS: dict[str, tuple[str, str]] = {
     ".ma": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
     ".mb": ("a Maya scene", "export FBX, glTF or USD from Maya, then use that file"),
@@ -320,7 +320,7 @@ def find_reader(path: Path) -> Reader:
     reader = reader_of(path)
     if reader is not None:
         return reader
-    reason = why_no_file(path)
+    reason = not_a_file_reason(path)
     if reason is not None:
         raise unreadable(path, reason)
     if path.suffix.lower() in EXPORTS:

@@ -16,7 +16,7 @@ from types import FunctionType, MemberDescriptorType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar, get_origin
 
 if TYPE_CHECKING:
-    # Type checkers know what that one does to a class; this one does the same.
+    # Type checkers know the effect of that decorator; this one has the same.
     from dataclasses import dataclass as dataclass  # noqa: PLC0414  # exports it
 else:
 
@@ -26,7 +26,7 @@ else:
         """Return a class as a record of its annotated fields, or the decorator.
 
         Args:
-            cls: The class, where nothing else is said.
+            cls: The class, when used without arguments.
             frozen: Whether instances are read-only; then they have a hash, if equal.
             slots: Whether they have no ``__dict__``.
             eq: Whether two with equal fields are equal.
@@ -261,7 +261,7 @@ def _comparer(names: list[str]) -> Callable[[Any, Any], Any]:
     def __eq__(self: Any, other: object) -> Any:  # noqa: N807
         if other.__class__ is not self.__class__:
             return NotImplemented
-        # In a tuple what is the same is equal, as a NaN is to itself.
+        # In a tuple an identical object is equal, as a NaN is to itself.
         return (values(self),) == (values(other),)
 
     return __eq__

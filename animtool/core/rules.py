@@ -97,8 +97,8 @@ class ListedRule:
     """A rule of a plug-in as `animtool plugins` lists it."""
 
     code: str  # the entry point's name
-    source: str  # the object that it names
-    kind: str  # of the files that it looks at; empty where it cannot be loaded
+    source: str  # the object it names
+    kind: str  # kinds of the files it checks; empty if it cannot be loaded
     about: str  # its title, or why it cannot be loaded
     json_keys: ClassVar[str] = "rule=code source kind about"
 

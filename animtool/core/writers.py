@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.files.reading import is_there
+from animtool.core.files.reading import exists
 from animtool.core.format_table import FormatTable, ListedFormat, suffix_text
 from animtool.core.names import KINDS, is_named
 from animtool.core.plugins import load_object
@@ -85,7 +85,7 @@ def output_stem(path: Path) -> str:
 
 
 USD = Writer("usd", "USD", stage=True, rig="animtool.scene.convert.rigs:rig_to_usd")
-# An archive is made of what is complete: no layer goes over it.
+# Archives hold complete stages: no layer goes over one.
 USDZ = replace(USD, rig="")
 RIG = Writer(
     "rig",
@@ -198,7 +198,7 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
     hint = f"allowed: {', '.join(_motion_suffixes())}"
     if writer is None and path.suffix.lower() in _READ_ONLY:
         message, hint = _read_only(path)
-    if not path.suffix and path.name and is_there(path) and path.is_dir():
+    if not path.suffix and path.name and exists(path) and path.is_dir():
         message = "is a folder, not a file"
         hint = f"name a file in it, such as {path / 'shot.usdc'}"
     elif not path.suffix:
@@ -209,7 +209,7 @@ def take_writer(path: Path, *, folders: bool = False) -> Writer:
 _OF_ROBOTS = (
     "write .rig.yaml or USD of the robot, and USD, .mot or .clip.yaml of its motion"
 )
-# Formats that are read, and what is written in place of them, by suffix.
+# Formats that are only read, and their replacements for writing, by suffix.
 _READ_ONLY = {
     ".fbx": (
         "FBX",

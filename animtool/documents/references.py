@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from animtool.core.config import find_config, project_around
-from animtool.core.files.reading import is_there, nearest_file, path_from_folder
+from animtool.core.files.reading import exists, nearest_file, path_from_folder
 from animtool.documents.document import Document, Location
 
 
@@ -65,7 +65,7 @@ def _way_out(path: Path, name: str, written: bool) -> str:
         target = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError):
         return "use a file inside the project"
-    if not (written or is_there(target)):
+    if not (written or exists(target)):
         return (
             f"nor does it exist: copy {target.name}, and the files it refers to, "
             f"into {folder}, and write its name here"
@@ -105,7 +105,7 @@ def referred_input(
         roots: Folders that references may lead into.
     """
     path = referred(document, location, name, roots)
-    if path is not None and not is_there(path):
+    if path is not None and not exists(path):
         message = f"{name!r} does not exist"
         document.add("DOC015", location, message, missing_hint(document, name))
         return None

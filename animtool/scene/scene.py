@@ -29,7 +29,7 @@ from animtool.scene.file.entries import (
     SceneSystem,
 )
 from animtool.scene.sources.open import SourceOptions, open_source
-from animtool.scene.sources.retime import Preroll, begun_early, in_shot, without_first
+from animtool.scene.sources.retime import Preroll, drop_first, in_shot, with_preroll
 
 if TYPE_CHECKING:
     from animtool.rig.placement import Placement
@@ -43,21 +43,21 @@ class Scene:
     path: Path
     # What is read, at least one; the first has the rig and the frames.
     sources: tuple[SceneSource, ...]
-    passes: tuple[ScenePass, ...]  # what to do to it, in order
-    outputs: tuple[SceneOutput, ...]  # what to write, at least one
-    rig: Path | None = None  # the rig that all sources move; None is that of the first
-    props: tuple[SceneProp, ...] = ()  # what is carried beside the character
-    # Frame of the shot that the first frame of the sources is; None is what they say.
+    passes: tuple[ScenePass, ...]  # passes in order
+    outputs: tuple[SceneOutput, ...]  # outputs, at least one
+    rig: Path | None = None  # the rig of all sources; None is that of the first
+    props: tuple[SceneProp, ...] = ()  # props
+    # Frame of the shot at the first frame of the sources; None is as they state.
     first: Fraction | None = None
     # How early passes with a state of their own begin; None is with the take.
     preroll: Preroll | None = None
-    # Names of the variables that it uses or gives a value.
+    # Names of the variables that it uses or sets.
     variables: frozenset[str] = frozenset()
-    idle_variables: frozenset[str] = frozenset()  # those of them that no text uses
+    idle_variables: frozenset[str] = frozenset()  # variables that no text uses
     # Those of them that decide more than the outputs.
     effective_variables: frozenset[str] = frozenset()
     notices: tuple[Fault, ...] = ()  # warnings of the file itself
-    # Counts what its stages cost, each time that it is opened.
+    # Measures the stages each time that it is opened.
     meter: Meter = field(default_factory=Meter, compare=False, repr=False)
     # What is simulated, beside the source or in its place.
     systems: tuple[SceneSystem, ...] = ()
@@ -100,14 +100,14 @@ class Scene:
         """Return the scene of one output with its systems and those they need."""
         if output.systems is None or not self.systems:
             return replace(self, outputs=(output,))
-        from animtool.scene.systems.links import simulated_with
+        from animtool.scene.systems.links import with_dependencies
 
         chosen = [
             i for i, system in enumerate(self.systems) if system.name in output.systems
         ]
         systems = tuple(
             replace(self.systems[i], written=i in chosen)
-            for i in simulated_with(self.systems, chosen)
+            for i in with_dependencies(self.systems, chosen)
         )
         return replace(self, outputs=(output,), systems=systems)
 
@@ -311,7 +311,7 @@ class Scene:
     ) -> TakeStream:
         """Return the result of a pass on a take, charged to the meter.
 
-        What it notices, at once or block by block, is said at its place.
+        Its notices, immediate or block by block, are located at its entry.
         """
         pass_notices: list[Fault] = []
         notices, details, scores = stream.notices, stream.details, stream.scores
@@ -369,10 +369,10 @@ class Scene:
             early = self.preroll.frames(stream)
         if not early:
             return apply_pass(stream, entry.pass_, entry.options, context)
-        led = begun_early(stream, early)
+        led = with_preroll(stream, early)
         sooner = replace(context, early=early)
         done = apply_pass(led, entry.pass_, entry.options, sooner)
-        return without_first(done, early, stream.start)
+        return drop_first(done, early, stream.start)
 
     def _sources(self, progress: Progress) -> TakeStream:
         """Return the sources joined to one stream."""

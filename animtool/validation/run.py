@@ -19,7 +19,7 @@ from animtool.core.errors import (
     Severity,
     excerpt,
 )
-from animtool.core.files.reading import files_meant, nearest_file, unreadable
+from animtool.core.files.reading import matching_files, nearest_file, unreadable
 from animtool.core.names import nearest
 from animtool.core.process.signals import without_interrupts
 from animtool.core.process.supervisor import follow_parent, has_crashed, without_main
@@ -53,7 +53,7 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
     files: dict[Path, None] = {}
     unmatched = []
     for text in given:
-        meant = [file.path for file in files_meant(text, SUFFIXES)]
+        meant = [file.path for file in matching_files(text, SUFFIXES)]
         files.update(dict.fromkeys(meant))
         if not meant:
             message, hint = f"no file to check in {text!r}", nearest_file(Path(text))

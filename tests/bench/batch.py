@@ -25,7 +25,7 @@ from animtool.batch.discover import find_batch
 from animtool.batch.ledger import locked_ledger
 from animtool.batch.manifest import ItemRecord, record_of
 from animtool.batch.plan import Planner
-from animtool.batch.spec import BatchSpec, named_from
+from animtool.batch.spec import BatchSpec, relative_name
 from animtool.core.files.reading import FileState
 
 SMALL = ROOT / "samples/batch/takes/left/wave1.bvh"
@@ -111,7 +111,7 @@ def planned(folder: Path, count: int, runs: int) -> list[Row]:
         for item in found.items:
             item.output.write_bytes(b"made")
             records = [
-                record_of(path, named_from(path, found.root), FileState.of(path))
+                record_of(path, relative_name(path, found.root), FileState.of(path))
                 for path in (item.file.path, item.output)
             ]
             key = planner.key(item)

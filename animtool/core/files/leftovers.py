@@ -52,10 +52,10 @@ class PlacedFile:
     """A file of a set while the set is committed."""
 
     final: Path  # its name
-    temporary: Path  # the name that it was written under
-    # Inode, size [byte] and time of change [ns] of what was written.
+    temporary: Path  # its temporary name
+    # Inode, size [byte] and time of change [ns] of the written file.
     state: tuple[int, int, int]
-    old: Path  # where the replaced file is kept; unused where there is none
+    old: Path  # backup of the replaced file; unused without one
 
     def take_back(self) -> None:
         """Roll back: restore the replaced file, and remove a new one.

@@ -183,7 +183,7 @@ def protect_inputs(outputs: Sequence[Path]) -> Iterator[None]:
     """Refuse outputs that the block has read as inputs (OUT003).
 
     A layer that a USD file brings in may be an output: a shot is read to bake one of
-    its layers anew.
+    its layers again.
     """
     with recorded_inputs() as inputs:
         yield
@@ -193,7 +193,7 @@ def protect_inputs(outputs: Sequence[Path]) -> Iterator[None]:
 def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> None:
     taken: dict[str, Path] = {}
     for path in inputs:
-        # What leads nowhere is said when it is read.
+        # Broken links are reported when they are read.
         with contextlib.suppress(OSError, RuntimeError, ValueError):
             taken[name_key(path.resolve())] = path
     for output in targets:
@@ -273,7 +273,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Inside of `together` it is renamed at the end of that. Of recorded inputs none may
     have changed since it was read (IO004).
     """
-    # A link stays one: what it leads to is replaced.
+    # Links stay: their target is replaced.
     final = target(path).final
     written, waiting = WrittenFile(path, final, new_temporary(final)), _waiting.get()
     note_folder(final.parent)
@@ -281,7 +281,7 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         yield written.temporary
         if ending() and not cleaning:
-            # A library swallowed what the signal raised.
+            # A library swallowed the signal's exception.
             interrupt()
         check_inputs()
         written.seal()

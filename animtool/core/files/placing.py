@@ -37,7 +37,7 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
 class OutputTarget:
     """The resolved path of an output."""
 
-    path: Path  # what the user calls it
+    path: Path  # the path as the user wrote it
     final: Path  # the file, links followed
 
 
@@ -95,7 +95,7 @@ def _check_kind(path: Path, status: os.stat_result) -> None:
 class WrittenFile:
     """A written temporary file."""
 
-    path: Path  # what the user calls it
+    path: Path  # the path as the user wrote it
     final: Path  # where it belongs
     temporary: Path  # where it is
     # Inode, size [byte] and time of change [ns], once it is sealed.
@@ -159,7 +159,7 @@ def _inherit(handle: int, status: os.stat_result) -> None:
     if (current.st_uid, current.st_gid) != (status.st_uid, status.st_gid):
         with contextlib.suppress(OSError):
             os.fchown(handle, status.st_uid, status.st_gid)
-    # Whoever runs a file with a setuid bit runs what its owner wrote: never this.
+    # Running a setuid file runs its owner's code: never inherit that bit.
     mode = stat.S_IMODE(status.st_mode) & 0o777
     if stat.S_IMODE(current.st_mode) != mode:
         os.fchmod(handle, mode)

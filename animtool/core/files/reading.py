@@ -48,7 +48,7 @@ class FileState:
 class Inputs:
     """Files that a task has looked at."""
 
-    # By absolute path, what the file was when it was first looked at.
+    # State of each file at its first access, by absolute path.
     states: dict[Path, FileState | None] = field(default_factory=dict)
     # Those of them that were not only brought in by a USD layer.
     opened: set[Path] = field(default_factory=set)
@@ -296,7 +296,7 @@ def _kind(status: os.stat_result) -> str:
     return _KINDS.get(stat.S_IFMT(status.st_mode), "is a device, not a file")
 
 
-def why_no_file(path: Path) -> str | None:
+def not_a_file_reason(path: Path) -> str | None:
     """Return why a path is not a file, as text; None if it is one."""
     try:
         status = path.stat()
@@ -312,7 +312,7 @@ def _check_size(path: Path, status: os.stat_result, limit: int | None) -> None:
         raise too_large(path, status.st_size, limit)
 
 
-def is_there(path: Path) -> bool:
+def exists(path: Path) -> bool:
     """Return whether a path exists; false for impossible names."""
     return FileState.of(path) is not None
 
@@ -325,7 +325,7 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     name is near.
     """
     around = [path, *path.parents]
-    missing = next((p for p in reversed(around) if not is_there(folder / p)), None)
+    missing = next((p for p in reversed(around) if not exists(folder / p)), None)
     if missing is None or not missing.name:
         return None
     try:
@@ -341,7 +341,7 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     return f"did you mean {'' if missing is path else 'the folder '}{meant!r}?"
 
 
-def files_meant(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
+def matching_files(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
     """Yield the files that a name, folder or glob matches, in order.
 
     Of a folder all files with one of the suffixes, lower case, those of folders in it

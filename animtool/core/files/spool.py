@@ -12,7 +12,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OutputError
 
-# What is kept in memory; what is more goes to a temporary file [bytes].
+# Maximum kept in memory; the rest goes to a temporary file [bytes].
 KEPT = 1 << 28
 
 

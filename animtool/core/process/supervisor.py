@@ -2,7 +2,7 @@
 
 USD reads files in C++, which a hostile file can crash. The command line forks before it
 imports anything heavy: the child works, the parent waits, and after a crash begins
-anew with the file that was read refused. A fork of a small process takes 1 to 2 ms and
+again with the file that was read refused. A fork of a small process takes 1 to 2 ms and
 sees crashes of every kind and thread; a signal handler would run inside of the broken
 process, and a probe would parse each file twice. Windows has no fork: a crash ends the
 command there.
@@ -47,7 +47,7 @@ class Crash:
     """How a child crashed."""
 
     number: int  # the signal that ended it
-    path: str = ""  # the file that it read, as the user named it; empty is none
+    path: str = ""  # the file that it read, as the user named it; empty for none
 
     @property
     def name(self) -> str:
@@ -71,7 +71,7 @@ class _Notes:
     """Memory that a child shares with its parent."""
 
     shared: mmap.mmap  # its length, then JSON
-    # Its length, then what was read of stdin; length 0 is nothing yet.
+    # Its length, then the bytes read of stdin; length 0 is nothing yet.
     listed: mmap.mmap
     path: str = ""  # the file that is being read; empty is none
     folders: list[str] = field(default_factory=list)  # where outputs go
@@ -96,7 +96,7 @@ class _Notes:
         self.shared[:_LENGTH] = bytes(_LENGTH)
 
 
-# A length is one more than that of what follows: 0 is nothing.
+# The stored length is one more than that of the data: 0 is nothing.
 _LENGTH = 8
 
 
@@ -131,7 +131,7 @@ _lock = threading.Lock()
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Record a file that USD reads in the block; refuse one that crashed it (USD160)."""
+    """Record a file that USD reads; refuse one that crashed it before (USD160)."""
     listener = _state.listener
     if listener is None:
         yield

@@ -50,7 +50,7 @@ class ConvertReport:
     shot: Shot | None = None  # the shot that was written; None is no shot
     # How well the passes of the source did.
     scores: list[PassScores] = field(default_factory=list)
-    command: str = "convert"  # what it is the report of
+    command: str = "convert"  # kind of the report
     json_keys: ClassVar[str] = (
         "*head output frames start=span.first end=span.last fps=span.fps "
         "rate=span.fps# joints shot? scores+ reduction?{samples keys "
@@ -91,14 +91,14 @@ class FilePlan:
 
     take: TakePlan
     path: Path
-    base: Path | None = None  # of an additive take, what it is put on
-    rig_file: Path | None = None  # of a clip, what it names; None writes one
+    base: Path | None = None  # base take of an additive take
+    rig_file: Path | None = None  # rig file of a clip; None writes one
     others: tuple[TakePlan, ...] = ()  # further takes that the file holds
     names: tuple[str, ...] = ()  # of all of them; empty is the name of the file
 
     def run(self, progress: Progress = None) -> ConvertReport:
         """Write the take on the output's own clock."""
-        del progress  # it is that of the source
+        del progress  # the source's clock
         plan = self.take
         stream = in_frames(plan)
         stream.notices = [*stream.notices, *plan.notices]

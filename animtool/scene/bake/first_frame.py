@@ -80,7 +80,7 @@ def start_notice(
     if source_start is None or source_start.denominator == 1 or first.denominator != 1:
         return []
     if start != frame_start(source_start, source_fps, fps):
-        # The frames begin elsewhere, such as at those of a rig layer.
+        # The first frame has another cause, such as a rig layer's start.
         return []
     stated = f"{frame_label(source_start)} at {rate_label(source_fps)}"
     message = f"the source starts at time code {stated}"

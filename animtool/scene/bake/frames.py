@@ -47,8 +47,8 @@ class TakePlan:
     source: Path
     name: str  # of a library's take, legal and distinct; else empty
     stream: TakeStream  # opened, with the joints in the order written
-    mapping: JointMap | None  # from the take's joints to those of a rig layer
-    options: BakeOptions  # those of takes after the first have no rest frame
+    mapping: JointMap | None  # maps the take's joints to those of a rig layer
+    options: BakeOptions  # takes after the first have no rest frame
     fps: Fraction  # time codes a second of the output
     start: Fraction  # time code of the first frame
     notices: list[Fault]  # the plan's
@@ -73,7 +73,7 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
     """Return a take sampled at the times of the output.
 
     The blocks stream through where each sample of the source is a sample of the
-    output; otherwise the take is gathered and sampled anew.
+    output; otherwise the take is gathered and resampled.
     """
     options = plan.options
     # A rate that is asked for puts a sample on each frame.
@@ -350,7 +350,7 @@ class BakedTake:
         for codes, motion in blocks:
             self.samples += len(codes)
             if self._watch is not None:
-                self._watch.see(codes)
+                self._watch.record_codes(codes)
             if self.props is not None:
                 self.props.see(codes, motion)
             yield codes, motion

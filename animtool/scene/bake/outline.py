@@ -42,13 +42,13 @@ class OutputEntry:
     """One requested output of a bake."""
 
     path: Path | None  # the file to write; None is stdout
-    options: BakeOptions  # of the bake, those of the scene among them
+    options: BakeOptions  # options of the bake, with those of the scene
     # The scene that names it, with the systems of this output alone; None is no scene.
     scene: Scene | None = None
     location: EntryLocation | None = (
         None  # of the entry, where the scene names the file
     )
-    # Of a clip: what an additive take is put on, and the rig file that is named.
+    # Of a clip: the base take of an additive take, and the rig file.
     base: Path | None = None
     rig_file: Path | None = None
 
@@ -174,7 +174,7 @@ def check_outline(outline: Outline) -> None:
     """
     reading, several = outline.reading, len(outline.outputs) > 1
     _check_count(len(reading.files), outline.outputs[0].options)
-    faults = outputs_twice(outline)
+    faults = duplicate_outputs(outline)
     # Errors are not kept: their frames hold layers open.
     kinds: list[type[AnimtoolError]] = []
     for entry in outline.outputs:
@@ -200,7 +200,7 @@ def check_outline(outline: Outline) -> None:
     _check_systems(outline)
 
 
-def outputs_twice(outline: Outline) -> list[Fault]:
+def duplicate_outputs(outline: Outline) -> list[Fault]:
     """Return faults of scene outputs that are the same file (OUT007)."""
     owners: dict[str, OutputEntry] = {}
     faults = []
@@ -232,7 +232,7 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
         return
     layer = [options.rig_layer] if options.rig_layer else []
     library = form_of(options) is Form.LIBRARY
-    # A library is added to; what may be replaced is one of its takes.
+    # A library is extended; one of its takes may be replaced.
     overwrite = options.overwrite or (library and path.exists())
     check_outputs(entry.files, [*inputs, *layer], overwrite=overwrite)
     if library and path.exists():

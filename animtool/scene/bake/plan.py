@@ -37,8 +37,8 @@ from animtool.scene.bake.outline import (
     OutputEntry,
     check_outline,
     check_settings,
+    duplicate_outputs,
     outlined,
-    outputs_twice,
     take_name,
 )
 from animtool.scene.bake.prims import BakePlan, OutputPrims
@@ -108,7 +108,7 @@ def refusals(outline: Outline, take: Take | None) -> list[Fault]:
 
     take: of its sources, all passes done; None is of a scene that has none.
     """
-    faults = outputs_twice(outline)
+    faults = duplicate_outputs(outline)
     inputs = {path.resolve() for path in outline.reading.inputs}
     for entry in outline.outputs:
         layer = entry.options.rig_layer

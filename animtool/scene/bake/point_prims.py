@@ -78,7 +78,7 @@ class DeformedCharacter:
 
     rig: Rig  # the joints that carry the meshes
     surfaces: tuple[Surface, ...]
-    strands: tuple[Strands, ...]  # what single joints carry
+    strands: tuple[Strands, ...]  # meshes that follow single joints
     # How the take's joints stand in the rig; None where they are its own.
     mapping: JointMap | None
     meshes: tuple[CharacterMesh, ...]  # the meshes, then the strands, ready to follow

@@ -36,7 +36,7 @@ class MeshReport:
     """Result of one mesh, strand set or system."""
 
     name: str  # as the rig names it
-    written: CachedMesh  # what was written of it
+    written: CachedMesh  # result
     seconds: float  # spent on deforming and rounding it [s]
     frames: int  # how many frames that was for
     kind: str  # ``mesh`` or ``strands`` of a character, or a kind of system
@@ -56,7 +56,7 @@ class MeshReport:
         return self.seconds * 1e3 / max(self.frames, 1)
 
 
-# Keys of what rounding did to a take.
+# Keys of the rounding errors of a take.
 _ERROR = (
     "{take=written.name+ meters=written.rounding.error relative=relative_error "
     "joint=error_joint frame=written.rounding.code "
@@ -69,7 +69,7 @@ class TakeReport:
     """Result of one source."""
 
     source: Path  # the file read
-    written: WrittenTake  # what was written of it
+    written: WrittenTake  # form of the output
     source_frames: int  # frames of the source
     source_fps: Fraction  # its frame rate
     error_joint: str  # name of the joint that rounding moved most
@@ -155,8 +155,8 @@ def take_report(
 class BakeReport:
     """Report of a bake."""
 
-    takes: list[TakeReport]  # what became of every source, at least one
-    result: UsdResult  # what was written
+    takes: list[TakeReport]  # result of every source, at least one
+    result: UsdResult  # form of the output
     form: str  # stage, split or layer, and why
     joints: int  # joints of the first source
     meters_per_unit: float  # unit of the output [m]
@@ -276,7 +276,7 @@ Save: TypeAlias = Callable[[Any, Path | None], int]
 class BakePlan:
     """A bake that is ready to run."""
 
-    takes: tuple[TakePlan, ...]  # one, those of a library, or none of systems alone
+    takes: tuple[TakePlan, ...]  # one, several of a library, or none for systems alone
     output: Path | None  # the file to write; None is stdout
     options: BakeOptions
     form: Form
@@ -285,8 +285,8 @@ class BakePlan:
     fps: Fraction  # time codes a second of the output
     start: Fraction  # time code of the first frame
     notices: list[Fault]  # warnings collected so far
-    prims: tuple[OutputPrims, ...]  # what is written, in order
-    watch: CharacterWatch | None = None  # what systems see of the take
+    prims: tuple[OutputPrims, ...]  # prims to write, in order
+    watch: CharacterWatch | None = None  # records the take for systems
 
     @property
     def rig(self) -> Rig:
@@ -377,7 +377,7 @@ class BakeState:
     """State of a running bake: a layer in memory and its report so far."""
 
     plan: BakePlan
-    progress: Progress  # share of what comes after the takes
+    progress: Progress  # progress of the work after the takes
     runs: list[BakedTake]
     # None until the first prims have authored them.
     layer: Any = None

@@ -95,7 +95,7 @@ def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
         except BaseException as error:
             put(_End(error))
 
-    # What is noted of the work, such as the files that it reads, is noted here too.
+    # Context variables, such as the record of inputs, apply here too.
     context = contextvars.copy_context()
     thread = threading.Thread(
         target=context.run, args=(work,), name="animtool-prefetch", daemon=True
@@ -223,7 +223,7 @@ class TimeProgress:
         return tell
 
 
-# Written there, the peak of Linux begins anew at what is held.
+# Writing to it resets the peak of Linux to the current level.
 _RESET = ("/proc/self/clear_refs", b"5")
 _STATUS = "/proc/self/status"
 

@@ -16,7 +16,12 @@ from animtool.core.errors import (
     Severity,
 )
 from animtool.core.names import is_named
-from animtool.core.options import called, chosen_options, clashes, refused_options
+from animtool.core.options import (
+    chosen_options,
+    clashes,
+    option_marker,
+    refused_options,
+)
 from animtool.core.rates import rate_label
 from animtool.core.readers import reader_of
 from animtool.core.record import dataclass
@@ -48,7 +53,7 @@ class SourceSet:
     """The sources to read."""
 
     files: list[Path]  # of the sources, in order
-    scenes: dict[Path, Scene]  # what those say that are scenes
+    scenes: dict[Path, Scene]  # sources, scenes loaded
     # Of each file the take, where that is open already.
     takes: tuple[TakeStream | None, ...] = ()
     # Of each file the name of the take to read; empty where each is read as it is.
@@ -283,9 +288,9 @@ def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None
         if name in writer.options or "file" not in option.not_for:
             continue
         if name == "reduce":
-            faults.append(of_keys(called(name, option), path))
+            faults.append(of_keys(option_marker(name, option), path))
             continue
-        message = f"{called(name, option)} applies to USD, not to {path}"
+        message = f"{option_marker(name, option)} applies to USD, not to {path}"
         faults.append(Fault("CLI002", message))
     if not faults:
         faults = [Fault("CLI002", message) for message in clashes(options)]

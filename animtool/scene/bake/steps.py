@@ -46,12 +46,12 @@ class StepKind(StrEnum):
 class PlanStep:
     """One step of a bake."""
 
-    kind: StepKind  # what it is
+    kind: StepKind  # its name
     name: str  # A file, or a pass
-    where: str  # its entry in the scene; empty where there is none
-    reads: tuple[str, ...]  # what it looks at: files, and parts of the take
-    makes: tuple[str, ...]  # what comes of it
-    left_out: tuple[str, ...] = ()  # what is not made, each with the reason
+    where: str  # its entry in the scene; empty without one
+    reads: tuple[str, ...]  # its inputs: files, and parts of the take
+    makes: tuple[str, ...]  # its results
+    left_out: tuple[str, ...] = ()  # parts that are left out, each with the reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +98,9 @@ class _TakeState:
     moving: frozenset[TakePart]  # parts that hold values
     curves: tuple[str, ...]  # controls that have a curve
     dropped: str  # the pass that took their curves away; empty where none did
-    facts: tuple[str, ...]  # how many frames there are, and of what
-    static: tuple[str, ...]  # what never moves
-    tracks: tuple[Track, ...] = ()  # what is beside the rig
+    facts: tuple[str, ...]  # number of frames and tracks
+    static: tuple[str, ...]  # static tracks
+    tracks: tuple[Track, ...] = ()  # props and other tracks
     systems: int = 0  # how many systems are simulated beside it
 
     @staticmethod

@@ -138,7 +138,7 @@ class RigFile:
 
     rig: Rig
     arrays: StoredArrays  # beside the file
-    outputs: list[Path]  # the files, that of the rig last
+    outputs: list[Path]  # the files, the rig file last
 
     def write(self) -> None:
         """Write the rig and its arrays, each atomically."""
@@ -169,7 +169,7 @@ def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[
         stream = open_source(source, SourceOptions(prim_path=prim_path))
         frames = sum(block.frames for block in stream.blocks)
     except AnimtoolError:
-        # A rig without animation; whatever else is wrong was said of it as a rig.
+        # A rig without animation; its other faults were reported for the rig.
         return []
     if frames < 2:
         return []

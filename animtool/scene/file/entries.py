@@ -113,7 +113,7 @@ class SceneSource:
     path: Path  # the file
     options: SourceOptions  # how to open it
     location: EntryLocation  # of the entry
-    # Of several, what it brings; None is what it moves.
+    # Of several sources, its tracks; None is those that move.
     tracks: TrackNames | None = None
     timecode: str | None = None  # SMPTE time code of its first frame; None states none
     # Frames a second that this counts; None is the source's rate.
@@ -137,7 +137,7 @@ class SceneProp(PropRequest):
 class ScenePass:
     """One entry of a scene's passes."""
 
-    pass_: Pass  # what to do
+    pass_: Pass  # the pass
     options: Any  # its own record
     location: EntryLocation  # of the entry
     files: tuple[Path, ...] = ()  # that its colliders go with
@@ -147,14 +147,14 @@ class ScenePass:
 class SystemFacts:
     """Size, method and step of a system, before it is simulated."""
 
-    counts: dict[str, int]  # what it is made of, by kind
+    counts: dict[str, int]  # its elements, by kind
     method: str  # its solver, or its integrator
-    step: float | None  # the longest that it takes [s]; None leaves it to the method
-    # Of its own, meshes of files among them; those of characters are not counted.
+    step: float | None  # maximum step [s]; None leaves it to the method
+    # Meshes of files included; those of characters are not counted.
     colliders: int
 
 
-STEPS = "steps"  # what a setting of a kind that has no methods is called
+STEPS = "steps"  # name of the settings of a kind without methods
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,12 +162,12 @@ class SystemSetup:
     """A system as its file describes it."""
 
     spec: SystemSpec
-    around: Any  # what it runs into: `Surroundings`
-    # What keys are read as that are neither plain nor what it runs into, by key.
+    around: Any  # its colliders: `Surroundings`
+    # Parsed entries of keys that are neither plain nor colliders, by key.
     parts: Mapping[str, Any] = field(default_factory=dict)
-    record: EntryRecord | None = None  # what the spec makes of them
+    record: EntryRecord | None = None  # record that the spec builds from them
     at: Location = ()  # place of the entry
-    carriers: tuple[Path, ...] = ()  # files of what carries it
+    carriers: tuple[Path, ...] = ()  # files of its carriers
     resume: Path | None = None  # file of a state to go on from
 
     @property
@@ -223,7 +223,7 @@ class SceneSystem:
 
     name: str  # of its prim
     kind: str  # of `SYSTEM_KINDS`
-    setup: SystemSetup  # what it is made of
+    setup: SystemSetup  # its setup
     location: EntryLocation  # of the entry
     written: bool = True  # whether it goes into the output; else another needs it
     # What lengths of its entry count, as the scene states it; None states nothing.
@@ -235,7 +235,7 @@ class SceneOutput:
     """One output of a scene."""
 
     path: Path | None  # the file to write; None where it names none
-    bake: BakeOptions  # options that it sets, those of the whole scene among them
+    bake: BakeOptions  # its options, with those of the scene
     location: EntryLocation  # of the entry
     # Names of those that go into it; None is all.
     systems: tuple[str, ...] | None = None

@@ -54,7 +54,7 @@ def parse_offsets(text: str) -> tuple[Fraction, ...]:
     """Return the offsets of ``-.25,0,.25``, ascending.
 
     Raises:
-        ValueError: One is no number within a frame, or stands twice.
+        ValueError: An offset is not within a frame, or is a duplicate.
 
     >>> parse_offsets("-.25,0,.25")
     (Fraction(-1, 4), Fraction(0, 1), Fraction(1, 4))

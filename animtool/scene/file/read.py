@@ -44,7 +44,7 @@ from animtool.scene.file.schema import (
 from animtool.scene.file.tracks import TrackNames
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import SourceOptions, is_usd, takes_option
-from animtool.scene.systems.links import check_links, check_met
+from animtool.scene.systems.links import check_colliders, check_links
 from animtool.systems.framework.conversion import SceneUnits
 from animtool.systems.framework.fields import AROUND
 from animtool.systems.framework.kinds import SYSTEM_KINDS
@@ -163,7 +163,7 @@ class _SceneReader:
         read = _PassReader(self.keys, self.output_roots, self.units)
         passes = tuple(read.passes(model.passes))
         systems = self._systems()
-        check_met(self.document, passes, systems, model.system_names)
+        check_colliders(self.document, passes, systems, model.system_names)
         outputs = OutputReader(self.keys, model, self.output_roots)
         return Scene(
             self.document.path,

@@ -22,7 +22,7 @@ class TrackNames:
 
     joints: tuple[str, ...] = ()
     shapes: tuple[str, ...] = ()
-    controls: tuple[str, ...] = ()  # of controls; what these drive is meant too
+    controls: tuple[str, ...] = ()  # of controls; the tracks they drive are included
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ class LoopResult:
     output: Path | None
     cycle: Cycle
     seconds: float  # its length
-    notices: list[Fault]  # those of what was written, where it was
+    notices: list[Fault]  # frames that were written, if any
     written: ConvertReport | None = None
     json_keys: ClassVar[str] = (
         "'loop' source output first=cycle.first last=cycle.last seconds "

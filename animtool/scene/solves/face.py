@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 # From a world with Z up to one with Y up.
 _Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
-# A head that is turned farther from the rig's all the time stands in other axes.
+# A mean head rotation beyond this means that the axes differ from the rig's.
 MAX_MEAN_ROTATION = np.radians(75)
 
 

@@ -74,7 +74,7 @@ class IkJob:
     targets: Path  # targets file
     # File with the poses to start from; None is the rest pose.
     start: Path | None = None
-    source: SourceOptions = field(default_factory=SourceOptions)  # what that file is
+    source: SourceOptions = field(default_factory=SourceOptions)  # format of that file
     pose: bool = False  # solve one frame only
     frame: Fraction | None = None  # which; None is the first
     options: TakeOptions = field(default_factory=TakeOptions)  # how to solve
@@ -102,10 +102,10 @@ class IkReport:
     """Report of an IK solve."""
 
     solved: TakeIk  # the take at its targets
-    goals: list[GoalReport]  # what became of each goal
+    goals: list[GoalReport]  # result of each goal
     notices: list[Fault]  # warnings and notes
     seconds: dict[str, float]  # wall time by stage
-    # The report of what was written; None where nothing was.
+    # Report of the written file; None if nothing was written.
     written: OutputReport | None = None
     json_keys: ClassVar[str] = (
         "'ik' targets=solved.tracks.path outputs frames=solved.frames "
@@ -167,7 +167,7 @@ class IkContext:
     take: Take  # the poses to start from
     at_rest: bool  # they are the rest pose
     only: int | None  # index of the one frame to solve; None is all
-    notices: list[Fault]  # what is odd so far
+    notices: list[Fault]  # warnings collected so far
 
 
 def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:

@@ -45,7 +45,7 @@ class RetargetJob:
     """Arguments of `animtool retarget`."""
 
     source: Path  # BVH, USD or clip with the take
-    rig: Path  # rig file, USD file or BVH that it goes onto
+    rig: Path  # target: rig file, USD file or BVH
     # What the source is.
     reading: SourceOptions = field(default_factory=SourceOptions)
     options: RetargetOptions = field(default_factory=RetargetOptions)

@@ -34,7 +34,7 @@ class SolvedOutput:
 
     outline: Outline | None  # of the take; None where it is not written
     bake: BakeOptions  # how it is
-    others: tuple[Path, ...] = ()  # files of what else is written
+    others: tuple[Path, ...] = ()  # further files to write
 
     @staticmethod
     def of(

@@ -10,7 +10,7 @@ from animtool.core.shot import Shot
 from animtool.core.timecode import parse_timecode
 
 HOUR = 3600
-# A range this near to a whole number of hours from its take is said to be hours away.
+# A range this near to an integer number of hours from its take is hours away.
 NEAR_HOUR = 600
 
 

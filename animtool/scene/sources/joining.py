@@ -40,11 +40,11 @@ class SourcePart:
     """One of several sources to join."""
 
     stream: TakeStream
-    tracks: TrackNames | None  # what it brings; None is what it moves
+    tracks: TrackNames | None  # its tracks; None is those that move
     timecode: str | None  # of its first frame; None states none
     # Frames a second that the time code counts; None is its rate.
     timecode_fps: Fraction | None
-    note: Notify  # makes faults of it
+    note: Notify  # creates its faults
 
 
 def joined(first: SourcePart, others: Sequence[SourcePart]) -> TakeStream:
@@ -67,7 +67,7 @@ def joined(first: SourcePart, others: Sequence[SourcePart]) -> TakeStream:
         raise OptionError(list(dict.fromkeys(faults)))
     for i, layer in enumerate(layers):
         first.stream.notices += layer.notices
-        first.stream.notices += _taken_twice(layer, layers[:i])
+        first.stream.notices += _duplicate_tracks(layer, layers[:i])
     return _Joining(first.stream, layers).stream()
 
 
@@ -75,9 +75,9 @@ def joined(first: SourcePart, others: Sequence[SourcePart]) -> TakeStream:
 class _Layer:
     """A source mapped to the rig of the first."""
 
-    part: SourcePart  # what it was made of
-    take: Take  # all of it
-    tracks: Tracks  # what it brings
+    part: SourcePart  # its source
+    take: Take  # its frames
+    tracks: Tracks  # its tracks
     delay: Fraction  # by how much its first frame is later than the first source's [s]
     notices: list[Fault]  # of its file
 
@@ -183,7 +183,7 @@ def _delay(first: SourcePart, other: SourcePart) -> Fraction:
     return seconds_between(*stated[0], *stated[1])
 
 
-def _taken_twice(layer: _Layer, before: Sequence[_Layer]) -> list[Fault]:
+def _duplicate_tracks(layer: _Layer, before: Sequence[_Layer]) -> list[Fault]:
     """Warn where two sources set the same tracks without a track list."""
     if layer.part.tracks is not None:
         return []
@@ -211,7 +211,7 @@ class _Joining:
         )
         if self.base.curve is not None:
             joined.curve = self._curve
-            self._say_frames(self.base.count)
+            self._report_frames(self.base.count)
         elif any(layer.part.stream.curve is not None for layer in self.layers):
             # What others bring has curves still, where the first has samples.
             joined.curve, joined.altered = self._curve, True
@@ -235,7 +235,7 @@ class _Joining:
             yield joined
             first += block.frames
         if self.base.curve is None:
-            self._say_frames(first)
+            self._report_frames(first)
 
     def _curve(self, times: FloatArray) -> Motion:
         motion = self._base_at(times)
@@ -266,12 +266,12 @@ class _Joining:
                     )
         return merged
 
-    def _say_frames(self, count: int) -> None:
+    def _report_frames(self, count: int) -> None:
         """Report missing and unused frames of each source."""
         for layer in self.layers:
-            self.base.notices.extend(self._frames_of(layer, count))
+            self.base.notices.extend(self._frame_messages(layer, count))
 
-    def _frames_of(self, layer: _Layer, count: int) -> Iterator[Fault]:
+    def _frame_messages(self, layer: _Layer, count: int) -> Iterator[Fault]:
         """Yield messages on the frames of a source."""
         clock, note = layer.take.clock, layer.part.note
         # In frames of the first source, from its first.

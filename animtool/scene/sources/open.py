@@ -11,7 +11,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import FileState, note_input
 from animtool.core.names import is_named
-from animtool.core.options import Key, called, inherits_docs, option, options_of
+from animtool.core.options import Key, inherits_docs, option, option_marker, options_of
 from animtool.core.rates import OptionalFraction, rate_option
 from animtool.core.readers import DOCUMENT, READERS, USD, find_reader
 from animtool.core.record import dataclass
@@ -244,7 +244,7 @@ def is_usd(path: Path) -> bool:
 
 def motion_bytes(path: Path) -> int:
     """Return the size of a motion file; 0 for a scene, which names others."""
-    # That it is gone since is said by those who look at what was read.
+    # A file removed since is reported by the check of inputs.
     state = None if is_named(path, "scene") else FileState.of(path)
     return 0 if state is None else state.size
 
@@ -351,7 +351,7 @@ def open_source(
     if "unit" not in reader.options or "unit" in arguments:
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details.setdefault("units", unit)
-    # A clip's keys were evaluated with what they drive.
+    # A clip's keys are evaluated together with the tracks they drive.
     return stream if reader is DOCUMENT else _driven(stream)
 
 
@@ -385,7 +385,7 @@ def _refusal(name: str, path: Path) -> Fault:
         )
     return Fault(
         "CLI004",
-        f"{called(f'source.{name}', refused)} {refused.reason}",
+        f"{option_marker(f'source.{name}', refused)} {refused.reason}",
         str(path),
         (),
         hint,

@@ -32,7 +32,7 @@ VISIBLE_SHEAR = 1e-9
 class OpenProp:
     """An open prop of a scene."""
 
-    entry: SceneProp  # what the scene says of it
+    entry: SceneProp  # its entry in the scene
     source: PropSource
     track: Track  # the same, counted by the scene's meter
 

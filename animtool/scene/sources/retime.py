@@ -23,7 +23,7 @@ from animtool.scene.sources.away import no_frames
 class Preroll:
     """Number of frames that passes need before the output."""
 
-    # Of the take's first frame; None is what its source says, or 1.
+    # Frame of the take's start; None is as its source states, or 1.
     start: Fraction | None
     first: int  # frame at which they begin
     fps: Fraction | None  # frames a second of the output; None is the take's rate
@@ -36,7 +36,7 @@ class Preroll:
         return max(0, math.ceil(lacking * rate / (self.fps or stream.fps)))
 
 
-def begun_early(stream: TakeStream, count: int) -> TakeStream:
+def with_preroll(stream: TakeStream, count: int) -> TakeStream:
     """Return a take with frames before its first that repeat its pose.
 
     The take's own frames keep their time codes.
@@ -66,7 +66,7 @@ def begun_early(stream: TakeStream, count: int) -> TakeStream:
     )
 
 
-def without_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeStream:
+def drop_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeStream:
     """Return a take without its first frames.
 
     start: time code of the first that stays; None states none.

@@ -16,13 +16,13 @@ from animtool.maths import so3
 from animtool.motion.take import TakeStream
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import motion_of
-from animtool.scene.systems.links import simulated_with
+from animtool.scene.systems.links import with_dependencies
 from animtool.scene.systems.simulation import characters_with, open_systems
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Collider, Colliders, MovingBodies, Poses, SheetMotion
 
 
-def around_take(
+def with_colliders(
     systems: Sequence[SceneSystem],
     path: Path,
     stream: TakeStream,
@@ -46,7 +46,7 @@ def around_take(
     around = Surroundings((), options.characters, options.systems, options.meshes)
     names = {one.system for one in options.systems}
     named_systems = [i for i, system in enumerate(systems) if system.name in names]
-    numbers = simulated_with(systems, named_systems) if named_systems else []
+    numbers = with_dependencies(systems, named_systems) if named_systems else []
     character, opened = None, []
     if numbers:
         take = stream.collect()

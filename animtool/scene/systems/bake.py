@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from animtool.usd.rigs.target import RigTarget
 
 FPS = Fraction(24)
-# From the world of a take to where a layer has what is simulated, at time codes.
+# Maps the world of a take to that of a layer's systems, at time codes.
 Displacement: TypeAlias = Callable[[FloatArray], FloatArray | None]
 
 
@@ -56,7 +56,7 @@ class SystemPrims:
 
     scene: Scene
     job: SimulatedJob
-    start: Fraction  # time code at 0 s; with a take, that of its first frame
+    start: Fraction  # time code at 0 s; with a take, its first frame
     codes: tuple[Fraction, ...] = ()  # to write, ascending; empty takes the take's
     watch: CharacterWatch | None = None  # sees the take
     displacement: Displacement | None = None  # of a layer; None is the same

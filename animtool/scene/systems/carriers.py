@@ -82,7 +82,7 @@ class OnVertex:
         """Return its positions over time, with constant rotation."""
         character = characters.of(self.file)
         _check(self.fault(character.rig), self.location)
-        # The next block stands where the last one did.
+        # The next block reuses the buffer of the last one.
         parts = [
             block.points[:, self.vertex].copy()
             for block in CharacterSkin(character, self.mesh).blocks()
@@ -142,7 +142,7 @@ def moved_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
         np.tile(so3.IDENTITY, (len(translation_keys), 1)),
     )
     turned = Poses(rotation_keys[:, 0], origins, rotation_keys[:, [2, 3, 4, 1]])
-    # Each goes evenly between its own times, and so it does between those of both.
+    # Each is linear between its own keys, and so between those of both.
     times = translation_keys[:, 0] if not model.turns else rotation_keys[:, 0]
     if model.moves and model.turns:
         times = np.union1d(translation_keys[:, 0], rotation_keys[:, 0])

@@ -86,7 +86,7 @@ def open_take(path: Path) -> TakeStream:
     return load_scene(path).open(keeps=False)
 
 
-# Frames of which the points are kept: both ends of a step, and those of the one before.
+# Frames whose points are cached: both ends of a step, and those of the last.
 KEPT = 4
 
 
@@ -235,7 +235,7 @@ class CharacterWatch:
         self._stream = stream
         return replace(stream, blocks=self._recorded(stream.blocks))
 
-    def see(self, codes: FloatArray) -> None:
+    def record_codes(self, codes: FloatArray) -> None:
         """Record time codes of written frames ``(F,)``."""
         self._codes.append(codes)
 

@@ -66,7 +66,7 @@ class Prototype:
     path: Path
     prim: str | None  # of a USD file
     mesh: str | None  # of a rig
-    samples: int  # phases of what moves
+    samples: int  # phases of the cycle
 
     def __call__(self) -> tuple[MeshFrame, ...]:
         """Return its mesh at each phase; one for a static mesh.
@@ -149,7 +149,7 @@ class SpecPartReader(EntryReader):
         check = not isinstance(model, RecordModel)
         if isinstance(model, PlacedModel):
             poses = self.poses(at, model, model.code)
-            parts["poses"] = self._sound(at, poses, check=check)
+            parts["poses"] = self._checked_part(at, poses, check=check)
         for key, declared in type(model).model_fields.items():
             if keys is not None and key not in keys:
                 continue
@@ -191,7 +191,9 @@ class SpecPartReader(EntryReader):
             if isinstance(mark, Part):
                 read: Reader = getattr(self, READERS[mark])
                 if mark in {Part.PLACE, Part.SHAPE}:
-                    return lambda at, one: self._sound(at, read(at, one), check=check)
+                    return lambda at, one: self._checked_part(
+                        at, read(at, one), check=check
+                    )
                 return read
         if get_origin(annotation) is Annotated:
             marks = annotation.__metadata__
@@ -289,7 +291,7 @@ class SpecPartReader(EntryReader):
         try:
             rig = open_take(path).rig
         except AnimtoolError as error:
-            # They are of that file, and are told with it.
+            # They are faults of that file, and are reported with it.
             self.document.faults.extend(error.faults)
             self.sound = False
             return None
@@ -314,7 +316,7 @@ class SpecPartReader(EntryReader):
         """Return a rigid body as a carrier; its system is checked later."""
         return OnBody(model.system, model.body)
 
-    def _sound(self, at: Location, part: Any, *, check: bool) -> Any:
+    def _checked_part(self, at: Location, part: Any, *, check: bool) -> Any:
         """Return a parsed entry, with its own faults recorded if requested."""
         self.sound &= part is not None
         for why in part.faults() if check and part is not None else ():

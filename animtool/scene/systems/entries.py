@@ -46,7 +46,7 @@ from animtool.systems.framework.fields import (
 if TYPE_CHECKING:
     from animtool.systems.particles.forces.base import Force
 
-# Keys that say where an entry stands.
+# Keys of the poses of an entry.
 PLACING = {"at", "rotate", "moves", "turns", "prim"}
 Kind = TypeVar("Kind")
 RecordT = TypeVar("RecordT", bound=Checked)

@@ -70,5 +70,5 @@ def _is_same(rig: Rig, other: Rig, names: NameMap) -> bool:
     return bool((abs(off) < SAME).all())
 
 
-# Places of joints that differ by less are those of one rig [m].
+# Joint positions that differ by less are of one rig [m].
 SAME = 1e-4

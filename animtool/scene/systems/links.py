@@ -35,7 +35,7 @@ def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
     return [groups[k] for k in sorter.static_order()]
 
 
-def needed(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
+def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
     """Return the systems that a joined group depends on.
 
     Those that they need, and what these need, each with what it is joined to.
@@ -50,14 +50,14 @@ def needed(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
     return sorted(numbers)
 
 
-def simulated_with(
+def with_dependencies(
     systems: Sequence[SceneSystem], requested: Sequence[int]
 ) -> list[int]:
     """Return some systems with those they are joined to or depend on."""
     every, included = in_order(systems), {*requested}
     while True:
         groups = [group for group in every if not included.isdisjoint(group)]
-        more = {i for group in groups for i in (*group, *needed(systems, group))}
+        more = {i for group in groups for i in (*group, *dependencies(systems, group))}
         names = {systems[i].name for i in more}
         # Who pushes one of them moves it.
         more |= {
@@ -112,7 +112,7 @@ def check_links(
             _check_joined(document, [systems[i] for i in group])
 
 
-def check_met(
+def check_colliders(
     document: Document,
     passes: Sequence[ScenePass],
     systems: Sequence[SceneSystem],

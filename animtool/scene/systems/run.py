@@ -21,7 +21,7 @@ from animtool.scene.bake.prims import MeshReport
 from animtool.scene.bake.progress import Progress, ProgressPhases, TimeProgress
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
-from animtool.scene.systems.links import simulated_with
+from animtool.scene.systems.links import with_dependencies
 from animtool.scene.systems.simulation import (
     SystemProgress,
     located_systems,
@@ -51,7 +51,7 @@ def last_states(
 
     ``times`` [s].
     """
-    numbers = simulated_with(systems, requested)
+    numbers = with_dependencies(systems, requested)
     opened = open_systems([systems[i] for i in numbers], times[-1], character)
     final_runs = {
         i: one for i, one in zip(numbers, opened, strict=True) if i in requested
@@ -103,7 +103,7 @@ class SystemRun:
         self._character = character
         self._phases: ProgressPhases | None = None
         self._frames: Progress = None
-        # Of systems whose states are to be saved the time codes, and what was kept.
+        # Time codes and states of systems whose states are saved.
         self._saving: dict[int, float | None] = {
             i: system.setup.spec.save_at
             for i, system in enumerate(systems)
@@ -124,7 +124,7 @@ class SystemRun:
             return None
 
         def tell(fraction: float) -> None:
-            # While the first frame is made: a pre-roll, or what others look back to.
+            # Before the first frame is done: a pre-roll, or history for others.
             if self._frames is not None:
                 self._frames(fraction)
 
@@ -245,7 +245,7 @@ class SystemRun:
     def _keep(self, code: Fraction) -> None:
         """Keep the states that are saved at a time code."""
         for i in self._saving:
-            # Who is pushed takes who pushes it along: all end at the same time.
+            # Coupled systems stop together: all end at the same time.
             self._open[i].run.receive()
         for i, at in self._saving.items():
             if at is None or code <= at:

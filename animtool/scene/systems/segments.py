@@ -18,7 +18,7 @@ from animtool.motion.take import Take
 from animtool.scene.bake.progress import Progress
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import motion_of
-from animtool.scene.systems.links import simulated_with
+from animtool.scene.systems.links import with_dependencies
 from animtool.scene.systems.simulation import located_systems, open_systems
 from animtool.systems.framework.run import EntryRun
 from animtool.systems.springs.drawing import Curves
@@ -43,7 +43,7 @@ def segments_of(
     ``lead`` [s].
     """
     index = _index(systems, name)
-    numbers = simulated_with(systems, [index])
+    numbers = with_dependencies(systems, [index])
     character = motion_of(path, take)
     times = character.times + lead
     opened = open_systems(

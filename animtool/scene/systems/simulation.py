@@ -43,7 +43,7 @@ from animtool.systems.framework.tied import OnBody
 class SystemProgress:
     """Progress callbacks of systems."""
 
-    phases: ProgressPhases  # of what comes before the first frame
+    phases: ProgressPhases  # progress of work before the first frame
     times: TimeProgress  # of the simulation itself
 
 

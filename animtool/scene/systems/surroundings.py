@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from animtool.usd.caches.reader import MeshSource
 
 
-# Times of which the points are kept: both ends of a step, and those of a look within.
+# Times whose points are cached: both ends of a step, and one within.
 KEPT = 4
 
 

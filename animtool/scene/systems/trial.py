@@ -14,7 +14,7 @@ from animtool.core.plugins import load_object
 from animtool.motion.frames import Frame, PointsFrame, TransformsFrame
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
-from animtool.scene.systems.links import in_order, needed
+from animtool.scene.systems.links import dependencies, in_order
 from animtool.scene.systems.simulation import (
     BuildContext,
     build_systems,
@@ -66,7 +66,7 @@ def system_trials(
     trials = []
     for group in in_order(systems):
         members = [systems[i] for i in group]
-        others = [systems[i] for i in needed(systems, group)]
+        others = [systems[i] for i in dependencies(systems, group)]
 
         def rebuild(others: Sequence[SceneSystem] = others) -> BuildContext:
             context = BuildContext(last, characters)
@@ -85,7 +85,7 @@ def _trial(
 ) -> Trial:
     """Return the trial of jointly simulated systems.
 
-    ``rebuild`` opens what it needs, each time anew; ``times`` ``(F,)`` [s].
+    ``rebuild`` rebuilds its dependencies for each run; ``times`` ``(F,)`` [s].
     """
     most = 0  # points at once in any run so far
     spec = members[0].setup.spec

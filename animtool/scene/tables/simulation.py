@@ -44,7 +44,7 @@ from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.take_pass import moves
 
 METHOD = "xpbd"
-# Steps over those of the chosen setting: they are mostly more than need be.
+# Factors of steps around the chosen setting, which is mostly finer than needed.
 COARSEST = 8.0
 
 # Frames that are compared, evenly over the range.

@@ -55,7 +55,7 @@ FINE = 8
 MAX_INSTANTS, MAX_COMPARED = 4000, 2_000_000
 
 RATE, SAMPLES, KEYS = "rate", "samples", "keys"
-SOURCE = Setting("source", ())  # what the source has, in float64
+SOURCE = Setting("source", ())  # the source in float64
 
 
 def take_trials(source: Source, options: BakeOptions | None = None) -> list[Trial]:

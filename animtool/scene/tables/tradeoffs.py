@@ -35,7 +35,7 @@ class Tradeoffs:
     Attributes:
         source: The file.
         tables: In the order in which a bake makes them.
-        notices: What is odd about them.
+        notices: Warnings about them.
         budget: The largest error that will do [m]; None asks for none.
     """
 
@@ -167,7 +167,7 @@ def _measured(
         notices = [location.locate(notice) for notice in table.notices]
         tables.append(replace(table, notices=notices))
     notices = [notice for table in tables for notice in table.notices]
-    return Tradeoffs(path, tables, notices + _beyond(path, tables), budget)
+    return Tradeoffs(path, tables, notices + _over_budget(path, tables), budget)
 
 
 def _pairs(
@@ -199,7 +199,7 @@ def _other(table: TrialTable) -> TrialRow | None:
     return next(iter([row for row in works if row.best] or works), None)
 
 
-def _beyond(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
+def _over_budget(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
     """Return a warning for each table without a setting in the budget (SIM176)."""
     faults = []
     for table in tables:

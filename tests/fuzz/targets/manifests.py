@@ -20,7 +20,7 @@ from animtool.batch.ledger import _Files, _owner, locked_ledger, read_history
 from animtool.batch.manifest import ItemRecord, record_of
 from animtool.batch.plan import Planner
 from animtool.batch.run import RunOptions, run_batch
-from animtool.batch.spec import BatchSpec, named_from
+from animtool.batch.spec import BatchSpec, relative_name
 from animtool.batch.variants import read_variants
 from animtool.batch.work import ItemStatus
 from animtool.cli.batch_progress import scores_table
@@ -97,7 +97,11 @@ class _Recorded:
             for item in batch.items[:2] if part else batch.items[2:]:
                 item.output.write_bytes(b"made")
                 files = [
-                    (record_of(path, named_from(path, batch.root), FileState.of(path)),)
+                    (
+                        record_of(
+                            path, relative_name(path, batch.root), FileState.of(path)
+                        ),
+                    )
                     for path in (item.file.path, item.output)
                 ]
                 key, how = planner.key(item), planner.how(item)
