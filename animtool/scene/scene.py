@@ -237,7 +237,7 @@ class Scene:
         self, stream: TakeStream, options: object, lead: float
     ) -> tuple[TakeStream, object]:
         # Loaded by name, as systems are.
-        around = load_object("animtool.scene.systems.attached:around_take")
+        around = load_object("animtool.scene.systems.attached:with_colliders")
         built = cast("Callable[..., tuple[TakeStream, object]]", around)
         return built(self.systems, self.path, stream, options, lead)
 
