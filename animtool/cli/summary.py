@@ -280,7 +280,7 @@ def _others(step: PlanStep, name: str) -> str:
 
 
 PLAN = Template(
-    "animtool.scene.bake.steps:Steps",
+    "animtool.scene.bake.steps:PlanSteps",
     (
         Each(
             "steps",
@@ -296,7 +296,7 @@ PLAN = Template(
     is_result=True,
 )
 STATS = Template(
-    "animtool.scene.bake.progress:Stats",
+    "animtool.scene.bake.progress:BakeStats",
     (
         Table(
             "stats",
