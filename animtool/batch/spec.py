@@ -81,7 +81,7 @@ UP = ".."
 def relative_name(path: Path, root: Path) -> str:
     """Return a file's path relative to a folder; absolute without a common root.
 
-    >>> named_from(Path("/job/takes/a.bvh"), Path("/job/out"))
+    >>> relative_name(Path("/job/takes/a.bvh"), Path("/job/out"))
     '../takes/a.bvh'
     """
     where = path.absolute()
@@ -102,7 +102,7 @@ def relative_name(path: Path, root: Path) -> str:
 def path_of_name(name: str, root: Path) -> Path:
     """Return the file of a relative name; the inverse of `named_from`.
 
-    >>> place_of("../takes/a.bvh", Path("/job/out")).as_posix()
+    >>> path_of_name("../takes/a.bvh", Path("/job/out")).as_posix()
     '/job/takes/a.bvh'
     """
     path = Path(name)
@@ -126,7 +126,7 @@ def package_versions() -> dict[str, str]:
 
     A package whose files were changed without another version is taken for the same.
 
-    >>> sorted(made_by())[0]
+    >>> sorted(package_versions())[0]
     'animtool'
     """
     from importlib.metadata import PackageNotFoundError, version

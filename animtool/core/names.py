@@ -100,7 +100,7 @@ def check_unused(stated: Iterable[str], used: Iterable[str]) -> None:
     Raises:
         OptionError: With a fault for each (SCN031).
 
-    >>> check_given(["shot"], ["shot", "rate"])
+    >>> check_unused(["shot"], ["shot", "rate"])
     """
     names = sorted(used)
     faults = [

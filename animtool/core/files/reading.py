@@ -376,7 +376,7 @@ def _is_shown(file: Path, folder: Path) -> bool:
 def path_from_folder(path: Path, folder: Path) -> str:
     """Return a path relative to a folder, where there is one.
 
-    >>> seen_from(Path("/shots/rigs/hero.usda"), Path("/shots/sh010"))
+    >>> path_from_folder(Path("/shots/rigs/hero.usda"), Path("/shots/sh010"))
     '../rigs/hero.usda'
     """
     path, folder = path.resolve(), folder.resolve()
