@@ -100,7 +100,7 @@ def relative_name(path: Path, root: Path) -> str:
 
 
 def path_of_name(name: str, root: Path) -> Path:
-    """Return the file of a relative name; the inverse of `named_from`.
+    """Return the file of a relative name; the inverse of `relative_name`.
 
     >>> path_of_name("../takes/a.bvh", Path("/job/out")).as_posix()
     '/job/takes/a.bvh'

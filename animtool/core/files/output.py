@@ -270,7 +270,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
     The file is flushed to the disk and renamed when the block ends well, and removed
     when it does not, so that ``path`` is at all times absent, as it was, or whole.
-    Inside of `together` it is renamed at the end of that. Of recorded inputs none may
+    Inside of `atomic_outputs` it is renamed at the end of that. Of recorded inputs none may
     have changed since it was read (IO004).
     """
     # Links stay: their target is replaced.
@@ -351,7 +351,7 @@ def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
     """Commit new files of the block before the others.
 
     That is for files that are read again before those that name them are written. They
-    are removed where the block does not end well, or `together` around it.
+    are removed where the block does not end well, or `atomic_outputs` around it.
     """
     waiting = _waiting.get()
     token = _waiting.set(None)
@@ -375,7 +375,7 @@ def _remove(paths: Iterable[Path]) -> None:
 def after_commit(action: Callable[[], object]) -> None:
     """Call a function when the files of the block are committed.
 
-    That is now, or inside of `together` at the end of that, if it ends well.
+    That is now, or inside of `atomic_outputs` at the end of that, if it ends well.
     """
     waiting = _waiting.get()
     if waiting is None:
