@@ -270,7 +270,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
     The file is flushed to the disk and renamed when the block ends well, and removed
     when it does not, so that ``path`` is at all times absent, as it was, or whole.
-    Inside of `atomic_outputs` it is renamed at the end of that. Of recorded inputs none may
+    Inside of `atomic_outputs` it is renamed at the end of that. No recorded input may
     have changed since it was read (IO004).
     """
     # Links stay: their target is replaced.

@@ -52,7 +52,8 @@ class EntryLocation:
     def key_of(self, fault: Fault) -> str | None:
         """Return the key that a fault names, or its nearest enclosing key.
 
-        >>> at = EntryLocation(Path("a.yaml"), 1, 1, "systems[0]", {"bodies[1]": (4, 7)})
+        >>> keys = {"bodies[1]": (4, 7)}
+        >>> at = EntryLocation(Path("a.yaml"), 1, 1, "systems[0]", keys)
         >>> at.key_of(Fault("SIM061", "two bodies", where="bodies[1].name"))
         'bodies[1]'
         """
