@@ -44,12 +44,12 @@ def test_done_is_what_is_seen_here(
 ) -> None:
     delivery, done = outcome
     path = tmp_path / "out/take000.usdc"
-    assert delivery.seen(done) == done
+    assert delivery.delivered(done) == done
     data = path.read_bytes()
     path.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
-    assert delivery.seen(done) is None
+    assert delivery.delivered(done) is None
     path.unlink()
-    assert delivery.seen(done) is None
+    assert delivery.delivered(done) is None
 
 
 def test_an_input_that_is_another_here(
