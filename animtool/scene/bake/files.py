@@ -160,7 +160,7 @@ def _with_meshes(take: Take, plan: TakePlan) -> Take:
         # The animation may hold some of the shapes alone.
         indices = np.array([names.index(name) for name in shape_names], np.int64)
         order = np.argsort(indices)
-        rest = Channel.still(np.zeros((len(names), 1)), take.clock.count)
+        rest = Channel.static(np.zeros((len(names), 1)), take.clock.count)
         weights = rest.put(indices[order], weights.gather(order)).compact()
     return replace(take, rig=rig, motion=replace(take.motion, weights=weights))
 

@@ -99,12 +99,12 @@ def entry_location(
     """Return the location of an entry and of the keys that its model has."""
     keys = {}
     for name in () if model is None else sorted(model.model_fields_set):
-        keys[name] = document.place((*at, name))
+        keys[name] = document.position((*at, name))
         value = getattr(model, name)
         for i in range(len(value)) if isinstance(value, list) else ():
             if isinstance(value[i], FileModel):
-                keys[f"{name}[{i}]"] = document.place((*at, name, i))
-    return EntryLocation(document.path, *document.place(at), spelled(at), keys)
+                keys[f"{name}[{i}]"] = document.position((*at, name, i))
+    return EntryLocation(document.path, *document.position(at), spelled(at), keys)
 
 
 @dataclass(frozen=True, slots=True)

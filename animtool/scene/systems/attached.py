@@ -81,7 +81,7 @@ def _turned(colliders: Colliders, rotation: FloatArray) -> Colliders:
 
 def _turned_poses(poses: Poses, rotation: FloatArray) -> Poses:
     rows = _turned_rows(poses.rows, rotation)
-    return Poses(poses.moments, rows[:, :3], rows[:, 3:])
+    return Poses(poses.sample_times, rows[:, :3], rows[:, 3:])
 
 
 def _turned_rows(rows: FloatArray, rotation: FloatArray) -> FloatArray:

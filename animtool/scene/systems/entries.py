@@ -174,9 +174,12 @@ class EntryReader:
 
     def emitter_shape(self, at: Location, entry: Named) -> Any:
         """Return an emitter shape, which may be the surface of a mesh."""
-        from animtool.systems.particles.places import PLACES, MeshSurface
+        from animtool.systems.particles.emitter_shapes import (
+            EMITTER_SHAPES,
+            MeshSurface,
+        )
 
-        shape = self.named(at, entry, PLACES, "place", "SIM021")
+        shape = self.named(at, entry, EMITTER_SHAPES, "place", "SIM021")
         return MeshSurface(shape) if isinstance(shape, Mesh) else shape
 
     def mesh(self, at: Location, model: MovingMeshModel) -> MovingMeshModel | None:
@@ -239,7 +242,7 @@ class EntryReader:
         offset = entry_poses.rows[0]
         rotations = carrier.rows[:, 3:]
         return Poses(
-            carrier.moments,
+            carrier.sample_times,
             carrier.rows[:, :3] + so3.rotate(rotations, offset[:3]),
             so3.multiply(rotations, offset[3:]),
         )
