@@ -355,7 +355,9 @@ def _named(files: list[Path]) -> list[str]:
     ]
 
 
-def _left_out(options: BakeOptions, form: LayerForm, state: _TakeState) -> Iterator[str]:
+def _left_out(
+    options: BakeOptions, form: LayerForm, state: _TakeState
+) -> Iterator[str]:
     """Yield the parts of a take that USD does not hold, with the reason."""
     yield from _of_rig(options, form, state.rig)
     if state.curves and not options.deform:

@@ -99,7 +99,10 @@ class SystemPrims:
             None if self.displacement is None else self.displacement(watch.codes)
         )
         job = replace(
-            self.job, metadata=metadata, placement_matrices=displacement, codes=watch.codes
+            self.job,
+            metadata=metadata,
+            placement_matrices=displacement,
+            codes=watch.codes,
         )
         return replace(self, job=job, start=start, codes=tuple(codes))
 
