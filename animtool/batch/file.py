@@ -361,10 +361,13 @@ class _BatchReader:
             message = "the batch has both a scene and options"
             hint = "move the options into the scene's output"
             self.document.add("BAT001", ("options",), message, hint)
-        if not (model.inputs or self.of_shots or (model.scene and model.variants)):
-            message = "key 'inputs' is missing"
+        known = not self.document.is_placeholder(("inputs",))
+        scene_alone = model.scene and model.variants
+        if known and not (model.inputs or self.of_shots or scene_alone):
+            empty = "inputs" in model.model_fields_set
+            message = "has no entries" if empty else "key 'inputs' is missing"
             hint = "files, folders and globs; a scene alone can have variants"
-            self.document.add("DOC021", (), message, hint)
+            self.document.add("DOC021", ("inputs",) if empty else (), message, hint)
         variants = self._variants()
         columns = () if variants is None else variants.names
         self._names(columns)

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 
 from animtool.batch.discover import Batch
-from animtool.batch.item import Item
+from animtool.batch.item import Item, input_names
 from animtool.batch.ledger import History
 from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_digest
 from animtool.batch.spec import package_versions, path_of_name, relative_name
@@ -207,18 +207,17 @@ def _clashes(
 def _separating_hint(item: Item, other: Item) -> str:
     """Return a hint at the name that separates the outputs of two items."""
     if item.shot is not None and item.shot != other.shot:
-        return f"use {{shot}} in {argument('output')} to keep the shots separate"
+        return "use {shot} in the output to keep the shots separate"
     if item.file != other.file:
-        return (
-            f"use {{parent}} in {argument('output')} to keep the input folders separate"
-        )
+        names, others = input_names(item.file), input_names(other.file)
+        for name in ("stem", "parent", "name"):
+            if names[name] != others[name]:
+                return f"use {{{name}}} in the output to keep the inputs separate"
     differing = [k for k, v in item.values.items() if other.values.get(k) != v]
     if not differing:
         return "these values appear twice: remove one"
     name = differing[0]
-    return f"use {{{name}}} in -o, or ${{{name}}} in the scene's output, " + (
-        "to keep the variants separate"
-    )
+    return f"use {{{name}}} in the output to keep the variants separate"
 
 
 def _closed(folders: Iterable[Path]) -> Iterator[Fault]:

@@ -69,24 +69,40 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
     columns: dict[str, list[str]] = {}
     faults: list[Fault] = []
     names = [text.partition("=")[0].strip() for text in texts]
+    problems = dict(name_problems(names))
     hint = "write NAME=1,2,5 or NAME=1..20"
-    faults += [
-        Fault("BAT063", f"{argument('vary', texts[i])}: {message}", hint=hint)
-        for i, message in name_problems(names)
-    ]
-    for name, text in zip(names, texts, strict=True):
-        try:
-            columns[name] = values_of_text(text.partition("=")[2])
-        except ValueError as error:
-            faults.append(
-                Fault("BAT064", f"{argument('vary', text)}: {error}", hint=hint)
-            )
+    for i, (name, text) in enumerate(zip(names, texts, strict=True)):
+        marker = argument("vary", text)
+        if "=" not in text:
+            message, form = f"{marker}: the sign = is missing", _assigned(text)
+            faults.append(Fault("BAT064", message, hint=form))
+        elif i in problems:
+            faults.append(Fault("BAT063", f"{marker}: {problems[i]}", hint=hint))
+        else:
+            try:
+                columns[name] = values_of_text(text.partition("=")[2])
+            except ValueError as error:
+                faults.append(Fault("BAT064", f"{marker}: {error}", hint=hint))
     if not faults:
         try:
             return columns_variants(columns)
         except ValueError as error:
             faults.append(Fault("BAT065", f"{argument('vary')}: {error}"))
     raise OptionError(faults)
+
+
+def _assigned(text: str) -> str:
+    """Return a hint at how to write a text without a sign =.
+
+    >>> _assigned("wind 1 2"), _assigned("wind")
+    ('write wind=1,2', 'write wind=1,2,5 or wind=1..20')
+    """
+    name, *values = re.split(r"[\s:,]+", text.strip())
+    if not is_variable_name(name):
+        name = "NAME"
+    if values:
+        return f"write {name}={','.join(values)}"
+    return f"write {name}=1,2,5 or {name}=1..20"
 
 
 def values_of_text(text: str) -> list[str]:
@@ -165,8 +181,9 @@ def name_problems(
         twice = name in previous
         previous.add(name)
         if not is_variable_name(name):
-            shown = excerpt(name) if name else "a column without a name"
-            yield i, f"{shown} is not a name of letters, digits and _"
+            allowed = "a name of letters, digits and _"
+            shown = f"{excerpt(name)} is not {allowed}" if name else "a name is missing"
+            yield i, shown
         elif name in taken:
             yield i, f"{name!r} is reserved here"
         elif twice:

@@ -104,9 +104,12 @@ def check_unused(stated: Iterable[str], used: Iterable[str]) -> None:
     """
     names = sorted(used)
     faults = [
-        Fault("SCN031", f"no scene uses a variable {name!r}", hint=nearest(name, names))
+        Fault("SCN031", f"no scene uses a variable {name!r}", hint=hint)
         for name in stated
         if name not in names
+        for hint in [
+            nearest(name, names) if names else f"write ${{{name}}} for it in a scene"
+        ]
     ]
     if faults:
         raise OptionError(faults)

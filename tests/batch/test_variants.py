@@ -153,7 +153,9 @@ def test_values_in_names_of_files(value: str, name: str) -> None:
     ("texts", "codes"),
     [
         (["k"], ["BAT064"]),
-        (["k=1..x", "1=2"], ["BAT063", "BAT064"]),
+        (["k 1 2"], ["BAT064"]),
+        (["=1"], ["BAT063"]),
+        (["k=1..x", "1=2"], ["BAT064", "BAT063"]),
         (["k=1..1e9"], ["BAT064"]),
         (["k=1..101", "s=1..101"], ["BAT065"]),
     ],
@@ -162,6 +164,12 @@ def test_faults_of_the_command_line(texts: list[str], codes: list[str]) -> None:
     with pytest.raises(OptionError) as caught:
         variants_of_texts(texts)
     assert [fault.code for fault in caught.value.faults] == codes
+
+
+def test_a_text_without_a_sign_is_written_as_it_should_be() -> None:
+    with pytest.raises(OptionError) as caught:
+        variants_of_texts(["wind 1 2"])
+    assert caught.value.faults[0].hint == "write wind=1,2"
 
 
 def test_each_variant_is_an_item_and_a_changed_row_is_made_again(swing: Path) -> None:
