@@ -219,7 +219,8 @@ class SystemRun:
         ahead = {
             i: run
             for i, run in runs.items()
-            if isinstance(run.simulation, NeedsFinalState) and run.simulation.ahead
+            if isinstance(run.simulation, NeedsFinalState)
+            and run.simulation.needs_final_state
         }
         if not ahead:
             return
@@ -227,7 +228,7 @@ class SystemRun:
         phase = None if self._phases is None else self._phases.phase()
         last = last_states(self.systems, list(ahead), times, self._own, phase)
         for i, run in ahead.items():
-            run.simulation.see(last[i])
+            run.simulation.set_final_state(last[i])
         self.seconds[min(ahead)] += time.perf_counter() - began
 
     def _before(self, code: Fraction, error: ToleranceError) -> list[Fault]:

@@ -18,18 +18,23 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.attach.bodies import Body
+from animtool.systems.attach.bodies import AttachedBody
 from animtool.systems.attach.network import Network, lost_links, typical_edge
-from animtool.systems.attach.poses import Pose, PosePath, pose_path
-from animtool.systems.attach.settings import Settings
-from animtool.systems.attach.skins import Skin, SkinContacts, margin_for
-from animtool.systems.attach.stepping import State, Stepper, cells_of, steps_per_second
+from animtool.systems.attach.poses import LocalPose, PosePath, pose_path
+from animtool.systems.attach.settings import AttachSettings
+from animtool.systems.attach.skins import SkinContacts, SkinSurface, margin_for
+from animtool.systems.attach.stepping import (
+    AttachState,
+    Stepper,
+    cells_of,
+    steps_per_second,
+)
 from animtool.systems.attach.strands import (
     DEPENETRATION,
     CharacterColliders,
     depth_at_bind,
 )
-from animtool.systems.framework.meter import ContactMeter, Sides, Solid
+from animtool.systems.framework.meter import ClosedSurface, ContactMeter, Sides
 from animtool.systems.springs.checks import tangle_notices
 from animtool.systems.springs.contacts import Cells
 
@@ -44,9 +49,9 @@ class PosePaths:
     """A character over one frame, worked out once for each number of steps."""
 
     rig: Rig  # the character
-    before: Pose  # its pose at the begin
-    after: Pose  # its pose at the end
-    skins: Sequence[Skin] = ()  # what of it is met
+    before: LocalPose  # its pose at the begin
+    after: LocalPose  # its pose at the end
+    skins: Sequence[SkinSurface] = ()  # what of it is met
     _by_steps: dict[int, PosePath] = field(default_factory=dict)
     _skin_points: dict[int, list[FloatArray]] = field(default_factory=dict)
 
@@ -70,11 +75,11 @@ class Actor:
     def __init__(
         self,
         rig: Rig,
-        body: Body,
-        settings: Settings,
+        body: AttachedBody,
+        settings: AttachSettings,
         span: float,
-        pose: Pose,
-        skins: Sequence[Skin] = (),
+        pose: LocalPose,
+        skins: Sequence[SkinSurface] = (),
         world: Colliders | None = None,
     ) -> None:
         """Begin in a pose, at rest, in its size; a frame spans so long [s]."""
@@ -83,8 +88,8 @@ class Actor:
         first = pose_path(rig, pose, pose, 1)
         scale = _size(first.world, body.carrier)
         network = replace(body.network, points=scale * body.network.points)
-        wanted = math.ceil(steps_per_second(network, settings) * span - 1e-9)
-        self._cells, self._substeps = cells_of(max(1, wanted))
+        needed = math.ceil(steps_per_second(network, settings) * span - 1e-9)
+        self._cells, self._substeps = cells_of(max(1, needed))
         self.steps = self._cells * self._substeps
         self.jumps = 0
         self.seconds = 0.0
@@ -96,7 +101,7 @@ class Actor:
         if not self._stepper.thickness and not skins:
             # It may go through itself, and there is no other surface.
             self._sides = replace(self._sides, triangles=network.triangles[:0])
-        self._solids: list[Solid] = []  # skins as the last frame ended
+        self._solids: list[ClosedSurface] = []  # skins as the last frame ended
         self._skins = SkinContacts(
             [] if network.strands else list(skins),
             settings.options.friction,
@@ -126,7 +131,7 @@ class Actor:
             if self._stepper.thickness
             else []
         )
-        self.state = State(self.target, np.zeros_like(self.target))
+        self.state = AttachState(self.target, np.zeros_like(self.target))
 
     def rush(self, speed: FloatArray) -> None:
         """Add a velocity ``(3,)`` [m/s] to the whole."""
@@ -143,7 +148,7 @@ class Actor:
             points = paths.skin_points(self._cells)
             surfaces = self._skins.over(points)
             self._solids = [
-                Solid(rows[-1], skin.triangles)
+                ClosedSurface(rows[-1], skin.triangles)
                 for skin, rows in zip(paths.skins, points, strict=True)
             ]
         length, first = self._span / self._cells, frame * self._cells
@@ -167,9 +172,9 @@ class Actor:
     def follow(self, paths: PosePaths) -> None:
         """Go on by a frame as the animation does."""
         self.target = self.body.targets(paths.of(1))[-1]
-        self.state = State(self.target, np.zeros_like(self.target))
+        self.state = AttachState(self.target, np.zeros_like(self.target))
 
-    def place(self, pose: Pose) -> None:
+    def set_target(self, pose: LocalPose) -> None:
         """Note where the animation has it in a pose; it stays where it is."""
         self.target = self.body.targets(PosePaths(self._rig, pose, pose).of(1))[0]
 
@@ -177,44 +182,46 @@ class Actor:
         """Go on by a frame that is a jump: all moves with what carries it."""
         motion = paths.of(1)
         self.target = self.body.targets(motion)[-1]
-        shift, turn = _move(motion.world, self.body.carrier)
-        state = rigidly_moved(self.state, shift, turn)
-        held = self.body.network.held
-        state.positions[held] = self.target[held]
+        shift, rotation = _move(motion.world, self.body.carrier)
+        state = rigidly_moved(self.state, shift, rotation)
+        pinned = self.body.network.pinned
+        state.positions[pinned] = self.target[pinned]
         self.state = state
         self.jumps += 1
 
     def speed(self, paths: PosePaths) -> float:
         """Return how fast what carries it is over a frame [m/s]."""
-        places = paths.of(1).world.positions[:, self.body.carrier]
-        return float(np.linalg.norm(places[1] - places[0])) / self._span
+        positions = paths.of(1).world.positions[:, self.body.carrier]
+        return float(np.linalg.norm(positions[1] - positions[0])) / self._span
 
 
 def _sides(network: Network) -> Sides:
     """Return what of a network is measured: of cloth what does not become longer."""
-    held = np.zeros(network.count, np.bool_)
-    held[network.held] = True
+    pinned = np.zeros(network.count, np.bool_)
+    pinned[network.pinned] = True
     ends, rests = network.sides, network.rests
-    kept = (rests > 0) & ~held[ends].all(axis=1)
+    kept = (rests > 0) & ~pinned[ends].all(axis=1)
     kept &= len(network.triangles) > 0
     return Sides(network.free, network.triangles, ends[kept], rests[kept])
 
 
-def rigidly_moved(state: State, shift: FloatArray, turn: FloatArray) -> State:
+def rigidly_moved(
+    state: AttachState, shift: FloatArray, rotation: FloatArray
+) -> AttachState:
     """Return a state moved as a whole: turned about the origin, and shifted."""
     return replace(
         state,
-        positions=so3.rotate(turn, state.positions) + shift,
-        velocities=so3.rotate(turn, state.velocities),
+        positions=so3.rotate(rotation, state.positions) + shift,
+        velocities=so3.rotate(rotation, state.velocities),
     )
 
 
 def _move(world: WorldTransforms, joint: int) -> tuple[FloatArray, FloatArray]:
     """Return shift and turn of a joint from the first to the last time."""
-    turns = so3.split_scale(world.linear[:, joint])[0]
-    turn = so3.multiply(turns[-1], so3.conjugate(turns[0]))
-    places = world.positions[:, joint]
-    return places[-1] - so3.rotate(turn, places[0]), turn
+    rotations = so3.split_scale(world.linear[:, joint])[0]
+    rotation = so3.multiply(rotations[-1], so3.conjugate(rotations[0]))
+    positions = world.positions[:, joint]
+    return positions[-1] - so3.rotate(rotation, positions[0]), rotation
 
 
 def _size(world: WorldTransforms, joint: int) -> float:

@@ -22,7 +22,7 @@ from animtool.systems.attach.poses import PosePath
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body(ABC):
+class AttachedBody(ABC):
     """An attachment as particles.
 
     Attributes:
@@ -43,7 +43,7 @@ class Body(ABC):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChainBody(Body):
+class ChainBody(AttachedBody):
     """A chain of joints: its first origin is held, the end of each bone swings."""
 
     joints: IntArray  # from the root on ``(C,)``
@@ -61,7 +61,7 @@ class ChainBody(Body):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SurfaceBody(Body):
+class SurfaceBody(AttachedBody):
     """Cloth or strands: points that follow the skin until they are moved."""
 
     # What moves them; it has the name that the points have in a motion.
@@ -100,7 +100,7 @@ def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
     return [known[name] for name in names]
 
 
-def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[Body]:
+def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
     """Return attachments of a rig as particles; no other is looked at.
 
     Raises:
@@ -110,19 +110,19 @@ def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[Body]:
             has no faces (SIM033), with every such fault.
     """
     entries = check_names(rig, names)
-    made: list[Body] = []
+    bodies: list[AttachedBody] = []
     faults: list[Fault] = []
     for entry in entries:
         try:
-            made.append(_MAKERS[AttachKind(entry.kind)](rig, entry))
+            bodies.append(_MAKERS[AttachKind(entry.kind)](rig, entry))
         except OptionError as error:
             faults += error.faults
     if faults:
         raise OptionError(faults)
-    return made
+    return bodies
 
 
-def _chain(rig: Rig, entry: Attachment) -> Body:
+def _chain(rig: Rig, entry: Attachment) -> AttachedBody:
     joints = [rig.index(name) for name in entry.joints]
     for above, below in pairwise(joints):
         if rig.joints[below].parent != above:
@@ -172,7 +172,7 @@ def _tip(rig: Rig, joints: list[int]) -> FloatArray:
     return np.array(last.translation)
 
 
-def _strands(rig: Rig, entry: Attachment) -> Body:
+def _strands(rig: Rig, entry: Attachment) -> AttachedBody:
     (strands,) = [one for one in strands_of(rig) if one.name == entry.name]
     (mesh,) = character_strands([strands], rig.names, bind_matrices(rig))
     count, length = strands.points.shape[:2]
@@ -189,7 +189,7 @@ def _strands(rig: Rig, entry: Attachment) -> Body:
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)
 
 
-def _cloth(rig: Rig, entry: Attachment) -> Body:
+def _cloth(rig: Rig, entry: Attachment) -> AttachedBody:
     (surface,) = [one for one in surfaces_of(rig) if one.name == entry.mesh]
     shapes = [shape.name for shape in rig.shapes]
     (mesh,) = character_meshes([surface], rig.names, bind_matrices(rig), shapes)
@@ -223,7 +223,7 @@ def _carrier(rig: Rig, surface: Surface, network: Network) -> int:
     skin = surface.skin
     if skin is None:
         return rig.roots[0]
-    rows = network.held if len(network.held) else np.arange(network.count)
+    rows = network.pinned if len(network.pinned) else np.arange(network.count)
     sums = np.bincount(
         skin.indices[rows].ravel(), skin.weights[rows].ravel(), len(skin.joints)
     )

@@ -19,7 +19,7 @@ from animtool.systems.springs.records import Family
 RIGID = 1e6
 # Cloth [kg/m²], and the least mass of a particle among the others' [1].
 CLOTH_WEIGHT = 0.3
-MIN_SHARE = 1e-3
+MIN_MASS_FRACTION = 1e-3
 
 
 def _none(columns: int) -> IntArray:
@@ -31,7 +31,7 @@ class Network:
     """N points that are at rest where they are, and the springs that join them."""
 
     points: FloatArray  # where they are at bind ``(N, 3)`` [m]
-    held: IntArray  # those that go where the animation has them ``(P,)``, ascending
+    pinned: IntArray  # those that go where the animation has them ``(P,)``, ascending
     sides: IntArray  # ends of what does not become longer ``(L, 2)``
     # Of faces, which give way sideways ``(L, 2)``.
     diagonals: IntArray = field(default_factory=lambda: _none(2))
@@ -51,7 +51,7 @@ class Network:
     @property
     def free(self) -> IntArray:
         """Particles that are not held, ascending."""
-        return np.setdiff1d(np.arange(self.count), self.held)
+        return np.setdiff1d(np.arange(self.count), self.pinned)
 
     @property
     def rests(self) -> FloatArray:
@@ -60,8 +60,8 @@ class Network:
 
     def lengths(self, ends: IntArray) -> FloatArray:
         """Return how far ends ``(L, 2)`` are apart at rest ``(L,)`` [m]."""
-        apart = self.points[ends[:, 1]] - self.points[ends[:, 0]]
-        return np.asarray(np.linalg.norm(apart, axis=-1))
+        gaps = self.points[ends[:, 1]] - self.points[ends[:, 0]]
+        return np.asarray(np.linalg.norm(gaps, axis=-1))
 
     @property
     def masses(self) -> FloatArray:
@@ -74,12 +74,12 @@ class Network:
         thirds = np.repeat(areas * (CLOTH_WEIGHT / 3), 3)
         masses = np.bincount(corners.ravel(), thirds, self.count)
         # Faces without area leave some particles none.
-        least = MIN_SHARE * float(masses.max(initial=0.0))
+        least = MIN_MASS_FRACTION * float(masses.max(initial=0.0))
         return np.maximum(masses, least if least > 0 else 1.0)
 
     def body(self, diagonals: float, bends: float) -> Body:
         """Return its particles with springs of some frequencies [Hz]."""
-        loose = np.isin(np.arange(self.count), self.held, invert=True)
+        loose = np.isin(np.arange(self.count), self.pinned, invert=True)
         families = (
             (self.sides, RIGID / (2 * math.pi)),
             (self.diagonals, diagonals),
@@ -101,16 +101,16 @@ def reach(network: Network) -> int:
     >>> reach(Network(np.eye(3), np.array([0]), np.array([[0, 1], [1, 2]])))
     2
     """
-    props: list[list[int]] = [[] for _ in range(network.count)]
+    neighbours: list[list[int]] = [[] for _ in range(network.count)]
     for i, j in network.sides.tolist():
-        props[i].append(j)
-        props[j].append(i)
-    starts = network.held.tolist() or [0]
+        neighbours[i].append(j)
+        neighbours[j].append(i)
+    starts = network.pinned.tolist() or [0]
     away = dict.fromkeys(starts, 0)
     waiting = deque(starts)
     while waiting:
         at = waiting.popleft()
-        for other in props[at]:
+        for other in neighbours[at]:
             if other not in away:
                 away[other] = away[at] + 1
                 waiting.append(other)
@@ -154,10 +154,10 @@ def surface_problems(network: Network) -> list[str]:
     flat = int((~np.cross(b - a, c - a).any(axis=1)).sum())
     often = edge_counts(np.full(len(corners), 3), corners.ravel())[1]
     shared = int((often > 2).sum())
-    said = [f"{counted(flat, 'triangle')} without area"] if flat else []
+    problems = [f"{counted(flat, 'triangle')} without area"] if flat else []
     if shared:
-        said.append(f"{counted(shared, 'edge')} of more than two triangles")
-    return said
+        problems.append(f"{counted(shared, 'edge')} of more than two triangles")
+    return problems
 
 
 def diagonals_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
@@ -182,11 +182,13 @@ def folds_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
     """
     starts, sizes = np.repeat([np.cumsum(counts) - counts, counts], counts, axis=1)
     around = np.arange(len(indices)) - starts
-    own = sides(counts, indices)
+    side_corners = sides(counts, indices)
     # Beside the first end of a side, and beside the second.
-    props = np.stack([indices[starts + (around + k) % sizes] for k in (-1, 2)], axis=1)
-    turned = own[:, 0] > own[:, 1]
-    props[turned] = props[turned, ::-1]
-    one, other = of_one_edge(own)
-    pairs = np.stack([props[one], props[other]], axis=-1)
+    neighbours = np.stack(
+        [indices[starts + (around + k) % sizes] for k in (-1, 2)], axis=1
+    )
+    turned = side_corners[:, 0] > side_corners[:, 1]
+    neighbours[turned] = neighbours[turned, ::-1]
+    one, other = of_one_edge(side_corners)
+    pairs = np.stack([neighbours[one], neighbours[other]], axis=-1)
     return distinct_pairs(pairs.reshape(-1, 2))

@@ -120,7 +120,7 @@ class SimulateOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class AttachSettings:
     """The options as one kind of attachment has them: defaults and SI units."""
 
     options: SimulateOptions  # all that is the same for every kind
@@ -132,7 +132,7 @@ class Settings:
     thickness: float | None
 
 
-def settings_for(options: SimulateOptions, kind: str) -> Settings:
+def settings_for(options: SimulateOptions, kind: str) -> AttachSettings:
     """Return what the options come to for an attachment of a kind."""
     known = AttachKind(kind)
     frequency, bend, stretch = options.frequency, options.bend, options.stretch
@@ -147,7 +147,7 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
         thickness = None
         if options.thickness is not None:
             thickness = length_of(options.thickness)
-    return Settings(
+    return AttachSettings(
         options,
         frequency,
         bend,
@@ -245,7 +245,7 @@ def _check_save(options: SimulateOptions) -> None:
 
 
 def _check_loop(options: SimulateOptions) -> None:
-    given = [name for name in ("save", "resume") if getattr(options, name)]
-    if options.loop and given:
-        message = f"a cycle has no {given[0]}: it ends where it began"
+    conflicting = [name for name in ("save", "resume") if getattr(options, name)]
+    if options.loop and conflicting:
+        message = f"a cycle has no {conflicting[0]}: it ends where it began"
         raise OptionError(Fault("SIM032", message))

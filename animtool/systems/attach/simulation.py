@@ -20,10 +20,10 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import Actor, PosePaths, rigidly_moved, upwards
-from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody
+from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
 from animtool.systems.attach.poses import (
-    Pose,
-    Travel,
+    CycleTravel,
+    LocalPose,
     extrapolated,
     onward,
     pose_at,
@@ -31,8 +31,8 @@ from animtool.systems.attach.poses import (
     travel_between,
 )
 from animtool.systems.attach.settings import Lead, SimulateOptions, settings_for
-from animtool.systems.attach.skins import Skin, skins_of
-from animtool.systems.attach.stepping import State
+from animtool.systems.attach.skins import SkinSurface, skins_of
+from animtool.systems.attach.stepping import AttachState
 from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import Reached
@@ -48,10 +48,10 @@ class SavedFrame:
     """States of attachments at one frame, to go on from."""
 
     frame: float  # its time code
-    states: Mapping[str, State]  # by the attachment's name
+    states: Mapping[str, AttachState]  # by the attachment's name
 
 
-def saved_state(body: Body, frame: float) -> tuple[str, Clocked]:
+def saved_state(body: AttachedBody, frame: float) -> tuple[str, Clocked]:
     """Return what a file calls the state of an attachment at a frame, and its clock."""
     return f"{frame!r}/{body.name}", Clocked(body.kind, frame, 1.0)
 
@@ -73,13 +73,13 @@ class _Rows:
     targets: list[FloatArray]
 
 
-class Simulation:
+class AttachSimulation:
     """Carries attachments through a take."""
 
     def __init__(
         self,
         rig: Rig,
-        bodies: Sequence[Body],
+        bodies: Sequence[AttachedBody],
         options: SimulateOptions,
         rate: Fraction,
         start: Fraction,
@@ -99,11 +99,11 @@ class Simulation:
         self.rig, self.bodies, self.options = rig, bodies, options
         self.actors: list[Actor] = []  # of the bodies, once a frame was seen
         # States at the frames that are asked for, and the steps of each a frame.
-        self.saved: dict[str, tuple[Clocked, Reached[State]]] = {}
+        self.saved: dict[str, tuple[Clocked, Reached[AttachState]]] = {}
         self.codes: list[float] = []  # time codes that were gone through
         self.resumed = resumed  # states that it goes on from
         self.closing: Closing | None = None  # of a cycle
-        self.skins: list[Skin] = []  # what of the character is met
+        self.skins: list[SkinSurface] = []  # what of the character is met
         if options.skin and any(isinstance(body, SurfaceBody) for body in bodies):
             self.skins = skins_of(rig)
         self.swung: dict[str, float] = {}  # largest turn of last joints [rad]
@@ -113,20 +113,20 @@ class Simulation:
         self._frame = 0 if options.loop else -early
         self._progress = progress
         self._crossed, self._to_cross = 0, 1
-        self._before: Pose | None = None
+        self._before: LocalPose | None = None
         self._done = 0
         self._signs: dict[int, FloatArray] = {}
 
-    def blocks(self, given: Iterator[Motion]) -> Iterator[Motion]:
+    def blocks(self, motions: Iterator[Motion]) -> Iterator[Motion]:
         """Yield motions with what is attached moved."""
         if self.options.loop:
-            whole, early = Motion.concatenate(list(given)), self._early
-            made = self._cycle(whole.select(slice(early, None)))
-            yield made.select(np.maximum(np.arange(-early, made.frames), 0))
+            motion, early = Motion.concatenate(list(motions)), self._early
+            cycle = self._cycle(motion.select(slice(early, None)))
+            yield cycle.select(np.maximum(np.arange(-early, cycle.frames), 0))
             return
         values = 3 * sum(body.network.count for body in self.bodies)
         most = max(BLOCK_VALUES // max(values, 1), 2)
-        for block in _begun(given):
+        for block in _begun(motions):
             self._crossed, self._to_cross = 0, block.frames
             for begin in range(0, block.frames, most):
                 yield self._block(block.select(slice(begin, begin + most)))
@@ -153,7 +153,7 @@ class Simulation:
     def _codes(self, first: int, count: int) -> FloatArray:
         return time_codes(self._start + first * self._step, self._step, count)
 
-    def _begin(self, pose: Pose, following: Pose) -> None:
+    def _begin(self, pose: LocalPose, following: LocalPose) -> None:
         """Bring everything to the first frame."""
         options, rate = self.options, float(self._rate)
         leading = math.ceil(options.preroll * rate)
@@ -175,12 +175,12 @@ class Simulation:
         ]
         if self.resumed is not None:
             return
-        still = self._paths(begin, begin)
+        static = self._paths(begin, begin)
         settling = math.ceil(options.settle * rate)
         self._frame -= settling + leading
         self._to_cross += settling + leading
         for _ in range(settling):
-            self._cross(still)
+            self._cross(static)
         root = self.rig.roots[0]
         step = following.translations[root] - pose.translations[root]
         for i in range(leading):
@@ -195,7 +195,7 @@ class Simulation:
                     actor.rush(step * rate)
             self._cross(self._paths(earlier, later))
 
-    def _advance(self, pose: Pose, code: float) -> None:
+    def _advance(self, pose: LocalPose, code: float) -> None:
         """Go on to the next frame."""
         assert self._before is not None
         paths = self._paths(self._before, pose)
@@ -206,7 +206,7 @@ class Simulation:
             return
         self._cross(paths, jumps=code in self.options.teleports)
 
-    def _paths(self, before: Pose, after: Pose) -> PosePaths:
+    def _paths(self, before: LocalPose, after: LocalPose) -> PosePaths:
         return PosePaths(self.rig, before, after, self.skins)
 
     def _cross(self, paths: PosePaths, *, jumps: bool = False) -> None:
@@ -218,8 +218,8 @@ class Simulation:
                 actor.cross(paths, self._frame)
             if self._progress is not None:
                 self._crossed += 1
-                whole = self._to_cross * len(self.actors)
-                self._progress(min(self._crossed / whole, 1.0))
+                total = self._to_cross * len(self.actors)
+                self._progress(min(self._crossed / total, 1.0))
         self._frame += 1
         if not self.options.loop:
             # The next frame looks back a little from its begin.
@@ -244,7 +244,7 @@ class Simulation:
         count = motion.frames
         poses = [pose_at(motion, i) for i in range(count)]
         if count == 1:
-            travel = Travel(np.zeros(3), so3.IDENTITY)
+            travel = CycleTravel(np.zeros(3), so3.IDENTITY)
         else:
             four = (poses[0], poses[1], poses[-2], poses[-1])
             travel = travel_between(self.rig, upwards(self.rig), four)
@@ -266,23 +266,23 @@ class Simulation:
                 break
             for actor, end in zip(self.actors, back, strict=True):
                 actor.state = end
-        share = seam_weights(count)
+        weights = seam_weights(count)
         for row, one in zip(rows, left, strict=True):
-            off = so3.rotate(travel.turn, one)
+            off = so3.rotate(travel.rotation, one)
             row.moved = [
                 moved + weight * off
-                for moved, weight in zip(row.moved, share.tolist(), strict=True)
+                for moved, weight in zip(row.moved, weights.tolist(), strict=True)
             ]
         return self._moved(motion, self._codes(self._early, count), rows)
 
-    def _round(self, poses: list[Pose]) -> list[_Rows]:
+    def _round(self, poses: list[LocalPose]) -> list[_Rows]:
         """Go once through a cycle; return its frames but the last."""
         rows = [_Rows([], []) for _ in self.bodies]
         codes = self._codes(self._early, len(poses)).tolist()
         self.codes = codes[:-1]
         self._frame = 0
         for actor in self.actors:
-            actor.place(poses[0])
+            actor.set_target(poses[0])
             actor.meter = ContactMeter()
         for i, (before, after) in enumerate(pairwise(poses)):
             for row, actor in zip(rows, self.actors, strict=True):
@@ -296,18 +296,18 @@ class Simulation:
     def _moved(self, block: Motion, codes: FloatArray, rows: list[_Rows]) -> Motion:
         """Return a motion with what was moved in the place of what was animated."""
         options = self.options
-        share = weights_at(options.weight, codes, options.interpolation)
+        weights = weights_at(options.weight, codes, options.interpolation)
         if self.resumed is not None:
-            share = np.where(codes < self.resumed.frame, 0.0, share)
+            weights = np.where(codes < self.resumed.frame, 0.0, weights)
         rotations = block.rotations.dense()
         for body, row in zip(self.bodies, rows, strict=True):
             moved, targets = np.stack(row.moved), np.stack(row.targets)
             if isinstance(body, ChainBody):
-                turned = self._turned(rotations, body, moved, targets, share)
+                turned = self._turned(rotations, body, moved, targets, weights)
                 put = block.rotations.put(body.joints, turned)
                 block = replace(block, rotations=put)
             elif isinstance(body, SurfaceBody):
-                block = _pointed(block, body.mesh.name, moved, targets, share)
+                block = _pointed(block, body.mesh.name, moved, targets, weights)
         return block
 
     def _turned(
@@ -316,51 +316,55 @@ class Simulation:
         body: ChainBody,
         moved: FloatArray,
         targets: FloatArray,
-        share: FloatArray,
+        weights: FloatArray,
     ) -> FloatArray:
         """Return rotations of a chain that point where it was moved ``(F, C, 4)``."""
-        own = rotations[:, body.joints]
+        animated = rotations[:, body.joints]
         turned = chain_rotations(self.rig, body.joints, rotations, targets, moved)
-        mixed = so3.slerp(own, turned, share[:, None])
-        whole = np.where((share == 1)[:, None, None], turned, mixed)
+        mixed = so3.slerp(animated, turned, weights[:, None])
+        blended = np.where((weights == 1)[:, None, None], turned, mixed)
         first = int(body.joints[0])
-        before = self._signs.get(first, own[0])
-        aligned = so3.align_signs(whole, before)
+        before = self._signs.get(first, animated[0])
+        aligned = so3.align_signs(blended, before)
         self._signs[first] = aligned[-1]
-        last = so3.angle_between(own[:, -1], aligned[:, -1]) * (share != 0)
+        last = so3.angle_between(animated[:, -1], aligned[:, -1]) * (weights != 0)
         most = max(self.swung.get(body.name, 0.0), float(last.max(initial=0.0)))
         self.swung[body.name] = most
         # As it was, to the bit, where nothing is taken of the simulation.
-        return np.where((share == 0)[:, None, None], own, aligned)
+        return np.where((weights == 0)[:, None, None], animated, aligned)
 
 
-def _begun(given: Iterator[Motion]) -> Iterator[Motion]:
+def _begun(blocks: Iterator[Motion]) -> Iterator[Motion]:
     """Yield blocks, the first of them of two frames at least, if there are as many."""
     early: list[Motion] = []
-    for block in given:
+    for block in blocks:
         early.append(block)
         if sum(one.frames for one in early) < 2:
             continue
         yield Motion.concatenate(early) if len(early) > 1 else early[0]
-        yield from given
+        yield from blocks
         return
     if early:
         yield Motion.concatenate(early)
 
 
-def _back(state: State, travel: Travel) -> State:
+def _back(state: AttachState, travel: CycleTravel) -> AttachState:
     """Return a state at the end of a cycle as one at its begin."""
-    turn = so3.conjugate(travel.turn)
-    return rigidly_moved(state, -so3.rotate(turn, travel.shift), turn)
+    rotation = so3.conjugate(travel.rotation)
+    return rigidly_moved(state, -so3.rotate(rotation, travel.shift), rotation)
 
 
 def _pointed(
-    block: Motion, name: str, moved: FloatArray, targets: FloatArray, share: FloatArray
+    block: Motion,
+    name: str,
+    moved: FloatArray,
+    targets: FloatArray,
+    weights: FloatArray,
 ) -> Motion:
     """Return a motion that says where points are."""
     values = moved
-    if (share != 1).any():
-        weight = share[:, None, None]
+    if (weights != 1).any():
+        weight = weights[:, None, None]
         values = np.where(weight == 1, moved, targets + weight * (moved - targets))
         values = np.where(weight == 0, targets, values)
     channel = Channel(values[0].copy(), np.arange(values.shape[1]), values)

@@ -20,7 +20,7 @@ from animtool.sim.contact import SPEED_LIMIT
 from animtool.skin.character import CharacterMesh, character_meshes
 from animtool.skin.deform import deform
 from animtool.systems.attach.poses import PosePath
-from animtool.systems.framework.meter import Solid
+from animtool.systems.framework.meter import ClosedSurface
 
 # What of its edges cloth keeps from skins [1]: halves of these cut limbs of that length
 # by no more.
@@ -28,7 +28,7 @@ CORNERS = 1 / 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Skin:
+class SkinSurface:
     """A mesh that follows joints, closed: each border has a fan to its middle."""
 
     mesh: CharacterMesh  # what moves its V points
@@ -47,12 +47,12 @@ class Skin:
         count = int(self.borders.max(initial=-1)) + 1
         middles = np.zeros((len(points), count, 3))
         for border in range(count):
-            own = self.border_points[self.borders == border]
-            middles[:, border] = points[:, own].mean(axis=1)
+            corners = self.border_points[self.borders == border]
+            middles[:, border] = points[:, corners].mean(axis=1)
         return np.ascontiguousarray(np.concatenate([points, middles], axis=1))
 
 
-def skins_of(rig: Rig) -> list[Skin]:
+def skins_of(rig: Rig) -> list[SkinSurface]:
     """Return the meshes of a rig that follow joints, but those that are its cloth."""
     cloth = {one.mesh for one in rig.attach if one.kind == AttachKind.CLOTH}
     surfaces = [
@@ -69,11 +69,11 @@ def skins_of(rig: Rig) -> list[Skin]:
     ]
 
 
-def _skin(rig: Rig, surface: Surface, mesh: CharacterMesh) -> Skin:
+def _skin(rig: Rig, surface: Surface, mesh: CharacterMesh) -> SkinSurface:
     triangles, points, borders = capped(surface.counts, surface.indices)
-    places = surface.points
-    middles = [places[points[borders == b]].mean(axis=0) for b in np.unique(borders)]
-    corners = np.concatenate([places, np.array(middles).reshape(-1, 3)])[triangles]
+    vertices = surface.points
+    middles = [vertices[points[borders == b]].mean(axis=0) for b in np.unique(borders)]
+    corners = np.concatenate([vertices, np.array(middles).reshape(-1, 3)])[triangles]
     a, b, c = corners.swapaxes(0, 1)
     if (a * np.cross(b, c)).sum() < 0:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
@@ -82,7 +82,7 @@ def _skin(rig: Rig, surface: Surface, mesh: CharacterMesh) -> Skin:
     assert skin is not None
     used = np.unique(skin.indices[skin.weights > 0])
     used_joints[[rig.index(skin.joints[k]) for k in used.tolist()]] = True
-    return Skin(mesh, triangles, points, borders, used_joints)
+    return SkinSurface(mesh, triangles, points, borders, used_joints)
 
 
 def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -104,10 +104,10 @@ def capped(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray, Int
     from scipy.sparse.csgraph import connected_components
 
     triangles, count = triangulated(counts, indices), int(indices.max(initial=-1)) + 1
-    ways = sides(counts, indices)
-    numbers = np.sort(ways, axis=1) @ [count, 1]
+    side_corners = sides(counts, indices)
+    numbers = np.sort(side_corners, axis=1) @ [count, 1]
     _, which, often = np.unique(numbers, return_inverse=True, return_counts=True)
-    open_ = ways[often[which.reshape(-1)] == 1]
+    open_ = side_corners[often[which.reshape(-1)] == 1]
     points, ends = np.unique(open_, return_inverse=True)
     ends = ends.reshape(-1, 2)
     joined = coo_array((np.ones(len(ends)), ends.T), (len(points), len(points)))
@@ -131,14 +131,14 @@ def margin_for(edge: float, radius: float) -> float:
     return max(0.0, CORNERS * edge - radius)
 
 
-def nearness(solid: Solid, points: FloatArray, kept: float) -> FloatArray:
+def nearness(solid: ClosedSurface, points: FloatArray, kept: float) -> FloatArray:
     """Return how much nearer to a skin than a distance kept points may be ``(N,)`` [m].
 
     At most 0: what a pose lays on the skin is let there, but not inside.
     """
     near = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
-    apart = near.sample(points, 0.0, 1.0).distances[0]
-    return np.asarray(np.clip(apart, 0.0, kept) - kept)
+    distances = near.sample(points, 0.0, 1.0).distances[0]
+    return np.asarray(np.clip(distances, 0.0, kept) - kept)
 
 
 class SkinContacts:
@@ -146,7 +146,7 @@ class SkinContacts:
 
     def __init__(
         self,
-        skins: Sequence[Skin],
+        skins: Sequence[SkinSurface],
         friction: float,
         margin: float,
         depenetration: float,
@@ -165,7 +165,7 @@ class SkinContacts:
         """
         kept = radius + self._numbers[2]
         return [
-            nearness(Solid(skin.points(path)[0], skin.triangles), targets, kept)
+            nearness(ClosedSurface(skin.points(path)[0], skin.triangles), targets, kept)
             for skin in self._skins
         ]
 

@@ -13,12 +13,12 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
 from animtool.systems.attach.network import RIGID, Network, reach, typical_edge
-from animtool.systems.attach.settings import Settings
+from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.framework.bounds import BOUND
 from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.contacts import CellColliders
-from animtool.systems.springs.motion import Grid, SpringState, Through
-from animtool.systems.springs.paths import Pins, Targets
+from animtool.systems.springs.motion import Piercing, SpringState, TimeGrid
+from animtool.systems.springs.paths import Pins, PointTargets
 from animtool.systems.springs.records import Air, SelfContact, Solver
 from animtool.systems.springs.solvers import projected
 from animtool.systems.springs.system import SpringSystem
@@ -26,7 +26,7 @@ from animtool.systems.springs.system import SpringSystem
 # Accelerations that steps are chosen for [m/s²]: twice that of gravity.
 DESIGN_ACCELERATION = 20.0
 # How fast springs of strands turn that steps are chosen for [rad/s].
-DESIGN_TURN = 30.0
+DESIGN_SPIN = 30.0
 # Of cloth, springs across bear more of it than those of a line: as measured [1].
 ACROSS = 10.0
 # Of cloth, and of strands [1/s].
@@ -48,7 +48,7 @@ def nowhere() -> IntArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class AttachState:
     """Where N particles are, and how fast."""
 
     positions: FloatArray  # ``(N, 3)`` [m], world
@@ -64,14 +64,16 @@ class Tally:
     stretch: float = 0.0  # most that a spring was longer than at rest, over that [1]
     contacts: int = 0  # most particles that touched colliders at once
     unresolved: int = 0  # most that were left inside one
-    through: Through = field(default_factory=Through)  # what had gone through the cloth
+    through: Piercing = field(
+        default_factory=Piercing
+    )  # what had gone through the cloth
 
     def add(
         self,
         stretch: float,
         contacts: int,
         unresolved: int,
-        through: Through | None = None,
+        through: Piercing | None = None,
     ) -> None:
         """Note a frame."""
         self.stretch = max(self.stretch, stretch)
@@ -81,7 +83,7 @@ class Tally:
             self.through = self.through.with_more(through)
 
 
-def steps_per_second(network: Network, settings: Settings) -> float:
+def steps_per_second(network: Network, settings: AttachSettings) -> float:
     """Return how many steps a second keep springs within their stretch [1/s].
 
     Springs of strands are solved together: what is left is that a spring which turns
@@ -93,30 +95,32 @@ def steps_per_second(network: Network, settings: Settings) -> float:
     if settings.options.rate is not None:
         return settings.options.rate
     if network.strands:
-        wanted = DESIGN_TURN / math.sqrt(2 * settings.stretch)
-        return min(max(wanted, MIN_STRAND_STEPS), MAX_STEPS)
+        rate = DESIGN_SPIN / math.sqrt(2 * settings.stretch)
+        return min(max(rate, MIN_STRAND_STEPS), MAX_STEPS)
     edge = typical_edge(network)
     if not edge:
         return MIN_STEPS
     load = reach(network) * DESIGN_ACCELERATION * ACROSS
-    wanted = math.sqrt(load / (settings.stretch * edge))
-    return min(max(wanted, MIN_STEPS), MAX_STEPS)
+    rate = math.sqrt(load / (settings.stretch * edge))
+    return min(max(rate, MIN_STEPS), MAX_STEPS)
 
 
-def stepped(made: FloatArray, passages: IntArray | None = None) -> State:
+def stepped(motion: FloatArray, passages: IntArray | None = None) -> AttachState:
     """Return the end of a frame ``(2, N, 3)`` as a state.
 
     Raises:
         ToleranceError: It is not finite, or in no scene (SIM102).
     """
-    if not np.abs(made).max(initial=0.0) <= BOUND:
-        far = np.abs(made[0])
+    if not np.abs(motion).max(initial=0.0) <= BOUND:
+        far = np.abs(motion[0])
         number = int(np.argmax(np.where(np.isnan(far), np.inf, far).max(axis=-1)))
         message = f"the simulation blew up: particle {number} is at "
-        message += f"{np.array2string(made[0, number], precision=3)} m"
+        message += f"{np.array2string(motion[0, number], precision=3)} m"
         hint = "lower its frequency, bend, diagonals, gravity, wind or drag"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
-    return State(made[0], made[1], nowhere() if passages is None else passages)
+    return AttachState(
+        motion[0], motion[1], nowhere() if passages is None else passages
+    )
 
 
 def cells_of(steps: int) -> tuple[int, int]:
@@ -142,7 +146,9 @@ class Stepper:
         tally: What happened so far.
     """
 
-    def __init__(self, network: Network, settings: Settings, down: FloatArray) -> None:
+    def __init__(
+        self, network: Network, settings: AttachSettings, down: FloatArray
+    ) -> None:
         """Make what kernels take; down is the direction of gravity ``(3,)``."""
         self.thickness, self.tally = thickness_of(network, settings), Tally()
         self._network, self._settings = network, settings
@@ -153,12 +159,12 @@ class Stepper:
 
     def cross(
         self,
-        state: State,
+        state: AttachState,
         path: FloatArray,
         met: CellColliders,
         span: float,
         substeps: int,
-    ) -> State:
+    ) -> AttachState:
         """Return the state a frame later.
 
         Args:
@@ -171,11 +177,11 @@ class Stepper:
         """
         both = np.stack([state.positions, state.velocities])
         if self._network.strands:
-            made, touched, inside, stretch = _kernels.follow_strands(
+            motion, touched, inside, stretch = _kernels.follow_strands(
                 self._strands, path, both, span, substeps, met, threads_allowed()
             )
             self.tally.add(stretch, touched, inside)
-            return stepped(made)
+            return stepped(motion)
         cells, system = len(path) - 1, self._system
         system.lead(span, path)
         network = system.network(0)
@@ -184,9 +190,9 @@ class Stepper:
         stretch = self._settings.stretch
         limit = stretch if len(self._network.triangles) else 0.0
         begun = SpringState(
-            both, system.whole, substeps, substeps, passages=state.passages
+            both, system.none_torn, substeps, substeps, passages=state.passages
         )
-        grid = Grid(Solver.XPBD, 0.0, span / cells, 0, begun)
+        grid = TimeGrid(Solver.XPBD, 0.0, span / cells, 0, begun)
         grid = projected(network, grid, cells, met, system.layers, stretch, most, limit)
         longest = self._stretch(grid.state.motion[0])
         self.tally.add(longest, grid.touching, grid.unresolved, grid.through)
@@ -199,7 +205,7 @@ class Stepper:
         return float((lengths / rests[moved] - 1).max(initial=0.0))
 
 
-def thickness_of(network: Network, settings: Settings) -> float:
+def thickness_of(network: Network, settings: AttachSettings) -> float:
     """Return the distance that cloth keeps from itself [m]; 0 where it does not."""
     if settings.thickness is not None:
         return settings.thickness
@@ -209,7 +215,7 @@ def thickness_of(network: Network, settings: Settings) -> float:
 
 
 def _system(
-    network: Network, settings: Settings, down: FloatArray, thickness: float
+    network: Network, settings: AttachSettings, down: FloatArray, thickness: float
 ) -> SpringSystem:
     """Return a network as a system of springs, held and drawn where it is at rest."""
     options = settings.options
@@ -221,8 +227,8 @@ def _system(
     slowing = 0.0 if cloth else options.drag
     return SpringSystem(
         body,
-        pins=Pins(network.held),
-        targets=Targets(
+        pins=Pins(network.pinned),
+        targets=PointTargets(
             drawn,
             body.positions[drawn],
             masses * omega**2,
@@ -236,7 +242,7 @@ def _system(
 
 
 def _strands(
-    network: Network, settings: Settings, down: FloatArray
+    network: Network, settings: AttachSettings, down: FloatArray
 ) -> _kernels.SpringStrands:
     """Return strands as kernels take them; chains have no folds."""
     options, omega = settings.options, 2 * math.pi * settings.frequency
@@ -262,7 +268,7 @@ def threads_allowed() -> int:
 
     Processes of a batch have that set to 1, as many run as there are processors.
     """
-    given = os.environ.get("OMP_NUM_THREADS", "")
-    if given.isdecimal() and int(given) > 0:
-        return int(given)
+    setting = os.environ.get("OMP_NUM_THREADS", "")
+    if setting.isdecimal() and int(setting) > 0:
+        return int(setting)
     return os.cpu_count() or 1

@@ -14,7 +14,7 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Capsule, Collider, Colliders
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.framework.meter import Solid, closed_surfaces, depths_of
+from animtool.systems.framework.meter import ClosedSurface, closed_surfaces, depths_of
 from animtool.systems.springs.contacts import (
     CellColliders,
     Cells,
@@ -30,7 +30,7 @@ DEPENETRATION = 1.0
 UNRESOLVED = 1e-3
 
 
-def least_turns(before: FloatArray, after: FloatArray) -> FloatArray:
+def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the shortest rotations ``(F, 4)`` from directions to others ``(F, 3)``.
 
     Identity where either has no length; half a turn about some axis across where they
@@ -45,14 +45,14 @@ def least_turns(before: FloatArray, after: FloatArray) -> FloatArray:
     b = after / np.where(solid, lengths[1], 1.0)
     dots = (a * b).sum(axis=-1, keepdims=True)
     across = np.cross(a, b)
-    turns = so3.normalize(np.concatenate([across, 1.0 + dots], axis=-1))
+    rotations = so3.normalize(np.concatenate([across, 1.0 + dots], axis=-1))
     opposed = solid[:, 0] & (dots[:, 0] < -1 + 1e-12)
     if opposed.any():
         least = np.eye(3)[np.abs(a[opposed]).argmin(axis=-1)]
         axes = np.cross(a[opposed], least)
         axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-        turns[opposed] = np.concatenate([axes, np.zeros((len(axes), 1))], axis=-1)
-    return np.where(solid, turns, so3.IDENTITY)
+        rotations[opposed] = np.concatenate([axes, np.zeros((len(axes), 1))], axis=-1)
+    return np.where(solid, rotations, so3.IDENTITY)
 
 
 def chain_rotations(
@@ -72,32 +72,36 @@ def chain_rotations(
     """
     world = _above(rig, int(joints[0]), rotations)
     inherited = np.tile(so3.IDENTITY, (len(rotations), 1))
-    made = np.zeros((len(rotations), len(joints), 4))
+    result = np.zeros((len(rotations), len(joints), 4))
     for k, joint in enumerate(joints.tolist()):
-        own = rotations[:, joint]
+        source = rotations[:, joint]
         parent = so3.multiply(inherited, world)
         bone = animated[:, k + 1] - animated[:, k]
-        turn = least_turns(so3.rotate(inherited, bone), moved[:, k + 1] - moved[:, k])
-        wanted = so3.multiply(turn, so3.multiply(parent, own))
-        local = so3.normalize(so3.multiply(so3.conjugate(parent), wanted))
-        made[:, k] = _allowed(rig.joints[joint], local, own)
-        world = so3.multiply(world, own)
+        swing = shortest_rotations(
+            so3.rotate(inherited, bone), moved[:, k + 1] - moved[:, k]
+        )
+        goal = so3.multiply(swing, so3.multiply(parent, source))
+        local = so3.normalize(so3.multiply(so3.conjugate(parent), goal))
+        result[:, k] = _allowed(rig.joints[joint], local, source)
+        world = so3.multiply(world, source)
         # What the joints so far have turned the animation by, in the world.
-        inherited = so3.multiply(so3.multiply(parent, made[:, k]), so3.conjugate(world))
-    return made
+        inherited = so3.multiply(
+            so3.multiply(parent, result[:, k]), so3.conjugate(world)
+        )
+    return result
 
 
 def _above(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
     """Return the rotation of what carries a joint, in the world ``(F, 4)``."""
-    whole = np.tile(so3.IDENTITY, (len(rotations), 1))
+    rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
     parent = rig.joints[joint].parent
     while parent >= 0:
-        whole = so3.multiply(rotations[:, parent], whole)
+        rotation = so3.multiply(rotations[:, parent], rotation)
         parent = rig.joints[parent].parent
-    return whole
+    return rotation
 
 
-def _allowed(joint: Joint, local: FloatArray, own: FloatArray) -> FloatArray:
+def _allowed(joint: Joint, local: FloatArray, fallback: FloatArray) -> FloatArray:
     """Return rotations that a joint can have ``(F, 4)``; its own where it has none."""
     rest = np.array(joint.rotation)
     motion = so3.multiply(so3.conjugate(rest), local)
@@ -109,7 +113,7 @@ def _allowed(joint: Joint, local: FloatArray, own: FloatArray) -> FloatArray:
             angle = joint.limits.clamped(angle)
         return so3.multiply(rest, so3.from_axis_angle(joint.axis, angle))
     if joint.type in {JointType.FIXED, JointType.PRISMATIC}:
-        return own
+        return fallback
     if isinstance(joint.limits, BallLimit):
         return so3.multiply(rest, joint.limits.clamped(motion))
     return local
@@ -126,13 +130,13 @@ def depth(
     axis = ends[1] - ends[0]
     square = float((axis * axis).sum())
     away = points - ends[0]
-    share = np.zeros(len(points))
+    fractions = np.zeros(len(points))
     if square > 0:
-        share = np.clip((away * axis).sum(axis=1) / square, 0.0, 1.0)
-    apart = away - share[:, None] * axis
-    length = np.sqrt((apart * apart).sum(axis=1))[:, None]
-    out = np.divide(apart, length, out=np.zeros_like(apart), where=length > 0)
-    return length[:, 0] - radius, out, share
+        fractions = np.clip((away * axis).sum(axis=1) / square, 0.0, 1.0)
+    radial = away - fractions[:, None] * axis
+    length = np.sqrt((radial * radial).sum(axis=1))[:, None]
+    out = np.divide(radial, length, out=np.zeros_like(radial), where=length > 0)
+    return length[:, 0] - radius, out, fractions
 
 
 def depth_at_bind(
@@ -144,10 +148,10 @@ def depth_at_bind(
     them from the start: there they let it be.
     """
     placed = capsules.placed(bind_world(rig))[0]
-    found = np.zeros((len(capsules), len(points)))
+    depths = np.zeros((len(capsules), len(points)))
     for c, radius in enumerate((capsules.radii + margin).tolist()):
-        found[c] = np.minimum(depth(points, placed[c], radius)[0], 0.0)
-    return found
+        depths[c] = np.minimum(depth(points, placed[c], radius)[0], 0.0)
+    return depths
 
 
 class CharacterColliders:
@@ -197,7 +201,7 @@ class CharacterColliders:
             np.maximum(deepest, inside, out=deepest)
         return deepest
 
-    def solids(self, t: float) -> list[Solid]:
+    def solids(self, t: float) -> list[ClosedSurface]:
         """Return the closed surfaces of the world at a time [s]."""
         return closed_surfaces(self._world, t)
 

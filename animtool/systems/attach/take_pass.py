@@ -25,17 +25,22 @@ from animtool.motion.passes import Around, Pass, PassContext, Scope, TakePart
 from animtool.motion.take import TakeStream
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import Actor
-from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
+from animtool.systems.attach.bodies import (
+    AttachedBody,
+    ChainBody,
+    SurfaceBody,
+    bodies_of,
+)
 from animtool.systems.attach.network import surface_problems
 from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import (
+    AttachSimulation,
     Closing,
     SavedFrame,
-    Simulation,
     saved_state,
 )
-from animtool.systems.attach.stepping import State
-from animtool.systems.framework.meter import Worst
+from animtool.systems.attach.stepping import AttachState
+from animtool.systems.framework.meter import Peak
 from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import open_states, write_states
 from animtool.systems.springs.motion import through_notices
@@ -48,7 +53,7 @@ MIN_SWING = math.radians(0.1)
 MAX_INDEX = 1 << 31
 
 
-def of_named_frames(simulation: Simulation) -> list[Fault]:
+def of_named_frames(simulation: AttachSimulation) -> list[Fault]:
     """Return what is odd about the frames that options name, when all were seen.
 
     A frame that the take has not is named in vain (SIM185). Where a simulation goes on
@@ -60,11 +65,11 @@ def of_named_frames(simulation: Simulation) -> list[Fault]:
     named = {"save_at": options.save_at, "teleports": options.teleports}
     if resumed is not None:
         named["resume"] = (resumed.frame,)
-    seen = set(codes)
+    visited = set(codes)
     notices = [
         _in_vain(name, missing, codes)
         for name, frames in named.items()
-        if (missing := [frame for frame in frames if frame not in seen])
+        if (missing := [frame for frame in frames if frame not in visited])
     ]
     if resumed is not None and codes[0] < resumed.frame <= codes[-1]:
         frame = f"{resumed.frame:g}"
@@ -98,15 +103,15 @@ class AttachReport:
     unresolved: int  # most that were left inside
     passed: int  # most that had gone through the cloth
     cut: int  # most pairs of its edges that had gone through each other
-    depth: Worst  # the deepest in a skin or a capsule [m]
-    pierced: Worst  # most pairs of an edge and a triangle through each other
-    strain: Worst  # of cloth, the most that a side is longer or shorter [1]
-    strain_99: Worst  # that 99 sides of 100 keep to, at most [1]
+    depth: Peak  # the deepest in a skin or a capsule [m]
+    pierced: Peak  # most pairs of an edge and a triangle through each other
+    strain: Peak  # of cloth, the most that a side is longer or shorter [1]
+    strain_99: Peak  # that 99 sides of 100 keep to, at most [1]
     jumps: int  # how often it was carried over a jump
     seconds: float  # time spent [s]
 
 
-def reports_of(simulation: Simulation) -> list[AttachReport]:
+def reports_of(simulation: AttachSimulation) -> list[AttachReport]:
     """Return what became of each attachment so far."""
     return [_report(actor) for actor in simulation.actors]
 
@@ -139,7 +144,7 @@ def _report(actor: Actor) -> AttachReport:
     )
 
 
-def notices_of(simulation: Simulation) -> list[Fault]:
+def notices_of(simulation: AttachSimulation) -> list[Fault]:
     """Return what is worth saying of a simulation that is over."""
     reports = reports_of(simulation)
     said = [
@@ -178,9 +183,9 @@ def _note(report: AttachReport, actor: Actor) -> Fault:
 def _of_start(actor: Actor) -> list[Fault]:
     """Return what is odd about what an attachment is made of, and where it begins."""
     said, name, network = [], actor.body.name, actor.body.network
-    odd = surface_problems(network)
-    if odd:
-        message = f"{name}: {listed(odd)}; it is simulated as it is"
+    problems = surface_problems(network)
+    if problems:
+        message = f"{name}: {listed(problems)}; it is simulated as it is"
         said.append(Fault("SIM106", message, severity=Severity.NOTE))
     if actor.lost:
         every = actor.lost == len(network.sides)
@@ -193,7 +198,7 @@ def _of_start(actor: Actor) -> list[Fault]:
     return said + actor.tangles
 
 
-def _bare(simulation: Simulation, chain: ChainBody) -> list[Fault]:
+def _bare(simulation: AttachSimulation, chain: ChainBody) -> list[Fault]:
     """Return a warning where the last joint of a chain turns, and moves nothing."""
     angle = simulation.swung.get(chain.name, 0.0)
     if angle < MIN_SWING:
@@ -277,7 +282,7 @@ def simulate(
     if around is not None and (options.characters or options.systems or options.meshes):
         stream, world = around(stream, options, early * span)
     start = Fraction(1) if stream.start is None else stream.start
-    simulation = Simulation(
+    simulation = AttachSimulation(
         stream.rig,
         bodies,
         options,
@@ -298,7 +303,7 @@ def simulate(
 
 
 def _blocks(
-    simulation: Simulation, stream: TakeStream, folder: Path | None
+    simulation: AttachSimulation, stream: TakeStream, folder: Path | None
 ) -> Iterator[Motion]:
     yield from simulation.blocks(stream.blocks)
     if simulation.options.save and folder is not None:
@@ -308,13 +313,13 @@ def _blocks(
 
 
 def _resumed(
-    bodies: Sequence[Body], options: SimulateOptions, folder: Path
+    bodies: Sequence[AttachedBody], options: SimulateOptions, folder: Path
 ) -> SavedFrame | None:
     """Return the latest states of a file."""
     if options.resume is None:
         return None
     path = folder / options.resume
-    states: dict[str, State] = {}
+    states: dict[str, AttachState] = {}
     faults: list[Fault] = []
     with open_states(path) as saved:
         # Of a system that is saved the one state has no name.
@@ -325,7 +330,7 @@ def _resumed(
         frame = max(frames)
         for body in bodies:
             count = body.network.count
-            start = Reached(0, State(np.zeros((count, 3)), np.zeros((count, 3))))
+            start = Reached(0, AttachState(np.zeros((count, 3)), np.zeros((count, 3))))
             try:
                 state = saved.read(*saved_state(body, frame), start).state
             except OptionError as error:

@@ -22,7 +22,7 @@ from animtool.core.errors import (
 from animtool.core.record import dataclass
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
-from animtool.systems.framework.matter import check_apart
+from animtool.systems.framework.matter import check_distinct
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
 
@@ -101,7 +101,7 @@ class Members:
     def check_apart(self) -> None:
         """Refuse two at one place: nothing would ever tell them apart (SIM060)."""
         hint = "use place: {sphere: {radius: 2}}, or another region with a size"
-        check_apart(
+        check_distinct(
             self.points,
             lambda i, j: f"{self.named(i)} and {self.named(j)}",
             "SIM060",

@@ -21,11 +21,11 @@ from animtool.documents.fields import (
 from animtool.systems.framework.fields import (
     Characters,
     Colliders,
+    EmitterShapeEntry,
     Forces,
     Integrator,
     Meshes,
     PlacedModel,
-    PlaceEntry,
     Seed,
     Shows,
     StartPoints,
@@ -149,7 +149,7 @@ class SpeciesModel(PlacedModel):
 
     name: Name = key("Its name.", "starling")
     count: Annotated[Whole, Ge(0), Le(2 * 10**6)] = key("How many.", 500, default=100)
-    place: PlaceEntry = key(
+    place: EmitterShapeEntry = key(
         "Start region: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"box": {"size": [6, 2, 6]}},
         default={"sphere": {"radius": 2.0}},

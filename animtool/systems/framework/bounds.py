@@ -31,9 +31,9 @@ def check_bounds(name: str, frame: Frame, t: float, step: float) -> None:
             continue
         if rows.min() >= -BOUND and rows.max() <= BOUND:
             continue
-        place = np.argwhere(~(np.abs(rows) <= BOUND))[0]
-        value = f"{float(rows[tuple(place)]):.3g} {UNITS.get(what, '')}".rstrip()
-        message = f"{name} blew up at {t:g} s: {what}[{int(place[0])}] is {value}"
+        index = np.argwhere(~(np.abs(rows) <= BOUND))[0]
+        value = f"{float(rows[tuple(index)]):.3g} {UNITS.get(what, '')}".rstrip()
+        message = f"{name} blew up at {t:g} s: {what}[{int(index[0])}] is {value}"
         hint = f"use step: {half(step)}, or weaker forces"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 

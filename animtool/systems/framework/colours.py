@@ -85,9 +85,11 @@ class Colouring:
         if self.by == "species":
             return np.asarray(self.ramp[values.astype(np.int64) % len(self.ramp)])
         low, high = self.range
-        share = np.clip((values - low) / (high - low or 1.0), 0.0, 1.0)
+        fractions = np.clip((values - low) / (high - low or 1.0), 0.0, 1.0)
         marks = np.linspace(0, 1, len(self.ramp))
-        return np.stack([np.interp(share, marks, one) for one in self.ramp.T], axis=1)
+        return np.stack(
+            [np.interp(fractions, marks, one) for one in self.ramp.T], axis=1
+        )
 
 
 def log_density(

@@ -118,7 +118,7 @@ class SceneUnits:
         return SceneUnits(unit.meters if unit else 1.0, degrees, unit)
 
     @property
-    def usual(self) -> bool:
+    def is_default(self) -> bool:
         """Whether nothing is to be converted."""
         return self.length == self.angle == 1.0
 
@@ -143,7 +143,7 @@ class SceneUnits:
             kind: What the joint is that it belongs to, where keys count what that
                 moves by: ``prismatic`` has the second of two units.
         """
-        if self.usual:
+        if self.is_default:
             return model
         kind = str(getattr(model, "type", kind))
         update: dict[str, Any] = {}
@@ -163,7 +163,8 @@ class SceneUnits:
             return self.converted(value, kind, unit)
         if isinstance(value, dict):
             return {
-                name: self.options(name, given or {}) for name, given in value.items()
+                name: self.options(name, options or {})
+                for name, options in value.items()
             }
         if isinstance(value, list) and any(
             isinstance(one, FileModel | dict) for one in value
@@ -173,30 +174,32 @@ class SceneUnits:
             return [[row[0], *self._scaled(row[1:], unit)] for row in value]
         return self._scaled(value, unit)
 
-    def options(self, name: str, given: dict[str, Any]) -> dict[str, Any]:
+    def options(self, name: str, source: dict[str, Any]) -> dict[str, Any]:
         """Return options of a force, a shape or a place by its name, in metres."""
         units = dict(RECORD_UNITS.get(name, {}))
         options = {
-            key: self._scaled(value, units.get(key, "")) for key, value in given.items()
+            key: self._scaled(value, units.get(key, ""))
+            for key, value in source.items()
         }
-        if name == "central" and isinstance(given.get("strength"), (int, float)):
-            options["strength"] = self._central(given)
+        if name == "central" and isinstance(source.get("strength"), (int, float)):
+            options["strength"] = self._central(source)
         return options
 
-    def _central(self, given: Mapping[str, Any]) -> float:
+    def _central(self, options: Mapping[str, Any]) -> float:
         """Return the acceleration at one metre of one at a length of 1.
 
         It goes with a power of the distance, which is a number of lengths.
         """
-        power = given.get("power", -2.0)
+        power = options.get("power", -2.0)
         power = power if isinstance(power, (int, float)) else -2.0
-        return float(given["strength"]) * float(self.length ** (1.0 - power))
+        return float(options["strength"]) * float(self.length ** (1.0 - power))
 
-    def pass_options(self, name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    def pass_options(self, name: str, options: Mapping[str, Any]) -> dict[str, Any]:
         """Return those of a pass's options that are given and count, in metres."""
         units = PASS_UNITS.get(name, {})
         return {
-            key: self._scaled(value, units.get(key, "")) for key, value in given.items()
+            key: self._scaled(value, units.get(key, ""))
+            for key, value in options.items()
         }
 
     def _scaled(self, value: Any, unit: str) -> Any:
@@ -216,9 +219,9 @@ class SceneUnits:
         return self.factor(units[0]) if units else 1.0
 
 
-def _holds(annotation: Any, wanted: Any) -> bool:
-    return annotation == wanted or any(
-        _holds(one, wanted) for one in get_args(annotation)
+def _holds(annotation: Any, marker: Any) -> bool:
+    return annotation == marker or any(
+        _holds(one, marker) for one in get_args(annotation)
     )
 
 

@@ -33,19 +33,19 @@ Named = Annotated[
 ]
 
 
-class Part(StrEnum):
+class EntryPart(StrEnum):
     """What entries of a field are read as, for a build to take from its context."""
 
     ARRAY = "array"  # numbers of a file, as floats of the shape that they have there
     NAMES = "names"  # a name or number as it is, or numbers of a file as a list
     FORCE = "force"  # one of the shared force fields: `Force`
-    PLACE = "place"  # where emitters make particles: `Place`
+    EMITTER_SHAPE = "place"  # where emitters make particles: `Place`
     SHAPE = "shape"  # a shape of colliders, a mesh among them: `Shape`
 
 
-ArrayEntry = Annotated[Name, Part.ARRAY]
-NameEntry = Annotated[str | Whole, Part.NAMES]
-ForceEntry = Annotated[Named, Part.FORCE]
+ArrayEntry = Annotated[Name, EntryPart.ARRAY]
+NameEntry = Annotated[str | Whole, EntryPart.NAMES]
+ForceEntry = Annotated[Named, EntryPart.FORCE]
 # How shapes are written.
 SHAPE_FORMS = Forms(
     {
@@ -57,8 +57,8 @@ SHAPE_FORMS = Forms(
         "sphere": {"radius": 0.1},
     }
 )
-PlaceEntry = Annotated[Named, Part.PLACE]
-ShapeEntry = Annotated[Named, Part.SHAPE, SHAPE_FORMS]
+EmitterShapeEntry = Annotated[Named, EntryPart.EMITTER_SHAPE]
+ShapeEntry = Annotated[Named, EntryPart.SHAPE, SHAPE_FORMS]
 
 # Seconds from the first frame on, and a vector.
 TimedVector = Annotated[list[Real], Len(4, 4)]
@@ -74,7 +74,7 @@ CharacterFile = Annotated[
     Name | None,
     key("A clip or a scene; its first frame is at 0 s.", "walk.clip.yaml"),
 ]
-OwnCharacter = Annotated[
+SceneCharacter = Annotated[
     bool,
     key("Instead of a file: the character of this scene, after its passes.", True),
 ]
@@ -126,7 +126,7 @@ class CarryingJointModel(_CarrierModel):
     """A joint of a character in motion."""
 
     file: CharacterFile = None
-    source: OwnCharacter = False
+    source: SceneCharacter = False
     joint: Name = key("Name of the joint.", "hand_r")
 
 
@@ -134,7 +134,7 @@ class CarryingVertexModel(_CarrierModel):
     """A vertex of a mesh of a character in motion; its frame does not turn."""
 
     file: CharacterFile = None
-    source: OwnCharacter = False
+    source: SceneCharacter = False
     mesh: Name = key("Name of the rig's mesh.", "body")
     vertex: Annotated[Whole, Ge(0)] = key("Its number.", 120)
 
@@ -160,8 +160,8 @@ class RecordModel(FileModel):
     def record(self, parts: Mapping[str, Any]) -> Checked:
         """Return it, from what the keys are read as."""
         kind: Any = load_object(self.makes)
-        made: Checked = record_of(kind, self, **parts)
-        return made
+        record: Checked = record_of(kind, self, **parts)
+        return record
 
 
 class PlacementModel(FileModel):
@@ -234,7 +234,7 @@ class CharacterModel(_MaterialModel):
     """A character in motion that particles run into: capsules of its rig, or a mesh."""
 
     file: CharacterFile = None
-    source: OwnCharacter = False
+    source: SceneCharacter = False
     if TYPE_CHECKING:
         margin: float
     mesh: Name | None = key(

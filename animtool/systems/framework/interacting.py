@@ -23,14 +23,14 @@ from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import Energy, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.framework.colours import Colouring, Quantities, log_density
-from animtool.systems.framework.matter import Bodies
+from animtool.systems.framework.matter import PointMasses
 from animtool.systems.framework.simulation import Diagnostics, SimContext, StoppedError
 
 # Energy gained or lost, in what there was of either kind, from which on it blew up.
 GROWTH = 0.5
 
 
-class Moving(Protocol):
+class HasMotion(Protocol):
     """A state of bodies."""
 
     @property
@@ -39,7 +39,7 @@ class Moving(Protocol):
 
 
 Sums = TypeVar("Sums")
-State = TypeVar("State", bound=Moving)
+State = TypeVar("State", bound=HasMotion)
 
 
 def integrated(
@@ -52,11 +52,11 @@ def integrated(
             SIM105).
     """
     start = Checkpoint(begin, system.state)
-    found = integrate(system, (begin, begin + lasts), options, start)
-    if found.stats.status is not Status.OK:
-        faults = [replace(one, severity=Severity.ERROR) for one in found.notices]
-        raise StoppedError(faults, found.stats)
-    return np.asarray(found.states[-1])
+    trajectory = integrate(system, (begin, begin + lasts), options, start)
+    if trajectory.stats.status is not Status.OK:
+        faults = [replace(one, severity=Severity.ERROR) for one in trajectory.notices]
+        raise StoppedError(faults, trajectory.stats)
+    return np.asarray(trajectory.states[-1])
 
 
 class StepSystem(SecondOrder, Generic[Sums]):
@@ -130,7 +130,7 @@ class Interacting(ABC, Generic[State, Sums]):
 
     checked = True
     unit = "J"
-    bodies: Bodies
+    bodies: PointMasses
     placed: Sequence[tuple[Any, Poses]]
     radii: FloatArray
     species: npt.NDArray[np.integer[Any]]
@@ -144,7 +144,7 @@ class Interacting(ABC, Generic[State, Sums]):
     ) -> None:
         """``placed``: its key; ``pace``: time of the integrator in a second."""
         self._spec, self._begin, self._pace = spec, context.begin, pace
-        poses = [own["poses"] for own in context.parts.get(placed, ())]
+        poses = [parts["poses"] for parts in context.parts.get(placed, ())]
         self.placed = list(zip(getattr(spec, placed), poses, strict=True))
         tolerance = getattr(spec, "tolerance", None)
         self._options = IntegrateOptions(spec.method, spec.step * pace, tolerance)
@@ -177,10 +177,10 @@ class Interacting(ABC, Generic[State, Sums]):
 
     def accelerated(self, t: float, x: FloatArray, sums: Sums) -> FloatArray:
         """Return accelerations ``(N, 3)`` at a time of the integrator."""
-        made = self._forces(sums)
+        forces = self._forces(sums)
         if self.placed:
-            made = made + self.outside(t / self._pace, x)[0]
-        return np.asarray(made if self.inertia is None else made / self.inertia)
+            forces = forces + self.outside(t / self._pace, x)[0]
+        return np.asarray(forces if self.inertia is None else forces / self.inertia)
 
     @abstractmethod
     def from_placed(
@@ -231,12 +231,12 @@ class Interacting(ABC, Generic[State, Sums]):
 
     def outside(self, t: float, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what is placed does at a time ``(N, 3)``, and energies ``(N,)``."""
-        made, energies = np.zeros_like(x), np.zeros(len(x))
+        accelerations, energies = np.zeros_like(x), np.zeros(len(x))
         for one, poses in self.placed:
             pull, energy = self.from_placed(one, poses.at(t)[:3], x)
-            made += pull
+            accelerations += pull
             energies += energy
-        return made, energies
+        return accelerations, energies
 
     def initial(self) -> State:
         """Return where all begin."""
@@ -252,9 +252,9 @@ class Interacting(ABC, Generic[State, Sums]):
     def _watch(self, state: State, t: float) -> None:
         """Stop where energy appears from nowhere (SIM102)."""
         begin, now = self._begun, self._energy(state, t)
-        usual = max(begin.kinetic, abs(begin.potential), self._in_play(state, now))
-        supplied = self._moves or not usual
-        if not supplied and not abs(self._gained(state, now)) <= GROWTH * usual:
+        scale = max(begin.kinetic, abs(begin.potential), self._in_play(state, now))
+        supplied = self._moves or not scale
+        if not supplied and not abs(self._gained(state, now)) <= GROWTH * scale:
             message = f"its energy changed to {now.total:.4g} {self.unit}, from "
             self._stop(state, t, f"{message}{begin.total:.4g} {self.unit}")
 
@@ -279,8 +279,8 @@ class Interacting(ABC, Generic[State, Sums]):
 
     def _drift(self, state: State, now: Energy) -> float:
         """Return that over what there was at the beginning [1]."""
-        usual = max(abs(self._begun.total), self._begun.kinetic, 1e-300)
-        return self._gained(state, now) / usual
+        scale = max(abs(self._begun.total), self._begun.kinetic, 1e-300)
+        return self._gained(state, now) / scale
 
     def _placed(self, motion: FloatArray) -> FloatArray:
         """Return positions [m] and velocities [m/s] in the scene ``(2, N, 3)``."""

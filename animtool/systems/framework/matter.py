@@ -30,7 +30,7 @@ def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Placement:
+class UnitFrame:
     """Where a frame that has units of its own is in a scene."""
 
     at: FloatArray  # its origin (3,) [m]
@@ -39,14 +39,14 @@ class Placement:
     pace: float = 1.0  # its unit of time in a second
 
     @staticmethod
-    def of(pose: PlacementModel, scale: float = 1.0, pace: float = 1.0) -> Placement:
+    def of(pose: PlacementModel, scale: float = 1.0, pace: float = 1.0) -> UnitFrame:
         """Return that of a pose.
 
         Raises:
             OptionError: Its rotation is none (SIM020).
         """
         rotation = unit_quaternion(pose.rotate)
-        return Placement(np.array(pose.at), rotation, scale, pace)
+        return UnitFrame(np.array(pose.at), rotation, scale, pace)
 
     def inwards(self, points: FloatArray) -> FloatArray:
         """Return where points of the scene ``(…, 3)`` [m] are in it."""
@@ -68,7 +68,7 @@ class Placement:
 
 
 @dataclass(frozen=True, slots=True)
-class Bodies(Rows):
+class PointMasses(Rows):
     """N bodies at a time."""
 
     points: FloatArray  # (N, 3)
@@ -78,7 +78,7 @@ class Bodies(Rows):
     @staticmethod
     def read(
         parts: Mapping[str, Any], mass: float, kind: str, code: str, where: str
-    ) -> Bodies:
+    ) -> PointMasses:
         """Return those of arrays of a file: at rest and of a mass if it says no other.
 
         Raises:
@@ -93,7 +93,7 @@ class Bodies(Rows):
             i = int(np.argmax(masses <= 0))
             message = f"the mass of {kind} {i} is {masses[i]:g} kg; it must be above 0"
             refuse(code, message, where)
-        return Bodies(points, velocities, masses)
+        return PointMasses(points, velocities, masses)
 
 
 def normals(u: FloatArray) -> FloatArray:
@@ -111,7 +111,7 @@ def directions(u: FloatArray) -> FloatArray:
     return np.stack([flat * np.sin(angle), up, flat * np.cos(angle)], axis=1)
 
 
-def check_apart(
+def check_distinct(
     points: FloatArray,
     pair: Callable[[int, int], str],
     code: str,

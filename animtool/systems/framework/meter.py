@@ -20,7 +20,7 @@ STRAINED_99, STRAINED = 0.08, 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class Worst:
+class Peak:
     """The worst of something over the frames, and where it was."""
 
     value: float = 0.0  # a length in [m], a share or a count
@@ -39,12 +39,12 @@ class Worst:
         """When and where it was, in words."""
         if self.point is None or self.at is None:
             return "nowhere"
-        place = ", ".join(f"{value:.3g}" for value in self.at)
-        return f"{self.when}, point {self.point} at [{place}]"
+        position = ", ".join(f"{value:.3g}" for value in self.at)
+        return f"{self.when}, point {self.point} at [{position}]"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solid:
+class ClosedSurface:
     """A closed surface that nothing should be inside of, at one time."""
 
     points: FloatArray  # ``(P, 3)`` [m]
@@ -66,19 +66,19 @@ class ContactMeter:
     """The worst of depth, piercing and strain over the frames that were looked at."""
 
     seconds: bool = False  # whether frames are times in [s], as those of systems
-    depth: Worst = field(default_factory=Worst)  # in a skin or a collider [m]
+    depth: Peak = field(default_factory=Peak)  # in a skin or a collider [m]
     # Pairs of an edge and a triangle that it goes through, of surface and skins or of
     # the surface alone.
-    pierced: Worst = field(default_factory=Worst)
-    strain: Worst = field(default_factory=Worst)  # longer or shorter than at rest [1]
-    strain_99: Worst = field(default_factory=Worst)  # that 99 sides of 100 keep to [1]
+    pierced: Peak = field(default_factory=Peak)
+    strain: Peak = field(default_factory=Peak)  # longer or shorter than at rest [1]
+    strain_99: Peak = field(default_factory=Peak)  # that 99 sides of 100 keep to [1]
 
     def look(
         self,
         frame: float,
         points: FloatArray,
         sides: Sides,
-        solids: Sequence[Solid] = (),
+        solids: Sequence[ClosedSurface] = (),
         depths: FloatArray | None = None,
     ) -> None:
         """Note a frame.
@@ -109,19 +109,19 @@ class ContactMeter:
             strains = np.abs(lengths / sides.rests - 1)
             most = int(strains.argmax())
             where = int(i[most])
-            value, share = float(strains[most]), float(np.quantile(strains, 0.99))
+            value, quantile = float(strains[most]), float(np.quantile(strains, 0.99))
             self.strain = self._worse(self.strain, value, frame, points, where)
-            self.strain_99 = self._worse(self.strain_99, share, frame, points, where)
+            self.strain_99 = self._worse(self.strain_99, quantile, frame, points, where)
 
     def _worse(
-        self, known: Worst, value: float, frame: float, points: FloatArray, point: int
-    ) -> Worst:
+        self, known: Peak, value: float, frame: float, points: FloatArray, point: int
+    ) -> Peak:
         """Return the worse of what is known and of a frame."""
         if not value > known.value:
             return known
         x, y, z = points[point].tolist()
         code, t = (None, frame) if self.seconds else (frame, None)
-        return Worst(value, code, point, (x, y, z), t)
+        return Peak(value, code, point, (x, y, z), t)
 
     @property
     def values(self) -> dict[str, dict[str, object]]:
@@ -137,8 +137,8 @@ class ContactMeter:
             depth = f"{1000 * self.depth.value:.2g} mm deep in what it touches"
             parts.append(f"{depth} ({self.depth.text})")
         if self.strain.value > 0:
-            share = percent(self.strain_99.value)
-            parts.append(f"99th percentile of strain {share}")
+            quantile = percent(self.strain_99.value)
+            parts.append(f"99th percentile of strain {quantile}")
             parts.append(
                 f"largest strain {percent(self.strain.value)} ({self.strain.text})"
             )
@@ -146,32 +146,32 @@ class ContactMeter:
 
     def notices(self, what: str) -> list[Fault]:
         """Return warnings of what is seen (SIM180, SIM181, SIM182)."""
-        found, finer = [], "a shorter step" if self.seconds else "a higher rate"
+        notices, finer = [], "a shorter step" if self.seconds else "a higher rate"
         if self.depth.value > DEEP:
             message = f"{what} is {1000 * self.depth.value:.2g} mm deep in what it "
             message += f"touches ({self.depth.text})"
             hint = f"use a larger radius or {finer}, or a slower motion"
-            found.append(warning("SIM180", message, hint))
+            notices.append(warning("SIM180", message, hint))
         if self.pierced.value:
             pairs = counted(int(self.pierced.value), "pair")
             message = f"{pairs} of edges and triangles of {what} and what it touches "
             message += f"intersect ({self.pierced.when})"
             hint = "use a larger radius or thickness, or a finer mesh"
-            found.append(warning("SIM181", message, hint))
+            notices.append(warning("SIM181", message, hint))
         if self.strain_99.value > STRAINED_99 or self.strain.value > STRAINED:
             message = f"{what} is strained by up to {percent(self.strain.value)} "
             message += f"({self.strain.text}), 99th percentile "
             message += f"{percent(self.strain_99.value)}"
             hint = f"pins or contacts pull it apart; use {finer}"
             hint += " or a higher stiffness" if self.seconds else ""
-            found.append(warning("SIM182", message, hint))
-        return found
+            notices.append(warning("SIM182", message, hint))
+        return notices
 
 
-def closed_surfaces(colliders: Colliders, t: float) -> list[Solid]:
+def closed_surfaces(colliders: Colliders, t: float) -> list[ClosedSurface]:
     """Return the closed surfaces in motion of colliders at a time [s]."""
     return [
-        Solid(one.motion.points(t), one.motion.triangles(t))
+        ClosedSurface(one.motion.points(t), one.motion.triangles(t))
         for one in colliders.sheets
         if one.closed
     ]
@@ -184,7 +184,7 @@ def depths_of(colliders: Colliders, points: FloatArray, t: float) -> FloatArray:
     return np.asarray(-colliders.sample(points, t).distances.min(axis=0))
 
 
-def depths_in(solid: Solid, points: FloatArray) -> FloatArray:
+def depths_in(solid: ClosedSurface, points: FloatArray) -> FloatArray:
     """Return how deep points ``(N, 3)`` are in a closed surface ``(N,)`` [m].
 
     >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
@@ -195,36 +195,36 @@ def depths_in(solid: Solid, points: FloatArray) -> FloatArray:
     """
     low, high = solid.points.min(axis=0), solid.points.max(axis=0)
     within = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
-    found = np.zeros(len(points))
+    depths = np.zeros(len(points))
     if len(within):
         met = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
         distances = met.sample(points[within], 0.0, 1.0).distances[0]
-        found[within] = np.maximum(-distances, 0.0)
-    return found
+        depths[within] = np.maximum(-distances, 0.0)
+    return depths
 
 
 def pierced_pairs(
-    points: FloatArray, triangles: IntArray, solids: Sequence[Solid] = ()
+    points: FloatArray, triangles: IntArray, solids: Sequence[ClosedSurface] = ()
 ) -> int:
     """Return how many pairs of an edge and a triangle go through each other.
 
     Those of solids alone are not counted.
     """
-    found = _pierced(points, triangles)
+    count = _pierced(points, triangles)
     low, high = points.min(axis=0), points.max(axis=0)
     for solid in solids:
         corners = solid.points[solid.triangles]
         near = (corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)
-        own = solid.triangles[near.all(axis=1)]
-        if not len(own):
+        close = solid.triangles[near.all(axis=1)]
+        if not len(close):
             continue
-        used, own = np.unique(own, return_inverse=True)
-        own = own.reshape(-1, 3)
+        used, close = np.unique(close, return_inverse=True)
+        close = close.reshape(-1, 3)
         both = np.concatenate([points, solid.points[used]])
-        every = np.concatenate([triangles, own + len(points)])
-        found += _pierced(both, every) - _pierced(solid.points[used], own)
-        found -= _pierced(points, triangles)
-    return found
+        every = np.concatenate([triangles, close + len(points)])
+        count += _pierced(both, every) - _pierced(solid.points[used], close)
+        count -= _pierced(points, triangles)
+    return count
 
 
 def _pierced(points: FloatArray, triangles: IntArray) -> int:

@@ -21,10 +21,14 @@ from animtool.systems.framework.simulation import (
     Stepped,
     SystemView,
 )
-from animtool.systems.framework.surfaces import Bodies, RigidSystem, Surface
+from animtool.systems.framework.surfaces import (
+    BodyColliders,
+    RigidSystem,
+    SystemSurface,
+)
 from animtool.systems.framework.tied import TiedBodies
 
-Watcher = TypeVar("Watcher", Surface, Bodies)
+Watcher = TypeVar("Watcher", SystemSurface, BodyColliders)
 
 # A time that is as near to the end of a step is that end [steps].
 ON_STEP = 1e-9
@@ -77,36 +81,44 @@ class EntryRun:
         """Whether it is of rigid bodies."""
         return isinstance(self.simulation, RigidSystem)
 
-    def bodies(self, restitution: float, friction: float, *, two_way: bool) -> Bodies:
+    def bodies(
+        self, restitution: float, friction: float, *, two_way: bool
+    ) -> BodyColliders:
         """Return its bodies as others run into them, and push them if two-way."""
         assert isinstance(self.simulation, RigidSystem)
         return self.run.watched_by(
-            Bodies(self.run, self.simulation, restitution, friction, two_way=two_way)
+            BodyColliders(
+                self.run, self.simulation, restitution, friction, two_way=two_way
+            )
         )
 
     def tied(self) -> TiedBodies:
         """Return its bodies as they carry particles of others."""
         run, simulation = self.run, self.simulation
-        made = TiedBodies(run, simulation, run.begin, run.step_length)
-        run.watched_by(made)
-        return made
+        bodies = TiedBodies(run, simulation, run.begin, run.step_length)
+        run.watched_by(bodies)
+        return bodies
 
-    def surface(self) -> Surface:
+    def surface(self) -> SystemSurface:
         """Return its surface, which others run into."""
-        return self.run.watched_by(Surface(self.run, self.simulation))
+        return self.run.watched_by(SystemSurface(self.run, self.simulation))
 
     @property
     def diagnostics(self) -> Diagnostics:
         """What the state that was looked at last is like."""
-        found: Diagnostics = self.simulation.diagnostics(*self.run.seen)
-        return found
+        diagnostics: Diagnostics = self.simulation.diagnostics(*self.run.observed)
+        return diagnostics
 
     @property
     def notices(self) -> list[Fault]:
         """Warnings so far."""
-        found = self.diagnostics
-        told = self.run.told if self.speaks else ()
-        return [*found.notices, *told, *(found.if_empty if self._empty else ())]
+        diagnostics = self.diagnostics
+        step_notices = self.run.step_notices if self.speaks else ()
+        return [
+            *diagnostics.notices,
+            *step_notices,
+            *(diagnostics.if_empty if self._empty else ()),
+        ]
 
     def report(self) -> dict[str, object]:
         """Return what became of it, as plain values."""
@@ -146,10 +158,10 @@ class SimulationRun(EntryRun):
         self.begin, self.step_length = begin, step_length
         self.state = Reached(0, simulation.initial()) if state is None else state
         self.taken = 0
-        self.told: list[Fault] = []
+        self.step_notices: list[Fault] = []
         # States that who looks at the surface may still ask for, from the latest.
         self._kept: list[Reached[Any]] | None = None
-        self._watchers: list[Surface | Bodies] = []
+        self._watchers: list[SystemSurface | BodyColliders] = []
         self._pushed_bodies: Sequence[MovingBodies] = ()
         # Who pushes it: when, who, and with what.
         self._pushers: list[Pusher] = []
@@ -158,7 +170,7 @@ class SimulationRun(EntryRun):
         self._pullers: list[tuple[TiedBodies, Any]] = []
         # By steps, states that bodies were pushed in, as the next step begins.
         self._begun: dict[int, Reached[Any]] = {}
-        self.seen: tuple[Any, float] = self.state.state, self.time(self.state.steps)
+        self.observed: tuple[Any, float] = self.state.state, self.time(self.state.steps)
         self._asked: float | None = None  # the last time that was asked for [s]
         many = simulation if isinstance(simulation, ManySteps) else None
         self._steps = None if many is None else many.steps
@@ -166,54 +178,57 @@ class SimulationRun(EntryRun):
     def reach(self, t: float) -> tuple[Any, float]:
         """Return the state at a time [s], not before the last one, and when it is."""
         if t == self._asked:
-            return self.seen
-        whole = self.advance(t)
+            return self.observed
+        count = self.advance(t)
         begun = self.state
-        if whole < begun.steps:
+        if count < begun.steps:
             # Who runs into it, or hangs on it, looks ahead of the frame.
-            kept = [one for one in self._kept or () if one.steps <= whole]
+            kept = [one for one in self._kept or () if one.steps <= count]
             if not kept:
                 message = f"time {t:g} s is before that of the simulation"
                 raise OptionError(Fault("SIM002", message, hint="begin again"))
             begun = kept[-1]
-        now = self.time(whole)
+        now = self.time(count)
         state = self._part(begun, t)
         if state is begun and self._pullers:
             state = self._pushed(begun)
         elif state is not begun:
             for bodies, puller in self._pullers:
                 state = replace(state, state=bodies.pulled_by(puller, state.state, t))
-        self.seen, self._asked = (state.state, max(t, now)), t
-        return self.seen
+        self.observed, self._asked = (state.state, max(t, now)), t
+        return self.observed
 
     def pull(self, t: float, bodies: object) -> tuple[Wrenches, float, float] | None:
         """Return what some bodies are pulled by in the step that a time [s] is in.
 
         With its begin and its end [s]; None where it does not pull any.
         """
-        whole = self.advance(t)
-        now = self.time(whole)
+        count = self.advance(t)
+        now = self.time(count)
         part = t - now > ON_STEP * self.step_length
-        if not part or whole != self.state.steps or t < self.begin:
+        if not part or count != self.state.steps or t < self.begin:
             return None
-        until = self.time(whole + 1)
+        until = self.time(count + 1)
         wrenches = self.simulation.pulls(self.state.state, now)
-        number = [own is bodies for own in self._pushed_bodies].index(True)
+        number = [pushed is bodies for pushed in self._pushed_bodies].index(True)
         return wrenches[number], now, until
 
     def advance(self, t: float) -> int:
         """Take all whole steps that end at a time [s] or before; return how many."""
-        whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
+        end_step = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
         alone = self._kept is None and not self._pushed_bodies and not self._pushers
-        if self._steps is not None and alone and self.state.steps < whole:
-            steps, count = self.state.steps, whole - self.state.steps
+        if self._steps is not None and alone and self.state.steps < end_step:
+            steps, count = self.state.steps, end_step - self.state.steps
             step = self.step_length
-            made = self._steps(self.state.state, self.time(steps), step, count)
-            self.state, self.taken = Reached(whole, made.state), self.taken + count
-            self._tell(made.notices)
-        while self.state.steps < whole:
+            stepped = self._steps(self.state.state, self.time(steps), step, count)
+            self.state, self.taken = (
+                Reached(end_step, stepped.state),
+                self.taken + count,
+            )
+            self._tell(stepped.notices)
+        while self.state.steps < end_step:
             self._go_on()
-        return whole
+        return end_step
 
     def _go_on(self) -> None:
         """Take a whole step."""
@@ -276,8 +291,8 @@ class SimulationRun(EntryRun):
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
         """Push bodies of other systems."""
         self._pushed_bodies = bodies
-        for own in bodies:
-            own.pushed_by(self)
+        for pushed in bodies:
+            pushed.pushed_by(self)
 
     def pushed_by(self, pusher: Pusher) -> int:
         """Note who pushes its bodies; return the number of the pusher."""
@@ -298,8 +313,8 @@ class SimulationRun(EntryRun):
     def _tell(self, notices: Sequence[Fault]) -> None:
         """Keep warnings of a step whose codes no step had before."""
         for one in notices:
-            if one.code not in {each.code for each in self.told}:
-                self.told.append(one)
+            if one.code not in {each.code for each in self.step_notices}:
+                self.step_notices.append(one)
 
     def time(self, steps: int) -> float:
         """Return when a number of steps ends [s]."""
@@ -312,14 +327,14 @@ class SimulationRun(EntryRun):
         bodies have been pushed by all that was until then.
         """
         assert self._kept is not None
-        whole = self.advance(t)
+        count = self.advance(t)
         # What was resumed has nothing from before.
-        earlier = (one for one in reversed(self._kept) if one.steps <= whole)
+        earlier = (one for one in reversed(self._kept) if one.steps <= count)
         state = next(earlier, self._kept[0])
-        now, found = self.time(state.steps), self._part(state, t)
-        if begins and found is state:
-            found = self._pushed(state)
-        return found.state, max(t, now)
+        now, observed = self.time(state.steps), self._part(state, t)
+        if begins and observed is state:
+            observed = self._pushed(state)
+        return observed.state, max(t, now)
 
     def forget(self) -> None:
         """Let go of the states that nobody asks for any more."""
@@ -327,8 +342,8 @@ class SimulationRun(EntryRun):
         t = min(one.since for one in self._watchers)
         if t == -math.inf:
             return
-        whole = math.floor((t - self.begin) / self.step_length + ON_STEP)
-        first = [k for k, one in enumerate(self._kept) if one.steps <= whole]
+        count = math.floor((t - self.begin) / self.step_length + ON_STEP)
+        first = [k for k, one in enumerate(self._kept) if one.steps <= count]
         del self._kept[: first[-1] if first else 0]
         least = self._kept[0].steps
         self._begun = {k: one for k, one in self._begun.items() if k >= least}

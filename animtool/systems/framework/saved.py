@@ -123,18 +123,18 @@ class SavedStates:
             raise other(message, hint)
         like, marks = _arrays(start.state), _Marks()
         _mark(start.state, marks)
-        held = archives.text(path, f"{above}state")
-        saved = set(held.split(", "))
+        saved_names = archives.text(path, f"{above}state")
+        saved = set(saved_names.split(", "))
         lacking = marks.added - saved
         names = sorted(
             (like.keys() - lacking) | {n for n in saved if marks.is_later(n)}
         )
-        if held != _listed(names):
-            raise other(f"its state has {held}, but the scene's {_listed(like)}")
-        found: _Arrays = {}
+        if saved_names != _listed(names):
+            raise other(f"its state has {saved_names}, but the scene's {_listed(like)}")
+        arrays: _Arrays = {}
         lengths = set()
         for key in names:
-            values = found[key] = archives.stored(path, f"{above}state/{key}")
+            values = arrays[key] = archives.stored(path, f"{above}state/{key}")
             mine, axis = like.get(key, values), marks.axes.get(key)
             shape = list(mine.shape)
             if axis is not None and values.ndim == mine.ndim:
@@ -149,16 +149,16 @@ class SavedStates:
             if not finite or not _is_in_bounds(values, mine):
                 what = "out of bounds" if finite else "not finite"
                 raise other(f"{key} contains a number that is {what}")
-            found[key] = values.astype(mine.dtype)
+            arrays[key] = values.astype(mine.dtype)
         if len(lengths) > 1:
             raise other(
                 f"its arrays have {listed(sorted(lengths))} rows; they must be equal"
             )
         try:
-            found |= {key: like[key] for key in lacking}
-            return Reached(int(steps), _restored(start.state, found, marks))
+            arrays |= {key: like[key] for key in lacking}
+            return Reached(int(steps), _restored(start.state, arrays, marks))
         except TypeError as error:
-            raise other(f"its state has {held}: {error}") from error
+            raise other(f"its state has {saved_names}: {error}") from error
 
 
 def _is_in_bounds(values: npt.NDArray[Any], like: npt.NDArray[Any]) -> bool:
@@ -214,10 +214,10 @@ def _arrays(state: Any, above: str = "") -> _Arrays:
         if array.dtype.kind not in "iufb":
             raise TypeError(f"{above} of a state is not an array of numbers: {state!r}")
         return {above: array}
-    found: _Arrays = {}
+    arrays: _Arrays = {}
     for name, part in _parts(state).items():
-        found |= _arrays(part, f"{above}.{name}" if above else name)
-    return found
+        arrays |= _arrays(part, f"{above}.{name}" if above else name)
+    return arrays
 
 
 def _parts(state: Any) -> dict[str, Any]:
@@ -249,15 +249,15 @@ def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
     Raises:
         TypeError: It is none of the records, and no number or array where those may be.
     """
-    held = {
+    values_by_name = {
         name.removeprefix(f"{above}."): values if values.ndim else values.item()
         for name, values in arrays.items()
         if name == above or name.startswith(f"{above}.")
     }
-    if not held:
+    if not values_by_name:
         return None
-    (first, *more) = held.values()
-    if above in held and not more and type(first) in (records or (float,)):
+    (first, *more) = values_by_name.values()
+    if above in values_by_name and not more and type(first) in (records or (float,)):
         return first
     for record in records:
         if record is np.ndarray:
@@ -266,6 +266,6 @@ def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
         kinds = {
             name: float if hint is float else np.ndarray for name, hint in hints.items()
         }
-        if {name: type(part) for name, part in held.items()} == kinds:
-            return record(**held)
+        if {name: type(part) for name, part in values_by_name.items()} == kinds:
+            return record(**values_by_name)
     raise TypeError(f"{above} belongs to another method")

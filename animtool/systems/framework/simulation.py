@@ -150,10 +150,10 @@ class NeedsFinalState(Protocol[State_contra]):
     """A simulation whose frames need to know how it ends: it is run twice."""
 
     @property
-    def ahead(self) -> bool:
+    def needs_final_state(self) -> bool:
         """Whether they do."""
 
-    def see(self, last: State_contra) -> None:
+    def set_final_state(self, last: State_contra) -> None:
         """Take note of the state that it ends in, before the first frame is shown."""
 
 
@@ -161,7 +161,7 @@ class NeedsFinalState(Protocol[State_contra]):
 class Resumed(Protocol[State_contra]):
     """A simulation whose states must fit in more than the shapes of their arrays."""
 
-    def misfit(self, state: State_contra, t: float) -> str:
+    def incompatibility(self, state: State_contra, t: float) -> str:
         """Return why it cannot go on from a state of a file; empty where it can."""
 
 

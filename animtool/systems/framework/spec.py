@@ -26,7 +26,7 @@ class SystemSpec(FileModel):
             that of the file.
         method_key: The key that names the method, if there is one.
         tried: Whether its simulation gives its own `TrialSettings`.
-        made_of: Keys whose entries are counted as what it is made of.
+        components: Keys whose entries are counted as what it is made of.
         acted_on: Likewise, as what acts on it.
         code: Of the faults that `problems` are; SIM032 is options that do not go
             together.
@@ -37,7 +37,7 @@ class SystemSpec(FileModel):
     exact: ClassVar[str] = ""
     method_key: ClassVar[str] = "method"
     tried: ClassVar[bool] = False
-    made_of: ClassVar[Sequence[str]] = ()
+    components: ClassVar[Sequence[str]] = ()
     acted_on: ClassVar[Sequence[str]] = ("forces",)
     code: ClassVar[str] = "SIM032"
     quantities: ClassVar[Sequence[str]] = ()
@@ -75,32 +75,32 @@ class SystemSpec(FileModel):
     @property
     def reads(self) -> list[str]:
         """What acts on it, in words; what it runs into is left out."""
-        found = {name: len(getattr(self, name, ())) for name in self.acted_on}
-        return [counted(n, name.removesuffix("s")) for name, n in found.items() if n]
+        counts = {name: len(getattr(self, name, ())) for name in self.acted_on}
+        return [counted(n, name.removesuffix("s")) for name, n in counts.items() if n]
 
     @property
     def counts(self) -> dict[str, int]:
         """What it is made of, by kind."""
-        found = {name: len(getattr(self, name)) for name in self.made_of}
-        return {name: count for name, count in found.items() if count}
+        counts = {name: len(getattr(self, name)) for name in self.components}
+        return {name: count for name, count in counts.items() if count}
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
         """Return which keys make no sense together, each fault's ``where`` a key.
 
         ``parts`` are those of a `SimContext`.
         """
-        found = [
+        faults = [
             Fault(self.code, message, hint=hint, where=where)
             for message, where, hint in self.problems()
         ]
         colour = getattr(self, "colour", None)
-        return found + (colour.faults(self.quantities, self.code) if colour else [])
+        return faults + (colour.faults(self.quantities, self.code) if colour else [])
 
     def problems(self) -> Iterator[Problem]:
         """Yield which keys make no sense together, where no part is looked at."""
         yield from ()
 
-    def made(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002
+    def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002
         """Return what is made of it when the file is read, and all that is wrong.
 
         A kind whose facts are not in its keys alone, or that can be joined to others,

@@ -17,7 +17,7 @@ from animtool.sim.colliders import Collider
 from animtool.sim.colliders.bodies import Pusher, Wrenches
 
 
-class Watched(Protocol):
+class ObservedRun(Protocol):
     """A simulation under way that is looked at as it is, and was."""
 
     def look(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
@@ -93,7 +93,7 @@ class RigidSystem(Protocol):
         """Return the push that leads from a state to another of the same time."""
 
     def inverse_masses(
-        self, state: Any, owners: IntArray, points: FloatArray, ways: FloatArray
+        self, state: Any, owners: IntArray, points: FloatArray, directions: FloatArray
     ) -> FloatArray:
         """Return inverse effective masses, as `MovingBodies` does."""
 
@@ -116,17 +116,17 @@ class Skinned(Protocol):
 SKIN = 1e-3
 # Times that are kept: both ends of a step, and those within.
 LOOKS = 4
-Seen = TypeVar("Seen")
+Observed = TypeVar("Observed")
 
 
-class _Looks(Generic[Seen]):
+class _RecentLooks(Generic[Observed]):
     """What was seen at the last times that were asked for."""
 
-    def __init__(self, look: Callable[[float], Seen]) -> None:
+    def __init__(self, look: Callable[[float], Observed]) -> None:
         self._look = look
-        self._known: dict[float, Seen] = {}
+        self._known: dict[float, Observed] = {}
 
-    def __call__(self, t: float) -> Seen:
+    def __call__(self, t: float) -> Observed:
         if t not in self._known:
             while len(self._known) >= LOOKS:
                 del self._known[min(self._known)]
@@ -137,7 +137,7 @@ class _Looks(Generic[Seen]):
 class _Watcher:
     """One who looks at a simulation as it is, and was."""
 
-    def __init__(self, run: Watched) -> None:
+    def __init__(self, run: ObservedRun) -> None:
         self._run = run
         self.since = -math.inf  # no time before will be asked for [s]
 
@@ -148,16 +148,18 @@ class _Watcher:
             self._run.forget()
 
 
-class Surface(_Watcher):
+class SystemSurface(_Watcher):
     """The mesh of a simulation, or what an entry shows of one."""
 
-    def __init__(self, run: Watched, view: Any) -> None:
+    def __init__(self, run: ObservedRun, view: Any) -> None:
         super().__init__(run)
         skinned = isinstance(view, Skinned)
         self.radius: float = view.radius if skinned else SKIN
         self.closed: bool = view.closed if skinned else True
         look = view.surface if skinned else view.frame
-        self._frames: _Looks[MeshFrame] = _Looks(lambda t: look(*run.look(t)))
+        self._frames: _RecentLooks[MeshFrame] = _RecentLooks(
+            lambda t: look(*run.look(t))
+        )
         self._indices = self._faces = np.zeros((0, 3), np.int64)
 
     def points(self, t: float) -> FloatArray:
@@ -173,12 +175,12 @@ class Surface(_Watcher):
         return self._faces
 
 
-class Bodies(_Watcher):
+class BodyColliders(_Watcher):
     """The rigid bodies of a simulation, as `MovingBodies` says."""
 
     def __init__(
         self,
-        run: Watched,
+        run: ObservedRun,
         simulation: RigidSystem,
         restitution: float,
         friction: float,
@@ -200,28 +202,30 @@ class Bodies(_Watcher):
             self.owners, self.count = np.full_like(self.owners, -1), 0
             self.masses = np.zeros(0)
         self.fastest = 0.0
-        self._states = _Looks(run.look)
-        self._poses = _Looks(lambda t: simulation.poses(*self._states(t)))
-        self._begins = _Looks(lambda t: simulation.poses(*run.look(t, begins=True)))
+        self._states = _RecentLooks(run.look)
+        self._poses = _RecentLooks(lambda t: simulation.poses(*self._states(t)))
+        self._begins = _RecentLooks(
+            lambda t: simulation.poses(*run.look(t, begins=True))
+        )
         self._number = 0
 
     def ends(self, t0: float, t1: float) -> FloatArray:
         """Return poses of the shapes ``(C, 2, 7)`` at both ends of a step [s]."""
         ends = np.stack([self._begins(t0), self._poses(t1)], axis=1)
         if t1 > t0 and len(ends):
-            ways = np.linalg.norm(ends[:, 1, :3] - ends[:, 0, :3], axis=1)
-            self.fastest = max(self.fastest, float(ways.max()) / (t1 - t0))
+            distances = np.linalg.norm(ends[:, 1, :3] - ends[:, 0, :3], axis=1)
+            self.fastest = max(self.fastest, float(distances.max()) / (t1 - t0))
         return ends
 
     def inverse_masses(
-        self, t: float, owners: IntArray, points: FloatArray, ways: FloatArray
+        self, t: float, owners: IntArray, points: FloatArray, directions: FloatArray
     ) -> FloatArray:
         """Return inverse effective masses ``(K,)`` [1/kg] at a time [s].
 
         Of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
         """
         state, _ = self._states(t)
-        return self._simulation.inverse_masses(state, owners, points, ways)
+        return self._simulation.inverse_masses(state, owners, points, directions)
 
     def inertias(
         self, t: float, *, begins: bool = False

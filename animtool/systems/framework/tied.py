@@ -14,11 +14,11 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Colliders, Poses
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.framework.surfaces import Bodies, RigidSystem, Watched
+from animtool.systems.framework.surfaces import BodyColliders, ObservedRun, RigidSystem
 
 # Of how far a pull over a step takes a body, over the step and the speed that it gives:
 # half of it is even over the step, and a little more lets what is stiff come to rest.
-SHARE = 0.52
+PULL_FRACTION = 0.52
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class OnBody:
     where: str = field(default="", compare=False)  # key that names it
 
 
-class TiedBodies(Bodies):
+class TiedBodies(BodyColliders):
     """Rigid bodies of a simulation under way, which carry particles.
 
     Attributes:
@@ -39,7 +39,7 @@ class TiedBodies(Bodies):
     """
 
     def __init__(
-        self, run: Watched, simulation: RigidSystem, begin: float, step: float
+        self, run: ObservedRun, simulation: RigidSystem, begin: float, step: float
     ) -> None:
         super().__init__(run, simulation, 0.0, 0.0, two_way=True)
         self.system = simulation
@@ -67,17 +67,17 @@ class TiedBodies(Bodies):
 
         That is from its surface, 0 inside; with the size of the body.
         """
-        made, number = self.system.shared, self.number(carrier)
-        (own,) = np.nonzero(made.shape_bodies == number)
+        shared, number = self.system.shared, self.number(carrier)
+        (shape_numbers,) = np.nonzero(shared.shape_bodies == number)
         poses = self.system.poses(self._start, self.begin)
         shapes = [
-            replace(made.shapes[i], poses=Poses.fixed(poses[i, :3], poses[i, 3:]))
-            for i in own.tolist()
+            replace(shared.shapes[i], poses=Poses.fixed(poses[i, :3], poses[i, 3:]))
+            for i in shape_numbers.tolist()
         ]
         if not shapes:
             return 0.0, np.inf
         nearest_by = Colliders(shapes).sample(points, self.begin).distances
-        return max(float(nearest_by.min()), 0.0), float(made.reaches[number])
+        return max(float(nearest_by.min()), 0.0), float(shared.reaches[number])
 
     def pushed_by(self, pusher: Any) -> None:
         """Take note of who hangs on them."""
@@ -86,20 +86,23 @@ class TiedBodies(Bodies):
 
     def pulled_by(self, puller: Any, state: Any, t: float) -> Any:
         """Return a state at a time [s] within a step of who hangs on them."""
-        found = puller.pull(t, self)
-        if found is None:
+        pull = puller.pull(t, self)
+        if pull is None:
             return state
-        wrenches, begin, end = found
+        wrenches, begin, end = pull
         ended, _ = self._run.look(end)
         centres = self.system.inertias(ended)[0]
-        share, own = (t - begin) / (end - begin), self.system.inertias(state)[0]
+        fraction, current = (t - begin) / (end - begin), self.system.inertias(state)[0]
 
-        def earlier(pushes: FloatArray, share: float) -> FloatArray:
-            rows = share * pushes
-            rows[:, 3:] += so3.cross(own - centres, rows[:, :3])
+        def earlier(pushes: FloatArray, fraction: float) -> FloatArray:
+            rows = fraction * pushes
+            rows[:, 3:] += so3.cross(current - centres, rows[:, :3])
             return rows
 
-        now, moved = earlier(wrenches.now, share), earlier(wrenches.moved, share**2)
+        now, moved = (
+            earlier(wrenches.now, fraction),
+            earlier(wrenches.moved, fraction**2),
+        )
         return self.system.pushed(state, Wrenches(now, moved))
 
     def over(self, t0: float, t1: float) -> TiedStep:
@@ -121,7 +124,7 @@ class TiedStep:
         self.free = simulation.free(t0)  # which move by themselves ``(count,)``
         self.inertias = simulation.inertias(ends)
         self._speeds = simulation.speeds(ends)[:, :3]
-        self._moving = SHARE * self.span
+        self._moving = PULL_FRACTION * self.span
 
     @property
     def angle(self) -> float:
@@ -142,8 +145,8 @@ class TiedStep:
         """Return velocities of points ``(P, 3)`` of a body that can be pushed [m/s]."""
         speeds = self._simulation.speeds(state)[number]
         centre = self._simulation.inertias(state)[0][number]
-        found: FloatArray = speeds[:3] + so3.cross(speeds[3:], points - centre)
-        return found
+        velocities: FloatArray = speeds[:3] + so3.cross(speeds[3:], points - centre)
+        return velocities
 
     def begun_at(self, number: int, points: FloatArray) -> FloatArray:
         """Return these at the begin."""

@@ -16,7 +16,7 @@ from animtool.sim.integrators.integrator import Control
 from animtool.sim.system import Energy
 from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
-from animtool.systems.framework.matter import Bodies, check_apart
+from animtool.systems.framework.matter import PointMasses, check_distinct
 from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.nbody.galaxies import built_galaxies
 from animtool.systems.nbody.spec import AttractorModel, NbodyModel
@@ -88,10 +88,12 @@ class Nbody(Interacting[NbodyState, Pulls]):
         parts, refusals = [], Refusals()
         for body, own in read:
             with refusals.collect():
-                parts.append(Bodies.read(own, body.mass, "body", spec.code, "bodies"))
+                parts.append(
+                    PointMasses.read(own, body.mass, "body", spec.code, "bodies")
+                )
         refusals.check()
         parts += built_galaxies(spec)
-        bodies = self.bodies = Bodies.joined(parts)
+        bodies = self.bodies = PointMasses.joined(parts)
         counts = [len(one.masses) for one in parts]
         self.several = len(parts) > 1
         self.species = np.repeat(np.arange(len(parts)), counts)
@@ -103,7 +105,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         where, hint = "bodies", "move one of them"
         whys = "their attraction is infinite", "they cannot be told apart"
         pair, why = "bodies {} and {}".format, whys[spec.softening > 0]
-        check_apart(bodies.points, pair, spec.code, where, hint, why)
+        check_distinct(bodies.points, pair, spec.code, where, hint, why)
         if not np.isfinite([bodies.points, bodies.velocities]).all():
             message = "galaxies are so small, large or heavy that numbers overflow"
             refuse(spec.code, message, "bodies")

@@ -14,12 +14,12 @@ from animtool.documents.fields import Real, key, with_fields
 from animtool.systems.framework.fields import (
     Characters,
     Colliders,
+    EmitterShapeEntry,
     Forces,
     Integrator,
     MaxParticles,
     Meshes,
     PlacedModel,
-    PlaceEntry,
     PrimName,
     RecordModel,
     Surfaces,
@@ -43,7 +43,7 @@ class EmitterModel(PlacedModel, RecordModel):
     code: ClassVar[str] = "SIM021"
     makes: ClassVar[str] = "animtool.systems.particles.emitter:Emitter"
 
-    place: PlaceEntry = key(
+    place: EmitterShapeEntry = key(
         "Emitter shape: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"disc": {"radius": 0.2}},
         default={"point": None},

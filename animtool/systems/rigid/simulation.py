@@ -137,7 +137,7 @@ class RigidSimulation(SharedBodies):
             awake=len(self.bodies.dynamic),
         )
 
-    def misfit(self, state: RigidState, t: float) -> str:
+    def incompatibility(self, state: RigidState, t: float) -> str:
         """Return why a state of a file cannot be resumed from; empty where it can."""
         del t
         sizes = np.linalg.norm(np.clip(state.motion[:, 3:7], -2, 2), axis=1)

@@ -27,7 +27,7 @@ from animtool.systems.springs import (
     tetrahedra,
 )
 from animtool.systems.springs.checks import some_of
-from animtool.systems.springs.drawing import Curves, Faces, Shape
+from animtool.systems.springs.drawing import CurveShape, FaceShape, Shape
 from animtool.systems.springs.spec import (
     ClothModel,
     RopeModel,
@@ -47,7 +47,7 @@ class SpringBody:
     """Particles and springs as an entry has them."""
 
     body: Body  # particles and springs, at rest where they are
-    places: Mapping[str, IntArray]  # numbers of particles by the name of their place
+    regions: Mapping[str, IntArray]  # numbers of particles by the name of their place
     shape: Shape  # what is drawn of them
     notices: tuple[Fault, ...] = ()  # what is odd about them
 
@@ -70,8 +70,8 @@ class BodyEntry:
 
     def add(self, fault: Fault, *keys: str | int, doubt: bool = False) -> None:
         """Add a fault at a key of the entry, and at its own below that."""
-        own = (fault.where,) if fault.where else ()
-        self.faults.append(replace(fault, where=spelled((*keys, *own))))
+        subkeys = (fault.where,) if fault.where else ()
+        self.faults.append(replace(fault, where=spelled((*keys, *subkeys))))
         self.sound &= doubt
 
     def note(
@@ -113,9 +113,9 @@ def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
         tip_mass=tip,
         bend=entry.families["bend"],
     )
-    places = {"start": np.array([0]), "end": np.array([count - 1])}
-    shape = Curves(np.array([count]), 2 * model.radius, body.springs)
-    return SpringBody(body, places, shape)
+    regions = {"start": np.array([0]), "end": np.array([count - 1])}
+    shape = CurveShape(np.array([count]), 2 * model.radius, body.springs)
+    return SpringBody(body, regions, shape)
 
 
 def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
@@ -136,9 +136,9 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
     along, bend = entry.families["structural"], entry.families["bend"]
     body = join([strand(row, along, mass=each, bend=bend) for row in points])
     numbers = np.arange(many * length).reshape(many, length)
-    places = {"roots": numbers[:, 0], "tips": numbers[:, -1]}
-    shape = Curves(np.full(many, length), 2 * model.radius, body.springs)
-    return SpringBody(body, places, shape)
+    regions = {"roots": numbers[:, 0], "tips": numbers[:, -1]}
+    shape = CurveShape(np.full(many, length), 2 * model.radius, body.springs)
+    return SpringBody(body, regions, shape)
 
 
 def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
@@ -173,14 +173,14 @@ def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
         [grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=-1
     )
     counts = np.full((rows - 1) * (columns - 1), 4)
-    places = {
+    regions = {
         "bottom_left": grid[0, :1],
         "bottom_right": grid[0, -1:],
         "top_left": grid[-1, :1],
         "top_right": grid[-1, -1:],
         **_grid_sides(grid, ("bottom", "top"), ("left", "right")),
     }
-    return SpringBody(body, places, Faces(counts, quads.reshape(-1), body.springs))
+    return SpringBody(body, regions, FaceShape(counts, quads.reshape(-1), body.springs))
 
 
 def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
@@ -188,34 +188,38 @@ def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
     if mesh is None:
         return None
     faces: tuple[IntArray, IntArray] = mesh.counts, mesh.indices
-    share, flat = _shares(mesh.points, *faces)
-    light = np.flatnonzero(share == 0)
+    fractions, flat = _area_fractions(mesh.points, *faces)
+    light = np.flatnonzero(fractions == 0)
     if len(light):
         message = f"points of {prim} are in no face with an area: {some_of(light)}"
         entry.note("SIM051", message, "mesh", "prim")
     if not entry.sound:
         return None
     families: Mapping[str, Any] = entry.families
-    body = surface(mesh.points, *faces, mass=entry.mass * share, **families)
+    body = surface(mesh.points, *faces, mass=entry.mass * fractions, **families)
     often = edge_counts(*faces)
     border = np.unique(often[0][often[1] == 1])
     notices = _mesh_warnings(prim, mesh.points, flat, often)
-    return SpringBody(body, {"border": border}, Faces(*faces, body.springs), notices)
+    return SpringBody(
+        body, {"border": border}, FaceShape(*faces, body.springs), notices
+    )
 
 
-def _shares(
+def _area_fractions(
     points: FloatArray, counts: IntArray, indices: IntArray
 ) -> tuple[FloatArray, IntArray]:
     """Return each point's share of the area ``(N,)``, and faces that have none."""
     starts = np.cumsum(counts) - counts
     middle = np.add.reduceat(points[indices], starts) / counts[:, None]
-    ahead = sides(counts, indices)[:, 1]
+    next_corners = sides(counts, indices)[:, 1]
     face = np.repeat(np.arange(len(counts)), counts)
-    spans = np.cross(points[indices] - middle[face], points[ahead] - middle[face])
+    spans = np.cross(
+        points[indices] - middle[face], points[next_corners] - middle[face]
+    )
     areas = np.linalg.norm(np.add.reduceat(spans, starts), axis=1) / 2
     size = np.ptp(points, axis=0).max()
     areas[areas <= 1e-12 * size * size] = 0.0
-    return _share_out(areas, counts, indices, len(points)), np.flatnonzero(areas == 0)
+    return _distribute(areas, counts, indices, len(points)), np.flatnonzero(areas == 0)
 
 
 def _mesh_warnings(
@@ -286,8 +290,8 @@ def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
     if not entry.sound:
         return None
     corners = cells.astype(np.int64)
-    share = _volumes(points, corners)
-    body = tetrahedra(points, corners, edges, mass=entry.mass * share)
+    fractions = _volume_fractions(points, corners)
+    body = tetrahedra(points, corners, edges, mass=entry.mass * fractions)
     return SpringBody(body, {"skin": np.unique(body.triangles)}, _skin(body))
 
 
@@ -298,29 +302,29 @@ def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
         return f"cells have the shape (tetrahedra, 4), not {cells.shape}"
     if cells.min() < 0 or cells.max() >= len(points):
         return f"a corner is outside the {len(points)} points"
-    light = np.flatnonzero(_volumes(points, cells.astype(np.int64)) == 0)
+    light = np.flatnonzero(_volume_fractions(points, cells.astype(np.int64)) == 0)
     if len(light):
         return f"points are in no tetrahedron with a volume: {some_of(light)}"
     return ""
 
 
-def _volumes(points: FloatArray, cells: IntArray) -> FloatArray:
+def _volume_fractions(points: FloatArray, cells: IntArray) -> FloatArray:
     """Return each point's share of the volume ``(N,)``."""
     sides = points[cells[:, 1:]] - points[cells[:, :1]]
     volumes = np.abs(np.linalg.det(sides))
     size = np.ptp(points, axis=0).max()
     volumes[volumes <= 1e-12 * size**3] = 0.0
     corners = np.full(len(cells), 4)
-    return _share_out(volumes, corners, cells.ravel(), len(points))
+    return _distribute(volumes, corners, cells.ravel(), len(points))
 
 
-def _skin(body: Body) -> Faces:
+def _skin(body: Body) -> FaceShape:
     triangles = body.triangles
     counts = np.full(len(triangles), 3)
-    return Faces(counts, triangles.ravel(), body.springs, closed=True)
+    return FaceShape(counts, triangles.ravel(), body.springs, closed=True)
 
 
-def _share_out(
+def _distribute(
     sizes: FloatArray, counts: IntArray, corners: IntArray, points: int
 ) -> FloatArray:
     """Return each point's share ``(N,)`` [1] of cells that divide among corners.
@@ -328,18 +332,18 @@ def _share_out(
     Cells have sizes ``(M,)`` and so many corners ``(M,)``, cell by cell. Shares come to
     1, or are all 0 where no cell has a size.
     """
-    own = np.bincount(corners, np.repeat(sizes / counts, counts), points)
-    total = float(own.sum())
-    return np.asarray(own / (total if total > 0 else 1.0), np.float64)
+    sums = np.bincount(corners, np.repeat(sizes / counts, counts), points)
+    total = float(sums.sum())
+    return np.asarray(sums / (total if total > 0 else 1.0), np.float64)
 
 
 def _check_grid(entry: BodyEntry, what: str, resolution: Sequence[int]) -> None:
     """Note a grid of too few particles some way, or of too many."""
     if min(resolution) < 2 or math.prod(resolution) > MAX_PARTICLES:
         *first, last = resolution
-        given = f"{listed(first)} and {last}"
+        resolution_text = f"{listed(first)} and {last}"
         message = f"{what} needs 2 to {MAX_PARTICLES} particles in each direction"
-        message += f", not {given}"
+        message += f", not {resolution_text}"
         entry.note("SIM050", message, "resolution")
 
 

@@ -46,8 +46,8 @@ class Springs(Rows):
 
     def lengths(self, points: FloatArray) -> FloatArray:
         """Return how long they are ``(S,)`` [m] with particles at points ``(N, 3)``."""
-        ways = points[self.ends[:, 1]] - points[self.ends[:, 0]]
-        lengths: FloatArray = np.linalg.norm(ways, axis=1)
+        gaps = points[self.ends[:, 1]] - points[self.ends[:, 0]]
+        lengths: FloatArray = np.linalg.norm(gaps, axis=1)
         return lengths
 
 
@@ -121,16 +121,16 @@ def built(
     triangles: ArrayLike = (),
 ) -> Body:
     """Return a body of families of springs, those that are None left out."""
-    places = as_floats(positions, ("N", 3), "positions")
-    weights = np.broadcast_to(np.asarray(masses, np.float64), len(places)).copy()
+    points = as_floats(positions, ("N", 3), "positions")
+    weights = np.broadcast_to(np.asarray(masses, np.float64), len(points)).copy()
     springs = [
-        springs_between(ends, family, places, weights)
+        springs_between(ends, family, points, weights)
         for ends, family in families
         if family is not None
     ]
     faces = np.asarray(triangles, np.int64).reshape(-1, 3)
     every = Springs.joined([Springs.none(), *springs])
-    return Body(places, weights, every, faces)
+    return Body(points, weights, every, faces)
 
 
 def join(bodies: Sequence[Body]) -> Body:
@@ -183,13 +183,13 @@ def weld(body: Body, pairs: ArrayLike) -> Welded:
     ([0, 1, 1, 2], [1.0, 2.0, 1.0], [[0, 1], [1, 2]])
     """
     joined = np.asarray(pairs, np.int64).reshape(-1, 2)
-    place = np.arange(len(body.positions))
+    kept_as = np.arange(len(body.positions))
     for gone, kept in joined.tolist():
         # All that are one with either stand where the one that stays does.
-        place[place == place[gone]] = place[kept]
-    stay, rows = np.unique(place, return_inverse=True)
+        kept_as[kept_as == kept_as[gone]] = kept_as[kept]
+    stay, rows = np.unique(kept_as, return_inverse=True)
     rows = rows.reshape(-1)
-    gaps: FloatArray = np.linalg.norm(body.positions - body.positions[place], axis=1)
+    gaps: FloatArray = np.linalg.norm(body.positions - body.positions[kept_as], axis=1)
     masses = np.zeros(len(stay))
     np.add.at(masses, rows, body.masses)
     springs = replace(body.springs, ends=rows[body.springs.ends])
@@ -197,7 +197,7 @@ def weld(body: Body, pairs: ArrayLike) -> Welded:
     return Welded(welded, rows, float(gaps.max(initial=0.0)))
 
 
-class Draws(NamedTuple):
+class TargetSprings(NamedTuple):
     """What draws particles to points, by springs of no length."""
 
     particles: IntArray  # ``(A,)``
@@ -205,21 +205,21 @@ class Draws(NamedTuple):
     damping: FloatArray  # ``(A,)`` [N s/m]
 
 
-NOBODY: IntArray = np.zeros(0, np.int64)
-NO_DRAWS = Draws(NOBODY, np.zeros(0), np.zeros(0))
+NO_PARTICLES: IntArray = np.zeros(0, np.int64)
+NO_TARGETS = TargetSprings(NO_PARTICLES, np.zeros(0), np.zeros(0))
 
 
 class Paths(NamedTuple):
     """Where holders are, and how the air moves, over times that all share."""
 
     knots: FloatArray  # ``(K,)`` [s]
-    held: FloatArray  # of held particles ``(K or 1, P, 3)`` [m]
+    pinned: FloatArray  # of held particles ``(K or 1, P, 3)`` [m]
     drawn: FloatArray  # of the points that others are drawn to ``(K or 1, A, 3)`` [m]
     wind: FloatArray  # ``(K or 1, 1, 3)`` [m/s]
 
 
 @dataclass(frozen=True, slots=True)
-class Loads:
+class SpringForces:
     """N particles, springs between them, and what acts on them."""
 
     inverse_masses: FloatArray  # ``(N,)`` [1/kg], 0 of particles that are held
@@ -228,12 +228,12 @@ class Loads:
     triangles: IntArray  # what the air acts on ``(T, 3)``
     gravity: FloatArray  # ``(3,)`` [m/s²]
     pressures: tuple[float, float]  # of air: drag and lift over area and speed²
-    held: IntArray = field(default_factory=NOBODY.copy)  # particles ``(P,)``
-    draws: Draws = NO_DRAWS
+    pinned: IntArray = field(default_factory=NO_PARTICLES.copy)  # particles ``(P,)``
+    target_springs: TargetSprings = NO_TARGETS
 
     def network(self, paths: Paths) -> _kernels.SpringNetwork:
         """Return what kernels step, going through springs in their order."""
-        springs, draws = self.springs, self.draws
+        springs, draws = self.springs, self.target_springs
         return _kernels.SpringNetwork(
             inverse_masses=self.inverse_masses,
             drags=self.drags,
@@ -247,8 +247,8 @@ class Loads:
             air_drag=self.pressures[0],
             air_lift=self.pressures[1],
             knots=paths.knots,
-            held=self.held,
-            held_path=paths.held,
+            held=self.pinned,
+            held_path=paths.pinned,
             anchors=draws.particles,
             anchor_stiffness=draws.stiffness,
             anchor_damping=draws.damping,

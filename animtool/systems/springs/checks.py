@@ -22,21 +22,21 @@ def some_of(numbers: IntArray) -> str:
     return f"{text} and {more} more" if more > 0 else text
 
 
-def check_body(body: Body, held: IntArray, drawn: IntArray) -> None:
+def check_body(body: Body, pinned: IntArray, drawn: IntArray) -> None:
     """Raise where particles, springs or what holds them make no sense."""
     count = len(body.positions)
-    odd = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
-    faults = _named("SIM041", "its position is not finite", odd)
-    faults += _particle_faults(held, "pins", count)
-    values, often = np.unique(held, return_counts=True)
+    not_finite = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
+    faults = _named("SIM041", "its position is not finite", not_finite)
+    faults += _particle_faults(pinned, "pins", count)
+    values, often = np.unique(pinned, return_counts=True)
     faults += _named("SIM043", "it is pinned twice", values[often > 1])
     faults += _particle_faults(drawn, "targets", count)
     free = np.ones(count, bool)
-    free[held[(held >= 0) & (held < count)]] = False
+    free[pinned[(pinned >= 0) & (pinned < count)]] = False
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         # What moves them is over their mass, which has to be a number, too.
-        whole = np.isfinite(body.masses) & np.isfinite(1.0 / body.masses)
-        light = ~((body.masses > 0) & whole) & free
+        finite = np.isfinite(body.masses) & np.isfinite(1.0 / body.masses)
+        light = ~((body.masses > 0) & finite) & free
     hint = "pin it, or give it a mass above 0"
     faults += _named("SIM040", "its mass must be above 0", np.flatnonzero(light), hint)
     faults += _spring_faults(body.springs, count)
@@ -51,23 +51,23 @@ def check_path(
 ) -> tuple[FloatArray, FloatArray]:
     """Return times ``(K,)`` [s] and positions ``(K, count, 3)`` [m] of a path."""
     path = np.array(positions, np.float64)
-    moments = np.zeros(1) if times is None else np.asarray(times, np.float64)
+    knots = np.zeros(1) if times is None else np.asarray(times, np.float64)
     if times is None and path.shape == (count, 3):
         path = path[None]
-    wanted = (*moments.shape, count, 3)
+    shape = (*knots.shape, count, 3)
     message = ""
-    if moments.ndim != 1 or not len(moments):
-        message = f"times must be a list of at least one, not of shape {moments.shape}"
-    elif path.shape != wanted:
-        message = f"positions must have shape {wanted}, not {path.shape}"
-    elif not np.isfinite(moments).all() or (np.diff(moments) <= 0).any():
+    if knots.ndim != 1 or not len(knots):
+        message = f"times must be a list of at least one, not of shape {knots.shape}"
+    elif path.shape != shape:
+        message = f"positions must have shape {shape}, not {path.shape}"
+    elif not np.isfinite(knots).all() or (np.diff(knots) <= 0).any():
         message = "times must be finite and ascend"
     elif not np.isfinite(path).all():
         row = int(np.argmin(np.isfinite(path).all(axis=(1, 2))))
-        message = f"positions at {moments[row]:g} s are not finite"
+        message = f"positions at {knots[row]:g} s are not finite"
     if message:
         raise OptionError(Fault("SIM044", message, where=name))
-    return moments, path
+    return knots, path
 
 
 def start_notices(body: Body) -> list[Fault]:
@@ -141,8 +141,8 @@ def check_self_contact(contact: SelfContact, body: Body) -> None:
     if contact.rest is not None:
         rest = np.asarray(contact.rest, np.float64)
         if rest.shape != body.positions.shape:
-            wanted = body.positions.shape
-            messages.append(f"rest must have shape {wanted}, not {rest.shape}")
+            shape = body.positions.shape
+            messages.append(f"rest must have shape {shape}, not {rest.shape}")
         elif not np.isfinite(rest).all():
             messages.append("rest must be finite")
     if messages:
@@ -187,7 +187,7 @@ def check_options(options: SpringOptions) -> Solver:
     return Solver(options.solver)
 
 
-def check_keeping_apart(solver: Solver) -> None:
+def check_supports_self_contact(solver: Solver) -> None:
     """Raise where a solver does not keep a surface apart from itself (SIM046)."""
     if solver not in {Solver.AUTO, Solver.XPBD}:
         message = f"{solver} has no self-contact"

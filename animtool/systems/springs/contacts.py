@@ -78,16 +78,16 @@ def cell_colliders(
 
 def _ends(collider: Collider, edges: FloatArray) -> FloatArray:
     """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
-    moments, rows = collider.poses.moments, collider.poses.rows
-    before = np.clip(np.searchsorted(moments, edges, "right") - 1, 0, len(moments) - 1)
-    after = np.minimum(before + 1, len(moments) - 1)
-    gaps = np.where(after > before, moments[after] - moments[before], 1.0)
-    share = np.clip((edges - moments[before]) / gaps, 0.0, 1.0)
+    times, rows = collider.poses.moments, collider.poses.rows
+    before = np.clip(np.searchsorted(times, edges, "right") - 1, 0, len(times) - 1)
+    after = np.minimum(before + 1, len(times) - 1)
+    gaps = np.where(after > before, times[after] - times[before], 1.0)
+    fraction = np.clip((edges - times[before]) / gaps, 0.0, 1.0)
     jumps = np.append(collider.jumps, False)
-    share = np.where(jumps[before], 0.0, share)[:, None]
-    origins = rows[before, :3] + (rows[after, :3] - rows[before, :3]) * share
-    turns = so3.slerp(rows[before, 3:], rows[after, 3:], share[:, 0])
-    poses = np.concatenate([origins, turns], axis=1)
+    fraction = np.where(jumps[before], 0.0, fraction)[:, None]
+    origins = rows[before, :3] + (rows[after, :3] - rows[before, :3]) * fraction
+    rotations = so3.slerp(rows[before, 3:], rows[after, 3:], fraction[:, 0])
+    poses = np.concatenate([origins, rotations], axis=1)
     ends = np.stack([poses[:-1], poses[1:]], axis=1)
     # One that is put elsewhere within a cell is there from its beginning.
     crossed = np.cumsum(np.append(0, jumps))[before]

@@ -14,7 +14,7 @@ from animtool.core.record import dataclass
 from animtool.maths.faces import sides
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Sphere
-from animtool.systems.springs.drawing import Curves, Faces, Shape
+from animtool.systems.springs.drawing import CurveShape, FaceShape, Shape
 
 # Looks at a surface over a whole motion: one takes as long as some steps do.
 LOOKS = 12
@@ -72,7 +72,7 @@ def widest_gap(shape: Shape, points: FloatArray) -> float:
     Particles are at rest at ``(N, 3)`` [m]. Of a face it is the longest of its sides
     and diagonals: what is thinner passes between its corners.
     """
-    if isinstance(shape, Curves):
+    if isinstance(shape, CurveShape):
         first = np.arange(len(points) - 1)
         inner = np.ones(len(first), bool)
         inner[np.cumsum(shape.counts)[:-1] - 1] = False
@@ -85,7 +85,7 @@ def widest_gap(shape: Shape, points: FloatArray) -> float:
     return float(np.linalg.norm(gaps, axis=1).max())
 
 
-def _across(shape: Faces) -> IntArray:
+def _across(shape: FaceShape) -> IntArray:
     """Return pairs of corners of faces, sides and diagonals ``(P, 2)``."""
     pairs = [sides(shape.counts, shape.indices)]
     starts = np.cumsum(shape.counts) - shape.counts
@@ -93,8 +93,8 @@ def _across(shape: Faces) -> IntArray:
         many = shape.counts >= 2 * skip
         face = np.repeat(np.arange(len(starts)), shape.counts)
         corner = np.arange(len(shape.indices))
-        ahead = starts[face] + (corner - starts[face] + skip) % shape.counts[face]
-        two = np.stack([shape.indices[corner], shape.indices[ahead]], axis=1)
+        opposite = starts[face] + (corner - starts[face] + skip) % shape.counts[face]
+        two = np.stack([shape.indices[corner], shape.indices[opposite]], axis=1)
         pairs.append(two[many[face]])
     return np.concatenate(pairs)
 

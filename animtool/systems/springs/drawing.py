@@ -16,13 +16,13 @@ from animtool.motion.frames import CurvesFrame, MeshFrame
 from animtool.systems.springs.body import Springs
 
 # What keeps a turn as small as it may be where neighbours leave it open.
-MIN_TURN = 1e-9
+ROTATION_REGULARIZATION = 1e-9
 # Over which points that no particle carries alone are looked at for their speed [s].
 EPSILON_TIME = 1e-4
 
 
 @dataclass(frozen=True)
-class Curves:
+class CurveShape:
     """Particles in rows.
 
     Where a spring between two neighbours tears, a curve becomes two; a particle alone
@@ -62,7 +62,7 @@ class Curves:
 
 
 @dataclass(frozen=True)
-class Faces:
+class FaceShape:
     """A surface of particles."""
 
     counts: IntArray  # corners of each face ``(M,)``
@@ -85,15 +85,15 @@ class Faces:
         """Return what is drawn; what is to part has a shape of its own."""
         return MeshFrame(points, velocities, self.counts, self.indices, self.closed)
 
-    def parted(self, torn: BoolArray, places: FloatArray) -> Tearing | Faces:
+    def torn_shape(self, torn: BoolArray, positions: FloatArray) -> Tearing | FaceShape:
         """Return it as it parts at springs ``(S,)``, at rest at ``(N, 3)`` [m]."""
         if not (torn[self._sides] & (self._sides >= 0)).any():
             return self
         return tear_surface(
-            self.counts, self.indices, self._sides, self.springs, torn, places
+            self.counts, self.indices, self._sides, self.springs, torn, positions
         )
 
-    def whole(self, torn: BoolArray) -> tuple[IntArray, IntArray]:
+    def intact_faces(self, torn: BoolArray) -> tuple[IntArray, IntArray]:
         """Return corners a face, and corners, of faces without a torn side ``(S,)``."""
         open_sides = torn[self._sides] & (self._sides >= 0)
         starts = np.cumsum(self.counts) - self.counts
@@ -111,7 +111,7 @@ class Faces:
         return _between(self.springs, sides(self.counts, self.indices))
 
 
-Shape: TypeAlias = Curves | Faces
+Shape: TypeAlias = CurveShape | FaceShape
 
 
 def _between(springs: Springs, pairs: IntArray) -> IntArray:
@@ -121,9 +121,9 @@ def _between(springs: Springs, pairs: IntArray) -> IntArray:
     size = int(max(springs.ends.max(), pairs.max(initial=0))) + 1
     ends = np.sort(springs.ends, axis=1) @ [size, 1]
     known, first = np.unique(ends, return_index=True)
-    wanted = np.sort(pairs, axis=1) @ [size, 1]
-    at = np.searchsorted(known, wanted).clip(max=len(known) - 1)
-    return np.where(known[at] == wanted, first[at], -1)
+    keys = np.sort(pairs, axis=1) @ [size, 1]
+    at = np.searchsorted(known, keys).clip(max=len(known) - 1)
+    return np.where(known[at] == keys, first[at], -1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,16 +155,16 @@ class Tearing:
     size: int
     springs: IntArray
     ends: IntArray
-    ways: FloatArray
-    turning: _Turning
+    half_edges: FloatArray
+    rotations: _NeighbourRotations
     middles: tuple[_Middle, ...]
 
     def row(
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> MeshFrame:
         """Return what is drawn of particles at a frame, as `Faces.row` does."""
-        made = self.points(points, torn), self.velocities(points, velocities, torn)
-        return MeshFrame(*made, self.counts, self.indices)
+        drawn = self.points(points, torn), self.velocities(points, velocities, torn)
+        return MeshFrame(*drawn, self.counts, self.indices)
 
     def points(self, particles: FloatArray, torn: BoolArray) -> FloatArray:
         """Return all points ``(size, 3)`` [m].
@@ -176,12 +176,14 @@ class Tearing:
         now = torn[self.springs]
         first, second = (particles[self.ends[:, k]] for k in (0, 1))
         halves = np.stack([(first + second) / 2] * 2, axis=1)
-        turns = self.turning.at(particles)
+        neighbour_rotations = self.rotations.sample(particles)
         for k, sign in ((0, 1.0), (1, -1.0)):
-            own = turns[self.turning.rows(self.ends[now, k])]
-            ways = sign * np.einsum("eij,ej->ei", own, self.ways[now])
-            halves[now, k] = particles[self.ends[now, k]] + ways
-        middles = [middle.at(particles, torn, self.turning, turns)
+            end_rotations = neighbour_rotations[self.rotations.rows(self.ends[now, k])]
+            half_edges = sign * np.einsum(
+                "eij,ej->ei", end_rotations, self.half_edges[now]
+            )
+            halves[now, k] = particles[self.ends[now, k]] + half_edges
+        middles = [middle.at(particles, torn, self.rotations, neighbour_rotations)
                    for middle in self.middles]  # fmt: skip
         return np.concatenate([particles, halves.reshape(-1, 3), *middles])
 
@@ -195,34 +197,34 @@ class Tearing:
             speeds: Theirs ``(N, 3)`` [m/s].
             torn: Which springs are ``(S,)``.
         """
-        ahead = self.points(particles + EPSILON_TIME * speeds, torn)
-        behind = self.points(particles - EPSILON_TIME * speeds, torn)
-        found = (ahead - behind) / (2 * EPSILON_TIME)
-        found[: len(speeds)] = speeds
-        return found
+        after = self.points(particles + EPSILON_TIME * speeds, torn)
+        before = self.points(particles - EPSILON_TIME * speeds, torn)
+        velocities = (after - before) / (2 * EPSILON_TIME)
+        velocities[: len(speeds)] = speeds
+        return velocities
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Turning:
+class _NeighbourRotations:
     """How particles turn with their neighbours."""
 
     which: IntArray  # the particles, ascending ``(P,)``
     owners: IntArray  # numbers of particles in it, one a neighbour ``(K,)``
     neighbours: IntArray  # particles that stay next to them ``(K,)``
-    ways: FloatArray  # to them at rest ``(K, 3)`` [m]
+    rest_offsets: FloatArray  # to them at rest ``(K, 3)`` [m]
 
     def rows(self, particles: IntArray) -> IntArray:
         """Return where particles stand among those that turn."""
         return np.searchsorted(self.which, particles)
 
-    def at(self, particles: FloatArray) -> FloatArray:
+    def sample(self, particles: FloatArray) -> FloatArray:
         """Return their turns ``(P, 3, 3)``, as small as neighbours leave them open."""
         now = particles[self.neighbours] - particles[self.which[self.owners]]
         spread = np.zeros((len(self.which), 3, 3))
-        np.add.at(spread, self.owners, now[:, :, None] * self.ways[:, None, :])
+        np.add.at(spread, self.owners, now[:, :, None] * self.rest_offsets[:, None, :])
         size = np.abs(spread).max(axis=(1, 2), initial=0.0)
         size[size == 0] = 1.0
-        return least_turns(spread, size)
+        return polar_rotations(spread, size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,14 +234,14 @@ class _Middle:
     corners: IntArray  # of the face ``(C,)``
     parts: IntArray  # of each corner ``(C,)``
     springs: IntArray  # between a part and the next, around the face ``(P,)``
-    ways: FloatArray  # from corners to the middle at rest ``(C, 3)`` [m]
+    rest_offsets: FloatArray  # from corners to the middle at rest ``(C, 3)`` [m]
 
     def at(
         self,
         particles: FloatArray,
         torn: BoolArray,
-        turning: _Turning,
-        turns: FloatArray,
+        turning: _NeighbourRotations,
+        rotations: FloatArray,
     ) -> FloatArray:
         """Return where it is for each part ``(P, 3)`` [m]."""
         gone = torn[self.springs]
@@ -249,13 +251,15 @@ class _Middle:
             return np.tile(middle, (len(gone), 1))
         # What comes behind the last that is gone meets what comes before the first.
         group = np.mod(np.cumsum(gone) - gone, groups)
-        own = turns[turning.rows(self.corners)]
-        places = particles[self.corners] + np.einsum("cij,cj->ci", own, self.ways)
+        corner_rotations = rotations[turning.rows(self.corners)]
+        predicted = particles[self.corners] + np.einsum(
+            "cij,cj->ci", corner_rotations, self.rest_offsets
+        )
         of = group[self.parts]
         sums = np.zeros((groups, 3))
-        np.add.at(sums, of, places)
-        found: FloatArray = sums[group] / np.bincount(of)[group][:, None]
-        return found
+        np.add.at(sums, of, predicted)
+        centres: FloatArray = sums[group] / np.bincount(of)[group][:, None]
+        return centres
 
 
 def tear_surface(
@@ -264,7 +268,7 @@ def tear_surface(
     sides: IntArray,
     springs: Springs,
     torn: BoolArray,
-    places: FloatArray,
+    positions: FloatArray,
 ) -> Tearing:
     """Return how a surface parts.
 
@@ -274,7 +278,7 @@ def tear_surface(
         sides: The spring along each side ``(C,)``, from its corner on; -1 for none.
         springs: Between the particles.
         torn: Which of them ever tear ``(S,)``.
-        places: Where particles are at rest ``(N, 3)`` [m].
+        positions: Where particles are at rest ``(N, 3)`` [m].
 
     >>> from animtool.systems.springs import Family, sheet
     >>> body = sheet(3, 2, mass=1.0, structural=Family(1.0))
@@ -291,19 +295,19 @@ def tear_surface(
     named = zip(crossed.tolist(), ends.tolist(), strict=True)
     # Points of both halves of a side, by its spring and its end.
     halves = {
-        (spring, end): len(places) + 2 * i + k
+        (spring, end): len(positions) + 2 * i + k
         for i, (spring, pair) in enumerate(named)
         for k, end in enumerate(pair)
     }
-    size = len(places) + 2 * len(crossed)
+    size = len(positions) + 2 * len(crossed)
     starts = np.cumsum(counts) - counts
-    whole = ~np.logical_or.reduceat(cut, starts)
+    intact = ~np.logical_or.reduceat(cut, starts)
     middles: list[_Middle] = []
     parts: list[Sequence[int]] = []  # corners of each
-    for face in np.flatnonzero(~whole).tolist():
-        own = slice(starts[face], starts[face] + counts[face])
-        corners = indices[own]
-        torn_sides = np.where(cut[own], sides[own], -1)
+    for face in np.flatnonzero(~intact).tolist():
+        span = slice(starts[face], starts[face] + counts[face])
+        corners = indices[span]
+        torn_sides = np.where(cut[span], sides[span], -1)
         runs = list(_runs(corners.tolist(), torn_sides.tolist()))
         rings = [
             [halves[before, run[0]], *run, halves[after, run[-1]]]
@@ -316,23 +320,25 @@ def tear_surface(
             parts += [[size + i, *ring] for i, ring in enumerate(rings)]
         else:
             parts += [[size, *two] for two in pairwise(rings[0])]
-        middles.append(_middle(runs, places, places[corners].mean(axis=0)))
+        middles.append(_middle(runs, positions, positions[corners].mean(axis=0)))
         size += len(runs)
-    between = places[ends[:, 1]] - places[ends[:, 0]]
+    between = positions[ends[:, 1]] - positions[ends[:, 0]]
     lengths = np.linalg.norm(between, axis=1)
     shares = springs.rest[crossed] / np.where(lengths > 0, lengths, 1.0) / 2
     at = [ends.ravel(), *(middle.corners for middle in middles)]
     left = sides[~cut & (sides >= 0)]
     return Tearing(
-        np.append(counts[whole], np.array([len(part) for part in parts], np.int64)),
+        np.append(counts[intact], np.array([len(part) for part in parts], np.int64)),
         np.append(
-            indices[np.repeat(whole, counts)], np.array([*chain(*parts)], np.int64)
+            indices[np.repeat(intact, counts)], np.array([*chain(*parts)], np.int64)
         ),
         size,
         crossed,
         ends,
         between * shares[:, None],
-        _turning(np.unique(np.concatenate(at)), springs.ends[np.unique(left)], places),
+        _neighbour_rotations(
+            np.unique(np.concatenate(at)), springs.ends[np.unique(left)], positions
+        ),
         tuple(middles),
     )
 
@@ -350,26 +356,30 @@ def _runs(corners: Sequence[int], cut: Sequence[int]) -> Iterator[_Run]:
         yield cut[one], run, cut[other % count]
 
 
-def _middle(runs: Sequence[_Run], places: FloatArray, at: FloatArray) -> _Middle:
+def _middle(runs: Sequence[_Run], positions: FloatArray, at: FloatArray) -> _Middle:
     """Return the middle of a face of runs, which at rest is at a place ``(3,)`` [m]."""
     order = np.array([corner for _, run, _ in runs for corner in run])
     parts = np.array([i for i, (_, run, _) in enumerate(runs) for _ in run])
     after = np.array([after for _, _, after in runs])
-    return _Middle(order, parts, after, at - places[order])
+    return _Middle(order, parts, after, at - positions[order])
 
 
-def least_turns(spreads: FloatArray, sizes: FloatArray) -> FloatArray:
+def polar_rotations(spreads: FloatArray, sizes: FloatArray) -> FloatArray:
     """Return turns ``(..., 3, 3)`` by covariances of that shape, of some sizes."""
-    small = MIN_TURN * sizes[..., None, None] * np.eye(3)
+    small = ROTATION_REGULARIZATION * sizes[..., None, None] * np.eye(3)
     u, _, v = np.linalg.svd(spreads + small)
     u[..., -1] *= np.sign(np.linalg.det(u @ v))[..., None]
-    turns: FloatArray = u @ v
-    return turns
+    rotations: FloatArray = u @ v
+    return rotations
 
 
-def _turning(which: IntArray, pairs: IntArray, places: FloatArray) -> _Turning:
+def _neighbour_rotations(
+    which: IntArray, pairs: IntArray, positions: FloatArray
+) -> _NeighbourRotations:
     """Return how ascending particles ``(P,)`` turn with those of pairs ``(K, 2)``."""
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.isin(both[:, 0], which)]
-    ways = places[both[:, 1]] - places[both[:, 0]]
-    return _Turning(which, np.searchsorted(which, both[:, 0]), both[:, 1], ways)
+    offsets = positions[both[:, 1]] - positions[both[:, 0]]
+    return _NeighbourRotations(
+        which, np.searchsorted(which, both[:, 0]), both[:, 1], offsets
+    )

@@ -19,8 +19,8 @@ from animtool.systems.framework.spec import Member, PinnedPoints
 from animtool.systems.framework.tied import OnBody
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody
-from animtool.systems.springs.checks import check_keeping_apart, check_options
-from animtool.systems.springs.drawing import Faces
+from animtool.systems.springs.checks import check_options, check_supports_self_contact
+from animtool.systems.springs.drawing import FaceShape
 from animtool.systems.springs.pins import Join, Pin, air_of, numbered, read_pins
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 
@@ -86,7 +86,7 @@ class SpringEntry:
     def counts(self) -> dict[str, int]:
         """What they are made of, by kind."""
         body, shape = self.body.body, self.body.shape
-        drawn = "faces" if isinstance(shape, Faces) else "curves"
+        drawn = "faces" if isinstance(shape, FaceShape) else "curves"
         return {
             "particles": len(body.positions),
             "springs": len(body.springs.rest),
@@ -99,11 +99,15 @@ class SpringEntry:
         faults = []
         for join in self.joins:
             faults += _join_faults(join, bodies[join.to.system])
-        apart = any(member.spec.contact is not None for member in members)
+        has_self_contact = any(member.spec.contact is not None for member in members)
         # One that wants it itself has been told.
-        if apart and self.spec.contact is None and "solver" in self.spec.shared():
+        if (
+            has_self_contact
+            and self.spec.contact is None
+            and "solver" in self.spec.shared()
+        ):
             solver = Solver(self.spec.options.solver)
-            faults += _faults_of(lambda: check_keeping_apart(solver))
+            faults += _faults_of(lambda: check_supports_self_contact(solver))
         return faults
 
 
@@ -191,21 +195,21 @@ def _families(entry: BodyEntry) -> dict[str, Family | None]:
 def _family(entry: BodyEntry, name: str, model: Any) -> Family:
     """Return a family; one without force stands in for one of impossible numbers."""
     keys = ("stiffness", "frequency", "axial_stiffness")
-    given = [key for key in keys if getattr(model, key, None) is not None]
+    specified = [key for key in keys if getattr(model, key, None) is not None]
     family = record_of(Family, model)
     hint = "stiffness [N/m] of each spring, frequency [Hz] of its oscillation"
     if "axial_stiffness" in type(model).model_fields:
         hint += ", or axial_stiffness [N], force over strain"
     message = ""
-    if not given:
+    if not specified:
         message = "it has no stiffness"
-    elif len(given) > 1:
-        message = f"it has {' and '.join(given)}; write one of them"
-    elif given == ["axial_stiffness"] and family.rest == 0:
+    elif len(specified) > 1:
+        message = f"it has {' and '.join(specified)}; write one of them"
+    elif specified == ["axial_stiffness"] and family.rest == 0:
         message = "springs of rest length 0 have no axial_stiffness"
         hint = "use stiffness, or a rest above 0"
     if message:
-        where = given[-1] if given else None
+        where = specified[-1] if specified else None
         faults = [Fault("SIM190", message, hint=f"give {hint}", where=where)]
     else:
         faults = range_faults(family, OF_ENTRY)
@@ -229,7 +233,7 @@ def _faults_of(check: Callable[[], object]) -> Sequence[Fault]:
 def _check_solver(spec: SpringsModel) -> None:
     solver = check_options(spec.options)
     if spec.contact is not None:
-        check_keeping_apart(solver)
+        check_supports_self_contact(solver)
 
 
 def _check_wind(entry: BodyEntry) -> None:

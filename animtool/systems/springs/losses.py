@@ -39,7 +39,7 @@ class Losses:
         self._lost, self._span = total - energy.total, t - begin
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Of the energy that moves, what is lost by now [1]."""
         if not self._most > 0.5 * self.mass * RESTING**2:
             return 0.0
@@ -47,10 +47,10 @@ class Losses:
 
     def notices(self, solver: Solver) -> list[Fault]:
         """Return a warning where a solver takes much (SIM196)."""
-        if not self.share >= REPORTED:
+        if not self.fraction >= REPORTED:
             return []
         message = (
-            f"{solver} damps the motion: it dissipated {percent(self.share)} of its "
+            f"{solver} damps the motion: it dissipated {percent(self.fraction)} of its "
         )
         message += f"energy within {plain(self._span)} s, but no drag or damping is "
         message += "given"

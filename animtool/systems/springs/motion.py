@@ -21,7 +21,7 @@ MAX_SUBSTEPS = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Through:
+class Piercing:
     """What of a surface went through itself, at most at a time."""
 
     passed: int = 0  # particles through triangles that were not yet brought back
@@ -30,9 +30,9 @@ class Through:
     # where nothing did.
     rate: float = 0.0
 
-    def with_more(self, more: Through) -> Through:
+    def with_more(self, more: Piercing) -> Piercing:
         """Return the most of both."""
-        return Through(
+        return Piercing(
             max(self.passed, more.passed),
             max(self.cut, more.cut),
             max(self.rate, more.rate),
@@ -61,7 +61,7 @@ class SpringState:
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class TimeGrid:
     """Where a motion is on its grid of time, and what happened in the cells so far."""
 
     solver: Solver  # what takes it on
@@ -82,7 +82,7 @@ class Grid:
     # What rigid bodies that carry pins were pulled by in the last cell, by system.
     tied: tuple[Wrenches, ...] = ()
     # What went through the surface, at most.
-    through: Through = field(default_factory=Through)
+    through: Piercing = field(default_factory=Piercing)
 
     @property
     def time(self) -> float:
@@ -97,7 +97,7 @@ class Grid:
         evaluations: int,
         inside: int,
         pushes: FloatArray,
-    ) -> Grid:
+    ) -> TimeGrid:
         """Return where it is after cells that took steps to a state."""
         return replace(
             self,
@@ -138,7 +138,7 @@ class SpringMotion(Trajectory):
     cut: int = 0
 
 
-def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
+def through_notices(through: Piercing, what: str = "the surface") -> list[Fault]:
     """Return warnings of what went through a surface (SIM144, SIM165, SIM167)."""
     notices = []
     thicker = "use a shorter step, or a larger thickness"

@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body
-from animtool.systems.springs.motion import Grid
+from animtool.systems.springs.motion import TimeGrid
 
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
 Path: TypeAlias = tuple[FloatArray, FloatArray]
@@ -43,7 +43,7 @@ class Pins:
 
 
 @dataclass(frozen=True, slots=True)
-class Targets:
+class PointTargets:
     """Points that particles are drawn to by springs of no length.
 
     Attributes:
@@ -63,7 +63,7 @@ class Targets:
     times: ArrayLike | None = None
 
 
-Tied = TypeVar("Tied", Pins, Targets)
+Tied = TypeVar("Tied", Pins, PointTargets)
 
 
 def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
@@ -77,9 +77,11 @@ def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
     knots = np.unique(np.concatenate(moving)) if moving else np.zeros(1)
     shared = []
     for times, path in paths:
-        still = len(times) == 1
-        same = still or np.array_equal(times, knots)
-        shared.append(np.ascontiguousarray(path if same else _at(times, path, knots)))
+        constant = len(times) == 1
+        same = constant or np.array_equal(times, knots)
+        shared.append(
+            np.ascontiguousarray(path if same else _resampled(times, path, knots))
+        )
     return knots, shared
 
 
@@ -92,11 +94,11 @@ def combined(ties: Sequence[Tied]) -> Tied | None:
         name: np.concatenate([getattr(tie, name) for tie in ties]) for name in names
     }
     paths: list[Any] = [(tie.times, tie.positions) for tie in ties]
-    times, positions = _abreast(paths)
+    times, positions = _merged(paths)
     return type(ties[0])(positions=positions, times=times, **columns)
 
 
-def _abreast(paths: Sequence[Path]) -> Path:
+def _merged(paths: Sequence[Path]) -> Path:
     """Return paths of some particles each as one of all."""
     knots, tracks = over_knots(paths)
     rows = [np.broadcast_to(one, (len(knots), *one.shape[1:])) for one in tracks]
@@ -105,29 +107,31 @@ def _abreast(paths: Sequence[Path]) -> Path:
 
 def position_at(path: Path, t: float) -> FloatArray:
     """Return positions on a path at a time [s] ``(P, 3)`` [m]."""
-    times, places = path
+    times, positions = path
     row = int(np.clip(np.searchsorted(times, t, "right") - 1, 0, len(times) - 1))
-    place: FloatArray = places[row]
+    position: FloatArray = positions[row]
     if times[0] < t < times[-1]:
-        share = (t - times[row]) / (times[row + 1] - times[row])
-        place = place + (places[row + 1] - place) * share
-    return place
+        fraction = (t - times[row]) / (times[row + 1] - times[row])
+        position = position + (positions[row + 1] - position) * fraction
+    return position
 
 
 def reach_of(path: Path) -> tuple[float, float]:
     """Return the largest speed on a path [m/s], and how far it leads at most [m]."""
-    times, places = path
-    steps = np.linalg.norm(np.diff(places, axis=0), axis=2)
+    times, positions = path
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
     speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))
-    return speed, float(np.linalg.norm(places - places[:1], axis=2).max(initial=0.0))
+    return speed, float(
+        np.linalg.norm(positions - positions[:1], axis=2).max(initial=0.0)
+    )
 
 
-def _at(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
+def _resampled(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
     after = np.clip(np.searchsorted(times, knots, "right"), 1, len(times) - 1)
     begin, end = times[after - 1], times[after]
-    share = np.clip((knots - begin) / (end - begin), 0.0, 1.0)[:, None, None]
-    moved: FloatArray = path[after - 1] + share * (path[after] - path[after - 1])
-    return np.where(share == 1, path[after], moved)
+    fraction = np.clip((knots - begin) / (end - begin), 0.0, 1.0)[:, None, None]
+    moved: FloatArray = path[after - 1] + fraction * (path[after] - path[after - 1])
+    return np.where(fraction == 1, path[after], moved)
 
 
 class Teleports:
@@ -140,17 +144,17 @@ class Teleports:
     """
 
     def __init__(
-        self, body: Body, held: IntArray, paths: tuple[Path, Path], limit: float
+        self, body: Body, holders: IntArray, paths: tuple[Path, Path], limit: float
     ) -> None:
-        self._held, self._limit = held, limit
+        self._holders, self._limit = holders, limit
         self._pins = paths[0][1].shape[1]
-        self._knots, self._places = _abreast(paths)
-        ways = np.linalg.norm(np.diff(self._places, axis=0), axis=2)
-        fast = ways > limit * np.diff(self._knots)[:, None]
+        self._knots, self._positions = _merged(paths)
+        distances = np.linalg.norm(np.diff(self._positions, axis=0), axis=2)
+        fast = distances > limit * np.diff(self._knots)[:, None]
         self._groups = np.zeros(len(body.positions), np.int64)
         if fast.any():
             self._groups = _groups(body)
-        self._jumping = _together(fast, self._groups[held])
+        self._jumping = _together(fast, self._groups[holders])
         self._begins: IntArray = np.flatnonzero(self._jumping.any(axis=1))
         # Of the jumps ``(J,)`` [s].
         self.times: FloatArray = self._knots[self._begins + 1]
@@ -163,53 +167,55 @@ class Teleports:
         """Return how many jumps are over at a time [s]."""
         return int(np.searchsorted(self.times, t + SLACK, "right"))
 
-    def _ahead(self, grid: Grid) -> list[int]:
+    def _cells_until_jumps(self, grid: TimeGrid) -> list[int]:
         """Return how many cells before that of each jump, from its start, a grid is."""
-        places = [(t - SLACK - grid.origin) / grid.cell for t in self.times.tolist()]
-        return [math.ceil(place) - 1 - grid.index for place in places]
+        cells = [(t - SLACK - grid.origin) / grid.cell for t in self.times.tolist()]
+        return [math.ceil(cell) - 1 - grid.index for cell in cells]
 
-    def stage_of(self, grid: Grid) -> int:
+    def stage_of(self, grid: TimeGrid) -> int:
         """Return the stage of the cell that a motion is to cross next."""
-        return sum(cells <= 0 for cells in self._ahead(grid))
+        return sum(cells <= 0 for cells in self._cells_until_jumps(grid))
 
-    def cells(self, grid: Grid) -> float:
+    def cells(self, grid: TimeGrid) -> float:
         """Return how many cells there are before the next jump."""
-        return min((c for c in self._ahead(grid) if c > 0), default=math.inf)
+        return min(
+            (c for c in self._cells_until_jumps(grid) if c > 0), default=math.inf
+        )
 
     def paths(self, stage: int) -> list[Path]:
         """Return times and positions of pins and of targets in a stage."""
-        first = np.zeros(len(self._held), np.int64)
-        last = np.full(len(self._held), len(self._knots) - 1)
+        first = np.zeros(len(self._holders), np.int64)
+        last = np.full(len(self._holders), len(self._knots) - 1)
         for begin in self._begins[:stage].tolist():
             first[self._jumping[begin]] = begin + 1
         for begin in self._begins[stage:][::-1].tolist():
             last[self._jumping[begin]] = begin
         rows = np.clip(np.arange(len(self._knots))[:, None], first, last)
-        places = self._places[rows, np.arange(len(self._held))]
+        positions = self._positions[rows, np.arange(len(self._holders))]
         return [
             (self._knots, np.ascontiguousarray(part))
-            for part in np.split(places, [self._pins], axis=1)
+            for part in np.split(positions, [self._pins], axis=1)
         ]
 
     def across(self, state: FloatArray, begin: int, end: int) -> FloatArray:
         """Return a state of one stage in a later one ``(2, N, 3)``."""
         moved = state.copy() if end > begin else state
         for row in self._begins[begin:end].tolist():
-            for group in np.unique(self._groups[self._held[self._jumping[row]]]):
+            for group in np.unique(self._groups[self._holders[self._jumping[row]]]):
                 self._carry(moved, row, int(group))
         return moved
 
     def _carry(self, state: FloatArray, row: int, group: int) -> None:
         """Move a group of particles over a jump, in place."""
-        of = np.flatnonzero(self._groups[self._held] == group)
-        before, after = self._places[row : row + 2, of]
-        turn, shift = rigid_motion(before, after)
+        of = np.flatnonzero(self._groups[self._holders] == group)
+        before, after = self._positions[row : row + 2, of]
+        rotation, shift = rigid_motion(before, after)
         members = self._groups == group
-        state[0, members] = so3.rotate(turn, state[0, members]) + shift
-        state[1, members] = so3.rotate(turn, state[1, members])
+        state[0, members] = so3.rotate(rotation, state[0, members]) + shift
+        state[1, members] = so3.rotate(rotation, state[1, members])
         pins = of < self._pins
-        state[0, self._held[of[pins]]] = after[pins]
-        state[1, self._held[of[pins]]] = 0.0
+        state[0, self._holders[of[pins]]] = after[pins]
+        state[1, self._holders[of[pins]]] = 0.0
 
     def notices(self) -> list[Fault]:
         """Return a warning of each time that pins or targets are put elsewhere."""

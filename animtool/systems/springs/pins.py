@@ -17,9 +17,9 @@ from animtool.documents.fields import record_of
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.framework.tied import OnBody
-from animtool.systems.springs import Air, Pins, Targets
+from animtool.systems.springs import Air, Pins, PointTargets
 from animtool.systems.springs.bodies import BodyEntry, SpringBody
-from animtool.systems.springs.drawing import least_turns
+from animtool.systems.springs.drawing import polar_rotations
 from animtool.systems.springs.spec import (
     FaceWindModel,
     JoinedModel,
@@ -57,18 +57,18 @@ class Pin:
         if not self.model.moves:
             return Poses()
         moves = np.array(self.model.moves)
-        turns = np.tile(so3.IDENTITY, (len(moves), 1))
-        return Poses(moves[:, 0], moves[:, 1:], turns)
+        rotations = np.tile(so3.IDENTITY, (len(moves), 1))
+        return Poses(moves[:, 0], moves[:, 1:], rotations)
 
     def inside(self, poses: Poses, points: FloatArray) -> FloatArray:
         """Return where they are in that frame ``(P, 3)`` [m], built at ``(N, 3)``."""
-        own: FloatArray = points[self.particles]
+        built: FloatArray = points[self.particles]
         if self.offset is not None:
-            return np.tile(self.offset, (len(own), 1))
+            return np.tile(self.offset, (len(built), 1))
         if self.carrier is None:
-            return own
+            return built
         at = poses.at(BOUND_AT)
-        return np.asarray(so3.rotate(so3.conjugate(at[3:]), own - at[:3]))
+        return np.asarray(so3.rotate(so3.conjugate(at[3:]), built - at[:3]))
 
     def start(self, poses: Poses, points: FloatArray, begin: float) -> FloatArray:
         """Return where they are to be at the begin [s] ``(P, 3)`` [m]."""
@@ -94,7 +94,7 @@ def read_pins(
 ) -> tuple[tuple[Pin, ...], tuple[Join, ...]]:
     """Return what holds particles of a body, and what joins them to other systems."""
     pins, joins = [], []
-    held: dict[int, PinModel] = {}  # what holds each particle
+    pinned_by: dict[int, PinModel] = {}  # what holds each particle
     models: Sequence[PinModel] = entry.spec.pins
     for i, (model, parts) in enumerate(zip(models, entry.parts["pins"], strict=True)):
         at: Location = ("pins", i)
@@ -104,38 +104,38 @@ def read_pins(
             joins.append(Join(particles, model.to, f"pins[{i}].to"))
             continue
         carrier = _carrier(entry, at, model, parts)
-        own = particles
+        remaining = particles
         if model.stiffness is None:
-            own = _left_to(entry, at, model, particles, held)
-        if len(own) or not len(particles):
-            pins.append(Pin(model, own, carrier, f"pins[{i}]"))
+            remaining = _unclaimed(entry, at, model, particles, pinned_by)
+        if len(remaining) or not len(particles):
+            pins.append(Pin(model, remaining, carrier, f"pins[{i}]"))
     return tuple(pins), tuple(joins)
 
 
-def _left_to(
+def _unclaimed(
     entry: BodyEntry,
     at: Location,
     model: PinModel,
     particles: IntArray,
-    held: dict[int, PinModel],
+    pinned_by: dict[int, PinModel],
 ) -> IntArray:
     """Return the particles that a pin holds alone, and record that it does.
 
     Those that an earlier pin holds in the same way are left to that; in another way,
     they are noted.
     """
-    twice = [n for n in particles.tolist() if n in held]
-    apart = sorted(n for n in twice if not _alike(model, held[n]))
-    if apart:
-        message = f"particles that another pin holds differently: {listed(apart)}"
+    twice = [n for n in particles.tolist() if n in pinned_by]
+    conflicting = sorted(n for n in twice if not _same_pin(model, pinned_by[n]))
+    if conflicting:
+        message = f"particles that another pin holds differently: {listed(conflicting)}"
         hint = "remove them from one of the two pins"
         entry.note("SIM052", message, *at, "particles", hint=hint)
-    own = particles[~np.isin(particles, np.array(twice, np.int64))]
-    held.update(dict.fromkeys(own.tolist(), model))
-    return own
+    remaining = particles[~np.isin(particles, np.array(twice, np.int64))]
+    pinned_by.update(dict.fromkeys(remaining.tolist(), model))
+    return remaining
 
 
-def _alike(first: PinModel, second: PinModel) -> bool:
+def _same_pin(first: PinModel, second: PinModel) -> bool:
     """Return whether two pins hold what they hold in the same way."""
     one, other = (pin.model_dump(exclude={"particles"}) for pin in (first, second))
     return one == other
@@ -169,12 +169,12 @@ def numbered(
     names: Sequence[str | int], body: SpringBody
 ) -> tuple[list[int], list[tuple[int, Fault]]]:
     """Return the numbers of particles, and which names are none, with the reason."""
-    count, known = len(body.body.positions), list(body.places)
+    count, known = len(body.body.positions), list(body.regions)
     numbers: list[int] = []
     faults = []
     for i, name in enumerate(names):
-        if isinstance(name, str) and name in body.places:
-            numbers += [int(n) for n in body.places[name]]
+        if isinstance(name, str) and name in body.regions:
+            numbers += [int(n) for n in body.regions[name]]
         elif isinstance(name, str):
             hint = nearest(name, known) or f"use one of {listed(known)}, or numbers"
             message = f"unknown particles {name!r}"
@@ -215,17 +215,19 @@ def _carrier(
     return carrier
 
 
-def ties_of(pins: Framed, points: FloatArray) -> list[Pins | Targets]:
+def ties_of(pins: Framed, points: FloatArray) -> list[Pins | PointTargets]:
     """Return where pins have their particles, of a body at points ``(N, 3)`` [m]."""
-    ties: list[Pins | Targets] = []
+    ties: list[Pins | PointTargets] = []
     for pin, frame in pins:
-        places, model = frame.to_world(pin.inside(frame, points)), pin.model
+        positions, model = frame.to_world(pin.inside(frame, points)), pin.model
         if model.stiffness is None:
-            ties.append(Pins(pin.particles, places, frame.moments))
+            ties.append(Pins(pin.particles, positions, frame.moments))
             continue
         each = np.ones(len(pin.particles))
         stiffness, damping = model.stiffness * each, model.damping * each
-        ties.append(Targets(pin.particles, places, stiffness, damping, frame.moments))
+        ties.append(
+            PointTargets(pin.particles, positions, stiffness, damping, frame.moments)
+        )
     return ties
 
 
@@ -241,8 +243,8 @@ def moved_to_pins(pins: Framed, points: FloatArray, begin: float) -> FloatArray:
     current = np.concatenate([points[pin.particles] for pin, _ in offset])
     centre, middle = goal.mean(axis=0), current.mean(axis=0)
     spread = (goal - centre).T @ (current - middle)
-    turn = least_turns(spread, np.maximum(np.abs(spread).max(), 1.0))
-    turned: FloatArray = centre + (points - middle) @ turn.T
+    rotation = polar_rotations(spread, np.maximum(np.abs(spread).max(), 1.0))
+    turned: FloatArray = centre + (points - middle) @ rotation.T
     return turned
 
 
@@ -261,7 +263,7 @@ def _gusts(wind: WindModel) -> FloatArray:
 
 def wind_ties(
     wind: WindModel, points: FloatArray, drags: FloatArray, span: tuple[float, float]
-) -> Targets:
+) -> PointTargets:
     """Return the air that takes particles along, as what draws them by damping alone.
 
     Particles begin at points ``(N, 3)`` [m]; drags ``(N,)`` [N s/m] are what slows each
@@ -280,7 +282,7 @@ def wind_ties(
         middle = (times[:-1] + times[1:]) / 2
         blown = [np.interp(middle, gusts[:, 0], gusts[:, k]) for k in (1, 2, 3)]
         speeds = speeds + np.stack(blown, axis=1)
-    ways = np.cumsum(speeds * np.diff(times)[:, None], axis=0)
-    ways = np.concatenate([np.zeros((1, 3)), ways])
-    numbers, places = np.arange(len(points)), points + ways[:, None]
-    return Targets(numbers, places, np.zeros(len(points)), drags, times)
+    displacements = np.cumsum(speeds * np.diff(times)[:, None], axis=0)
+    displacements = np.concatenate([np.zeros((1, 3)), displacements])
+    numbers, positions = np.arange(len(points)), points + displacements[:, None]
+    return PointTargets(numbers, positions, np.zeros(len(points)), drags, times)

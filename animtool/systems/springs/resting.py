@@ -80,23 +80,23 @@ def find_rest(
     """
     start = system.settle(t, 1.0, system.state, system.state)[0]
     calm = system.halted(t, replace(system.body, positions=start))
-    place, sunk = _Place(calm, start), False
-    firm, steps = place.typical, 0
-    while not place.solved and steps < MAX_STEPS:
+    current, sunk = _Configuration(calm, start), False
+    firm, steps = current.typical, 0
+    while not current.solved and steps < MAX_STEPS:
         steps += 1
-        moved = place.moved(firm)
-        if moved is not None and moved.energy <= place.energy + place.rounding:
-            place, firm = moved, firm / SOFTER
+        moved = current.moved(firm)
+        if moved is not None and moved.energy <= current.energy + current.rounding:
+            current, firm = moved, firm / SOFTER
         elif sunk:
             firm *= FIRMER
         else:
-            place, sunk = _sunk(calm, place), True
+            current, sunk = _sunk(calm, current), True
         if progress is not None:
-            progress(place.settled)
-    return Rest(place.x, place.residual, steps, place.solved)
+            progress(current.settled)
+    return Rest(current.x, current.residual, steps, current.solved)
 
 
-def _sunk(system: SpringSystem, start: _Place) -> _Place:
+def _sunk(system: SpringSystem, start: _Configuration) -> _Configuration:
     """Return where particles sink to in thick air, the start where that is dear.
 
     Sheets fold on their way, where Newton's method takes many and short steps.
@@ -109,16 +109,16 @@ def _sunk(system: SpringSystem, start: _Place) -> _Place:
     swing = float(np.sqrt(pull / size))
     thick = system.halted(0.0, _damped(body), 2 * swing)
     step = SAFE * explicit_limit(thick, 0.0, thick.state)
-    wanted = SINKING / (swing * step) if step > 0 else np.inf
-    if not wanted <= MAX_SINKING_STEPS:
+    needed = SINKING / (swing * step) if step > 0 else np.inf
+    if not needed <= MAX_SINKING_STEPS:
         return start
-    if np.ceil(wanted) * len(body.springs.rest) > MAX_SINKING:
+    if np.ceil(needed) * len(body.springs.rest) > MAX_SINKING:
         return start
-    steps = int(np.ceil(wanted))
+    steps = int(np.ceil(needed))
     steps_at_once = thick.native("symplectic_euler")
     assert steps_at_once is not None
     x = steps_at_once(0.0, thick.state, step, steps)[0]
-    there = _Place(system, x) if np.isfinite(x).all() else start
+    there = _Configuration(system, x) if np.isfinite(x).all() else start
     return there if there.energy < start.energy else start
 
 
@@ -130,16 +130,18 @@ def _damped(body: Body) -> Body:
     return replace(body, springs=replace(springs, damping=damping))
 
 
-class _Place:
+class _Configuration:
     """Positions, and the forces and energy there."""
 
     def __init__(self, system: SpringSystem, x: FloatArray) -> None:
         self._system, self.x = system, x
-        self._still = np.zeros_like(x)
+        self._at_rest = np.zeros_like(x)
         self._free = np.flatnonzero(~system.fixed)
         self._masses = system.free_masses
-        self.energy = system.energy(0.0, np.array((x, self._still))).potential
-        self._forces = system.acceleration(0.0, x, self._still) * self._masses[:, None]
+        self.energy = system.energy(0.0, np.array((x, self._at_rest))).potential
+        self._forces = (
+            system.acceleration(0.0, x, self._at_rest) * self._masses[:, None]
+        )
         self.residual = float(np.abs(self._forces).max(initial=0.0))
         weights = self._masses * np.linalg.norm(system.gravity)
         pull = float(weights.max(initial=0.0))
@@ -148,19 +150,21 @@ class _Place:
         # From the weight of a particle down to what is taken for rounding [1].
         self.settled = float(np.clip(orders / np.log10(SOLVED), 0.0, 1.0))
         self.rounding = ROUNDED * max(abs(self.energy), 1e-300)
-        stiffest = np.append(system.body.springs.stiffness, system.draws.stiffness)
+        stiffest = np.append(
+            system.body.springs.stiffness, system.target_springs.stiffness
+        )
         self.typical = float(stiffest.max(initial=1.0))
 
-    def moved(self, firm: float) -> _Place | None:
+    def moved(self, firm: float) -> _Configuration | None:
         """Return where one step of Newton's leads, None where it leads nowhere."""
         from scipy.sparse import diags_array
         from scipy.sparse.linalg import splu
 
         rows = (3 * self._free[:, None] + np.arange(3)).ravel()
         matrix: Any = self._system.stiffness(0.0, self.x)[rows][:, rows]
-        whole = (matrix + diags_array(np.full(len(rows), firm))).tocsc()
+        regularized = (matrix + diags_array(np.full(len(rows), firm))).tocsc()
         try:
-            step = splu(whole, **SYMMETRIC).solve(self._forces.ravel()[rows])
+            step = splu(regularized, **SYMMETRIC).solve(self._forces.ravel()[rows])
         except RuntimeError:
             return None
         fall = step @ self._forces.ravel()[rows]
@@ -169,4 +173,4 @@ class _Place:
             return None
         x = self.x.copy()
         x.reshape(-1)[rows] += step
-        return _Place(self._system, x)
+        return _Configuration(self._system, x)

@@ -10,7 +10,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, warning
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
-from animtool.systems.springs.motion import Grid, SpringState
+from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.solvers import SHORTEST_OF_AUTO, Choice, advance
 from animtool.systems.springs.system import SpringSystem
@@ -56,27 +56,27 @@ def rest_of_xpbd(
         choice: Steps of xpbd.
         t: When pins are looked at [s].
     """
-    still = system.halted(t, system.body)
+    halted = system.halted(t, system.body)
     near = NEAR * float(np.linalg.norm(np.ptp(system.state[0], axis=0)))
     begun, work, auto = choice.substeps, 0, options.solver == Solver.AUTO
     best: _Fallen | None = None
     while True:
-        found = _fallen(still, options, replace(choice, substeps=begun), work)
-        work = found.work
-        if not np.isfinite(found.speed):
-            return XpbdRest(system, choice, (_unsolved(found.speed),))
-        nearer = best is None or found.gap < HELPS * best.gap
+        fallen = _fallen(halted, options, replace(choice, substeps=begun), work)
+        work = fallen.work
+        if not np.isfinite(fallen.speed):
+            return XpbdRest(system, choice, (_unsolved(fallen.speed),))
+        nearer = best is None or fallen.gap < HELPS * best.gap
         if not nearer and best is not None:
-            found = best
-        shorter = choice.cell / (2 * found.substeps) >= SHORTEST_OF_AUTO
-        if found.gap <= near or not (auto and nearer and shorter and work < MAX_WORK):
+            fallen = best
+        shorter = choice.cell / (2 * fallen.substeps) >= SHORTEST_OF_AUTO
+        if fallen.gap <= near or not (auto and nearer and shorter and work < MAX_WORK):
             break
-        best, begun = found, 2 * found.substeps
-    notices = [] if found.speed <= RESTING else [_unsolved(found.speed)]
-    if found.gap > near:
-        notices.append(_away(found.gap, auto=auto))
-    steps = replace(choice, substeps=found.substeps)
-    return XpbdRest(system.starting_at(found.rest), steps, tuple(notices))
+        best, begun = fallen, 2 * fallen.substeps
+    notices = [] if fallen.speed <= RESTING else [_unsolved(fallen.speed)]
+    if fallen.gap > near:
+        notices.append(_away(fallen.gap, auto=auto))
+    steps = replace(choice, substeps=fallen.substeps)
+    return XpbdRest(system.starting_at(fallen.rest), steps, tuple(notices))
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,21 +91,21 @@ class _Fallen:
 
 
 def _fallen(
-    still: SpringSystem, options: SpringOptions, choice: Choice, work: int
+    halted: SpringSystem, options: SpringOptions, choice: Choice, work: int
 ) -> _Fallen:
     """Return where springs that stand still come to rest."""
-    motion = np.ascontiguousarray(still.state)
-    state = SpringState(motion, still.whole, choice.substeps, choice.substeps)
-    grid = Grid(choice.solver, 0.0, choice.cell, 0, state)
-    masses, before, cells = still.free_masses, 0.0, 0
+    motion = np.ascontiguousarray(halted.state)
+    state = SpringState(motion, halted.none_torn, choice.substeps, choice.substeps)
+    grid = TimeGrid(choice.solver, 0.0, choice.cell, 0, state)
+    masses, before, cells = halted.free_masses, 0.0, 0
     speed, first = np.inf, work
     while speed > RESTING and cells < MAX_CELLS and work < MAX_WORK:
         cells += 1
         with np.errstate(all="ignore"):
-            grid = advance(still, options, grid, 1)
+            grid = advance(halted, options, grid, 1)
         state, velocities = grid.state, grid.state.motion[1]
         speed = float(np.linalg.norm(velocities, axis=1).max(initial=0.0))
-        work = first + grid.steps * len(still.body.springs.rest)
+        work = first + grid.steps * len(halted.body.springs.rest)
         if not np.isfinite(speed):
             break
         # Fewer steps later on would move it again.
@@ -115,7 +115,7 @@ def _fallen(
             state, energy = replace(state, motion=_stopped(state)), 0.0
         before, grid = energy, replace(grid, state=state)
     rest = grid.state.motion[0]
-    gap = float(np.linalg.norm(rest - still.state[0], axis=1).max(initial=0.0))
+    gap = float(np.linalg.norm(rest - halted.state[0], axis=1).max(initial=0.0))
     return _Fallen(rest, speed, grid.state.substeps, work, gap)
 
 

@@ -36,12 +36,12 @@ def rope(
     >>> rope([0, 0, 0], [0, 0, -1], 3, Family(1e4), mass=0.1).positions[1].tolist()
     [0.0, 0.0, -0.5]
     """
-    share = np.linspace(0.0, 1.0, count)[:, None]
+    fractions = np.linspace(0.0, 1.0, count)[:, None]
     first, last = (np.asarray(point, np.float64) for point in (start, end))
     masses = np.full(count, float(mass))
     if tip_mass is not None:
         masses[-1] = tip_mass
-    return strand(first + share * (last - first), along, mass=masses, bend=bend)
+    return strand(first + fractions * (last - first), along, mass=masses, bend=bend)
 
 
 def strand(
@@ -59,10 +59,10 @@ def strand(
         mass: Of each particle, or of all ``(N,)`` [kg].
         bend: Springs that skip one, against bending.
     """
-    places = as_floats(points, ("N", 3), "points")
-    line = np.arange(len(places))
+    positions = as_floats(points, ("N", 3), "points")
+    line = np.arange(len(positions))
     families = [(_grid_pairs(line, 1), along), (_grid_pairs(line, 2), bend)]
-    return built(places, mass, families)
+    return built(positions, mass, families)
 
 
 def sheet(
@@ -103,15 +103,15 @@ def sheet(
     grid = np.arange(rows * columns).reshape(rows, columns)
     upward, along = np.indices(grid.shape).reshape(2, -1, 1)
     first, right, top = (np.asarray(each, np.float64) for each in (corner, across, up))
-    places = first + along / max(columns - 1, 1) * right
-    places = places + upward / max(rows - 1, 1) * top
+    positions = first + along / max(columns - 1, 1) * right
+    positions = positions + upward / max(rows - 1, 1) * top
     one, both, two = (
-        np.concatenate([_grid_pairs(grid, *way) for way in ways])
-        for ways in ([(0, 1), (1, 0)], [(1, 1), (1, -1)], [(0, 2), (2, 0)])
+        np.concatenate([_grid_pairs(grid, *offset) for offset in offsets])
+        for offsets in ([(0, 1), (1, 0)], [(1, 1), (1, -1)], [(0, 2), (2, 0)])
     )
     rising = _grid_pairs(grid, 1, 1)
     families = [(one, structural), (rising, diagonal), (both, diagonals), (two, bend)]
-    return built(places, mass, families, _triangles(grid))
+    return built(positions, mass, families, _triangles(grid))
 
 
 def surface(
@@ -143,7 +143,7 @@ def surface(
     >>> body.springs.ends.tolist()
     [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3], [0, 3]]
     """
-    places = as_floats(points, ("N", 3), "points")
+    positions = as_floats(points, ("N", 3), "points")
     sizes, corners = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
     triangles = triangulated(sizes, corners)
     along = edges(sizes, corners)
@@ -151,32 +151,32 @@ def surface(
     # A fan's inner edges are no edges of the mesh, and are not bent over.
     hinges = _hinges(triangles, along)
     families = [(along, structural), (crossing, diagonals), (hinges, bend)]
-    return built(places, mass, families, triangles)
+    return built(positions, mass, families, triangles)
 
 
 def _crossing(counts: IntArray, indices: IntArray) -> IntArray:
-    found = [np.zeros((0, 2), np.int64)]
+    pairs = [np.zeros((0, 2), np.int64)]
     for step in range(2, int(counts.max(initial=0)) // 2 + 1):
         wide = np.repeat(counts >= 2 * step, counts)
-        found.append(_steps(counts, indices, np.full_like(counts, step))[wide])
-    return distinct_pairs(np.concatenate(found))
+        pairs.append(_steps(counts, indices, np.full_like(counts, step))[wide])
+    return distinct_pairs(np.concatenate(pairs))
 
 
 def _steps(counts: IntArray, indices: IntArray, steps: IntArray) -> IntArray:
     """Return each corner with that some steps further round its face."""
     starts = np.repeat(np.cumsum(counts) - counts, counts)
     around, sizes = np.arange(len(indices)) - starts, np.repeat(counts, counts)
-    ahead = starts + (around + np.repeat(steps, counts)) % np.maximum(sizes, 1)
-    return np.stack([indices, indices[ahead]], axis=1)
+    others = starts + (around + np.repeat(steps, counts)) % np.maximum(sizes, 1)
+    return np.stack([indices, indices[others]], axis=1)
 
 
 def _hinges(triangles: IntArray, kept: IntArray) -> IntArray:
     """Return the corners off each of some edges that triangles share ``(B, 2)``."""
-    own = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     off = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
-    one, other = of_one_edge(own)
-    wanted = _among(np.sort(own[one], axis=1), kept)
-    return distinct_pairs(np.stack([off[one], off[other]], axis=1)[wanted])
+    one, other = of_one_edge(sides)
+    is_kept = _among(np.sort(sides[one], axis=1), kept)
+    return distinct_pairs(np.stack([off[one], off[other]], axis=1)[is_kept])
 
 
 def _among(pairs: IntArray, kept: IntArray) -> BoolArray:
@@ -214,15 +214,15 @@ def block(
     z, y, x = np.indices(grid.shape)
     steps = np.maximum(np.array(counts) - 1, 1)
     shares = np.stack([x, y, z], axis=-1).reshape(-1, 3) / steps
-    places = np.asarray(corner, np.float64) + shares * np.asarray(size, np.float64)
-    ways = [way for way in product((-1, 0, 1), repeat=3) if way > (0, 0, 0)]
+    positions = np.asarray(corner, np.float64) + shares * np.asarray(size, np.float64)
+    offsets = [offset for offset in product((-1, 0, 1), repeat=3) if offset > (0, 0, 0)]
     families = [
-        (_grid_pairs(grid, *way), family)
+        (_grid_pairs(grid, *offset), family)
         for axes, family in enumerate((structural, face_diagonals, body_diagonals), 1)
-        for way in ways
-        if sum(map(abs, way)) == axes
+        for offset in offsets
+        if sum(map(abs, offset)) == axes
     ]
-    return built(places, mass, families, _skin(grid))
+    return built(positions, mass, families, _skin(grid))
 
 
 def tetrahedra(
@@ -254,10 +254,10 @@ def tetrahedra(
     return built(points, mass, [(unique, edges)], outside)
 
 
-def _grid_pairs(grid: IntArray, *way: int) -> IntArray:
+def _grid_pairs(grid: IntArray, *offsets: int) -> IntArray:
     """Return each particle of a grid, and that a way along its axes from it."""
-    here = tuple(slice(max(-step, 0), -step if step > 0 else None) for step in way)
-    there = tuple(slice(max(step, 0), step if step < 0 else None) for step in way)
+    here = tuple(slice(max(-step, 0), -step if step > 0 else None) for step in offsets)
+    there = tuple(slice(max(step, 0), step if step < 0 else None) for step in offsets)
     return np.stack([grid[here].ravel(), grid[there].ravel()], axis=1)
 
 

@@ -18,9 +18,9 @@ from animtool.sim.trajectory import Checkpoint, Stats, Status
 from animtool.systems.springs.checks import check_options
 from animtool.systems.springs.motion import (
     MAX_SUBSTEPS,
-    Grid,
     SpringMotion,
     SpringState,
+    TimeGrid,
     through_notices,
 )
 from animtool.systems.springs.records import Solver, SpringOptions
@@ -92,38 +92,38 @@ def simulate_springs(
     """
     options = options or SpringOptions()
     solver = check_options(options)
-    moments = check_times(times, checkpoint)
+    knots = check_times(times, checkpoint)
     grid = checkpoint.memory if checkpoint is not None else None
-    if isinstance(grid, Grid):
+    if isinstance(grid, TimeGrid):
         limit = explicit_limit(system, grid.time, grid.state.motion)
         choice = Choice(
             grid.solver, grid.cell, grid.state.substeps, "it was carried on", limit
         )
         # Nothing is counted yet.
-        begun = Grid(grid.solver, grid.origin, grid.cell, grid.index, grid.state)
-        return _motion(SpringRun(system, options, choice, begun, progress), moments)
-    t = float(moments[0])
+        begun = TimeGrid(grid.solver, grid.origin, grid.cell, grid.index, grid.state)
+        return _motion(SpringRun(system, options, choice, begun, progress), knots)
+    t = float(knots[0])
     state = np.ascontiguousarray(
         system.state if checkpoint is None else checkpoint.state
     )
     _check_start(system, state)
     choice = choose(system, options, solver, t, state)
 
-    def made(substeps: int) -> SpringMotion:
+    def simulate_with(substeps: int) -> SpringMotion:
         fine = replace(choice, substeps=substeps)
-        start = SpringState(state, system.whole, substeps, substeps)
-        begun = Grid(fine.solver, t, fine.cell, 0, start)
-        return _motion(SpringRun(system, options, fine, begun, progress), moments)
+        start = SpringState(state, system.none_torn, substeps, substeps)
+        begun = TimeGrid(fine.solver, t, fine.cell, 0, start)
+        return _motion(SpringRun(system, options, fine, begun, progress), knots)
 
     if options.error is None:
-        return made(choice.substeps)
-    return _near_enough(made, choice, options.error)
+        return simulate_with(choice.substeps)
+    return _near_enough(simulate_with, choice, options.error)
 
 
 def _check_start(system: SpringSystem, state: FloatArray) -> None:
-    wanted, message = system.state.shape, ""
-    if state.shape != wanted:
-        message = f"the start must have shape {wanted}, not {state.shape}"
+    shape, message = system.state.shape, ""
+    if state.shape != shape:
+        message = f"the start must have shape {shape}, not {state.shape}"
     elif not np.isfinite(state).all():
         lost = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
         message = f"particle {lost} is not finite at the start"
@@ -132,19 +132,19 @@ def _check_start(system: SpringSystem, state: FloatArray) -> None:
 
 
 def _near_enough(
-    made: Callable[[int], SpringMotion], choice: Choice, error: float
+    simulate_with: Callable[[int], SpringMotion], choice: Choice, error: float
 ) -> SpringMotion:
     """Return the motion in the longest steps whose error is said to be in bounds."""
-    coarse = made(choice.substeps)
-    share = 1 / (GAIN[choice.solver] - 1)
+    coarse = simulate_with(choice.substeps)
+    factor = 1 / (GAIN[choice.solver] - 1)
     substeps, estimate = choice.substeps, np.inf
     for _ in range(MAX_HALVINGS):
         substeps *= 2
         if substeps > MAX_SUBSTEPS:
             break
-        fine = made(substeps)
+        fine = simulate_with(substeps)
         if coarse.stats.status is Status.OK is fine.stats.status:
-            estimate = share * float(np.abs(fine.positions - coarse.positions).max())
+            estimate = factor * float(np.abs(fine.positions - coarse.positions).max())
         coarse = replace(fine, stats=replace(fine.stats, error=estimate))
         if estimate <= error:
             return coarse
@@ -158,16 +158,16 @@ def _near_enough(
     return replace(coarse, notices=(*coarse.notices, notice))
 
 
-def _motion(run: SpringRun, moments: FloatArray) -> SpringMotion:
-    states = [run.states_at(float(moments[0]))]
-    energies = [run.energy_of(float(moments[0]), states[0])]
-    for t in moments[1:].tolist():
+def _motion(run: SpringRun, times: FloatArray) -> SpringMotion:
+    states = [run.states_at(float(times[0]))]
+    energies = [run.energy_of(float(times[0]), states[0])]
+    for t in times[1:].tolist():
         state = run.states_at(t)
         if run.status is not Status.OK:
             break
         states.append(state)
         energies.append(run.energy_of(t, state))
-    reached = moments[: len(states)]
+    reached = times[: len(states)]
     stats = run.stats(float(reached[-1]))
     return SpringMotion(
         reached,
@@ -196,14 +196,14 @@ class SpringRun:
         system: SpringSystem,
         options: SpringOptions,
         choice: Choice,
-        grid: Grid,
+        grid: TimeGrid,
         progress: Callable[[float], None] | None,
     ) -> None:
         self.system, self.choice = system, choice
         self._options, self._progress = options, progress
         # Where it begins, where it is, and where it was at the last time asked for.
         self._begun = self.grid = self.kept = grid
-        self._lost: Grid | None = None  # begin of the cell that was not crossed
+        self._lost: TimeGrid | None = None  # begin of the cell that was not crossed
         # What rigid bodies of others were pushed by in the last cells.
         self.wrenches: list[Wrenches] = []
         self.max_substeps = grid.state.substeps
@@ -225,7 +225,7 @@ class SpringRun:
         # Its springs that are not torn.
         self.left, self._gone = system, 0
         self._watch = Watch(system, bounds)
-        self._leave_out_torn()
+        self._exclude_torn()
         self._watch.start(grid.time, grid.state.motion)
 
     def states_at(self, t: float) -> FloatArray:
@@ -233,10 +233,10 @@ class SpringRun:
 
         What is pressed on bodies of others pushes them.
         """
-        place = (t - self.grid.origin) / self.grid.cell
-        near = round(place)
-        on_grid = abs(place - near) <= ON_GRID * max(1.0, abs(place))
-        self.cross(near if on_grid else int(np.floor(place)), push=True)
+        position = (t - self.grid.origin) / self.grid.cell
+        near = round(position)
+        on_grid = abs(position - near) <= ON_GRID * max(1.0, abs(position))
+        self.cross(near if on_grid else int(np.floor(position)), push=True)
         if self.status is Status.OK:
             self.kept = self.grid
         if self.status is not Status.OK or on_grid:
@@ -247,21 +247,23 @@ class SpringRun:
         """Go on to the begin of a cell of a number, as far as it can."""
         while self.grid.index < target and self.status is Status.OK:
             self._advance(min(self._cells, target - self.grid.index))
-            bodies = self.system.colliders.bodies if push else ()
-            for own, wrenches in zip(bodies, self.wrenches, strict=False):
-                own.push(self.grid.time, wrenches)
-                own.forget(self.grid.time)
+            pushed = self.system.colliders.bodies if push else ()
+            for bodies, wrenches in zip(pushed, self.wrenches, strict=False):
+                bodies.push(self.grid.time, wrenches)
+                bodies.forget(self.grid.time)
             if self._progress is not None:
                 self._progress(self.grid.time)
 
-    def within(self, share: float) -> FloatArray:
+    def within(self, fraction: float) -> FloatArray:
         """Return the state at a share of the next cell, which is not kept."""
         begun = self._entered()
         with np.errstate(all="ignore"):
-            ahead = advance(self.system, self._options, begun, 1)
-            made = _between(begun.state.motion, ahead.state.motion, begun.cell, share)
-        if np.isfinite(made).all():
-            return made
+            after = advance(self.system, self._options, begun, 1)
+            motion = _between(
+                begun.state.motion, after.state.motion, begun.cell, fraction
+            )
+        if np.isfinite(motion).all():
+            return motion
         self.status, self.sign = Status.UNSTABLE, "its state is not finite"
         return self.grid.state.motion
 
@@ -295,7 +297,7 @@ class SpringRun:
         """Whether no solver was asked for."""
         return self._options.solver == Solver.AUTO
 
-    def _entered(self) -> Grid:
+    def _entered(self) -> TimeGrid:
         """Return where the next cell begins: pins that jump in it are there at once."""
         grid, jumps = self.grid, self.system.jumps
         here = jumps.stage_of(grid)
@@ -305,7 +307,7 @@ class SpringRun:
         motion = jumps.across(grid.state.motion, last, here)
         return replace(grid, state=replace(grid.state, motion=motion, before=None))
 
-    def _leave_out_torn(self) -> None:
+    def _exclude_torn(self) -> None:
         """Judge energy and stretch by the springs that there are."""
         torn = self.grid.state.torn
         gone = int(torn.sum())
@@ -321,7 +323,7 @@ class SpringRun:
             self.grid = advance(self.system, self._options, begun, cells)
             t, state = self.grid.time, self.grid.state
             self.max_substeps = max(self.max_substeps, state.substeps)
-            self._leave_out_torn()
+            self._exclude_torn()
             self.sign = self._watch.sign(t, state.motion)
             if begun.solver is Solver.XPBD:
                 ratio = self.left.stretch(t, state.motion)
@@ -337,7 +339,7 @@ class SpringRun:
         else:
             self.wrenches = [*self._pressed(), *self.grid.tied]
 
-    def _way_on(self) -> str:
+    def _convergence_hint(self) -> str:
         """Return what to do where Newton's method found no solution of a cell."""
         step = None if self._lost is None else working_step(self.system, self._lost)
         ties, hint = self.system.ties, "use a shorter step"
@@ -348,11 +350,11 @@ class SpringRun:
         if ties is None:
             return hint
         light = ties.lightest
-        own = float(self.system.free_masses.sum())
-        if light is not None and light[1] < LIGHT * own:
+        spring_mass = float(self.system.free_masses.sum())
+        if light is not None and light[1] < LIGHT * spring_mass:
             name, mass = light
             more = f"more mass than {mass:.3g} kg for {excerpt(name)}, which the "
-            more += f"springs of {own:.3g} kg make unstable"
+            more += f"springs of {spring_mass:.3g} kg make unstable"
             hint = more if step is None else f"{hint}, or {more}"
         return hint
 
@@ -362,19 +364,21 @@ class SpringRun:
         What is heavier than a body would throw it off, faster than it came: it gives no
         more than as much mass as that of the body would.
         """
-        found, first = [], len(self.system.colliders)
-        for own in self.system.colliders.bodies:
-            rows = self.grid.pushes[first : first + len(own.colliders)]
-            first += len(own.colliders)
-            sums = np.zeros((own.count, 7))
-            held = own.owners >= 0
-            np.add.at(sums, own.owners[held], rows[held])
-            share = np.minimum(1.0, own.masses / np.maximum(sums[:, 6], own.masses))
-            self.taken = min(self.taken, float(share.min(initial=1.0)))
-            now = sums[:, :6] * share[:, None]
+        wrenches, first = [], len(self.system.colliders)
+        for bodies in self.system.colliders.bodies:
+            rows = self.grid.pushes[first : first + len(bodies.colliders)]
+            first += len(bodies.colliders)
+            sums = np.zeros((bodies.count, 7))
+            dynamic = bodies.owners >= 0
+            np.add.at(sums, bodies.owners[dynamic], rows[dynamic])
+            fraction = np.minimum(
+                1.0, bodies.masses / np.maximum(sums[:, 6], bodies.masses)
+            )
+            self.taken = min(self.taken, float(fraction.min(initial=1.0)))
+            now = sums[:, :6] * fraction[:, None]
             # What presses all through a cell has moved bodies as from its middle.
-            found.append(Wrenches(now, self.grid.cell / 2 * now))
-        return found
+            wrenches.append(Wrenches(now, self.grid.cell / 2 * now))
+        return wrenches
 
     def notices(self, stats: Stats) -> list[Fault]:
         """Return what is odd about it so far."""
@@ -396,7 +400,7 @@ class SpringRun:
             notices.append(self._refused(stats))
         elif stats.status is Status.NOT_SOLVED:
             message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
-            notices.append(warning("SIM105", message, self._way_on()))
+            notices.append(warning("SIM105", message, self._convergence_hint()))
         if self._stretched and not self._auto:
             message = f"a spring was strained by {self.grid.stretch:.1%}, beyond "
             message += f"its own compliance; the limit is {options.stretch:.1%}"

@@ -30,7 +30,7 @@ from animtool.systems.framework.spec import Member
 from animtool.systems.springs.checks import check_options
 from animtool.systems.springs.contacts import LOOK_BACK
 from animtool.systems.springs.losses import DAMPING, Losses
-from animtool.systems.springs.motion import Grid, SpringState
+from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.settling import rest_of_xpbd
 from animtool.systems.springs.simulating import SpringRun, simulate_springs
@@ -49,7 +49,7 @@ STOPS = {"SIM102", "SIM105"}
 LONG = 2.0
 
 
-class Shown(Protocol):
+class TearingView(Protocol):
     """An entry that shows some of the springs."""
 
     member: Member
@@ -72,7 +72,7 @@ class SpringPlan:
     reason: str  # for the solver and its steps
     error: float | None = None  # of positions, where it was asked for [m]
     # What was told while they were found, and how long springs became [1].
-    told: Sequence[tuple[Sequence[Fault], float]] = ()
+    planning_notices: Sequence[tuple[Sequence[Fault], float]] = ()
 
 
 def plan_springs(
@@ -83,38 +83,40 @@ def plan_springs(
     Where they are ``settled`` and xpbd rests lower, they begin at its rest.
     """
     begin, reason, error = context.begin, "", None
-    told: list[tuple[Sequence[Fault], float]] = []
+    planning_notices: list[tuple[Sequence[Fault], float]] = []
     if options.error is not None:
         times = np.linspace(begin, max(context.last, begin), COMPARED)
         progress = _by_motions(context.phase, begin, float(times[-1]))
         motion = simulate_springs(system, times, options, progress=progress)
         if motion.stats.status is not Status.OK:
             raise StoppedError(_as_errors(motion.notices), motion.stats)
-        told.append((motion.notices, motion.stretch))
+        planning_notices.append((motion.notices, motion.stretch))
         error, reason = motion.stats.error, motion.reason
         options = replace(options, solver=motion.solver, step=motion.step, error=None)
     choice = choose(system, options, check_options(options), begin, system.state)
     if settled and choice.solver is Solver.XPBD:
         rested = rest_of_xpbd(system, options, choice, begin)
         system, choice = rested.system, rested.choice
-        told.append((rested.notices, 0.0))
-    return SpringPlan(system, options, choice, reason or choice.reason, error, told)
+        planning_notices.append((rested.notices, 0.0))
+    return SpringPlan(
+        system, options, choice, reason or choice.reason, error, planning_notices
+    )
 
 
 class SpringSimulation:
     """Springs in cells of time; what went on is counted for warnings alone."""
 
     checked = True
-    views: Sequence[Shown] = ()
+    views: Sequence[TearingView] = ()
 
     def __init__(self, plan: SpringPlan, context: SimContext) -> None:
         self.begin, self.last = context.begin, context.last
         self.system, self.options, self.choice = plan.system, plan.options, plan.choice
         self.reason, self.error = plan.reason, plan.error
-        self._said: dict[str, Fault] = {}
+        self._notices: dict[str, Fault] = {}
         self._worst = 0.0
-        for notices, stretch in plan.told:
-            self._say(notices, stretch)
+        for notices, stretch in plan.planning_notices:
+            self._keep_notices(notices, stretch)
         self.clock: Progress = None
         self.step_length = self.choice.cell
         self.shortest, self.taken, self.stretch, self.unresolved = math.inf, 0, 0.0, 0
@@ -129,10 +131,10 @@ class SpringSimulation:
     def initial(self) -> SpringState:
         """Return the state that they begin in."""
         substeps, state = self.choice.substeps, self.system.state
-        whole, tied = self.system.whole, self.system.ties is not None
+        untorn, tied = self.system.none_torn, self.system.ties is not None
         pulls = np.zeros((len(self.system.pinned), 6)) if tied else None
         return SpringState(
-            np.ascontiguousarray(state), whole, substeps, substeps, pulls=pulls
+            np.ascontiguousarray(state), untorn, substeps, substeps, pulls=pulls
         )
 
     def step(
@@ -175,12 +177,12 @@ class SpringSimulation:
         grid, choice = self._grid(state, t), self.choice
         return SpringRun(self.system, self.options, choice, grid, self.clock)
 
-    def _grid(self, state: SpringState, t: float) -> Grid:
+    def _grid(self, state: SpringState, t: float) -> TimeGrid:
         choice, begin = self.choice, self.begin
         index = round((t - begin) / choice.cell)
-        return Grid(choice.solver, begin, choice.cell, index, state)
+        return TimeGrid(choice.solver, begin, choice.cell, index, state)
 
-    def misfit(self, state: SpringState, t: float) -> str:
+    def incompatibility(self, state: SpringState, t: float) -> str:
         """Return why kernels cannot go on from a state; empty where they can."""
         try:
             advance(self.system, self.options, self._grid(state, t), 0)
@@ -205,18 +207,18 @@ class SpringSimulation:
                     faults[-1], message=f"{names}: " + faults[-1].message
                 )
             raise StoppedError(faults, stats)
-        self._say(notices, run.grid.stretch)
+        self._keep_notices(notices, run.grid.stretch)
         self.shortest = min(self.shortest, run.shortest)
         self.unresolved = max(self.unresolved, run.grid.unresolved)
 
-    def _say(self, notices: Sequence[Fault], stretch: float) -> None:
+    def _keep_notices(self, notices: Sequence[Fault], stretch: float) -> None:
         """Keep what a motion says, the worst of each kind."""
         for fault in notices:
             # Of what has a number that changes, the first, or the worst.
             key = fault.code if fault.code in _GROWING else str(fault)
             worse = fault.code == "SIM131" and stretch >= self._worst
-            if key not in self._said or worse:
-                self._said[key] = fault
+            if key not in self._notices or worse:
+                self._notices[key] = fault
         self._worst = max(self._worst, stretch)
 
     def measure(self, state: SpringState, t: float) -> None:
@@ -225,10 +227,10 @@ class SpringSimulation:
             return
         self._measured = state.motion
         springs = self.system.body.springs
-        whole = ~self.system.torn(state.torn) & (springs.rest > 0)
-        if whole.any():
-            lengths = springs.lengths(state.motion[0])[whole]
-            longest = float((lengths / springs.rest[whole]).max()) - 1.0
+        intact = ~self.system.torn(state.torn) & (springs.rest > 0)
+        if intact.any():
+            lengths = springs.lengths(state.motion[0])[intact]
+            longest = float((lengths / springs.rest[intact]).max()) - 1.0
             self.stretch = max(self.stretch, longest)
         if self.choice.solver in DAMPING and self.system.self_contact is None:
             energy = self._energy(state, t)
@@ -236,11 +238,11 @@ class SpringSimulation:
                 self._losses.look(t, energy)
 
     @property
-    def ahead(self) -> bool:
+    def needs_final_state(self) -> bool:
         """Whether a surface may part, which has all its points from the first frame."""
         return any(view.tears for view in self.views)
 
-    def see(self, last: SpringState) -> None:
+    def set_final_state(self, last: SpringState) -> None:
         """Let surfaces part where springs are torn in the end."""
         for view in self.views:
             if view.tears:
@@ -266,7 +268,7 @@ class SpringSimulation:
     @property
     def notices(self) -> list[Fault]:
         """What is odd so far."""
-        return [*self._said.values(), *self._losses.notices(self.choice.solver)]
+        return [*self._notices.values(), *self._losses.notices(self.choice.solver)]
 
     def _energy(self, state: SpringState, t: float) -> Energy | None:
         if self._slowed or state.torn.any() or self.system.ties is not None:
@@ -278,7 +280,11 @@ class SpringSimulation:
     def _slowed(self) -> bool:
         """Whether anything takes energy."""
         system = self.system
-        slowing = [system.drags, system.body.springs.damping, system.draws.damping]
+        slowing = [
+            system.drags,
+            system.body.springs.damping,
+            system.target_springs.damping,
+        ]
         slowing.append(np.array(system.pressures))
         return system.colliders.active or any(values.any() for values in slowing)
 

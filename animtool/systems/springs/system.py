@@ -24,10 +24,10 @@ from animtool.sim.contact import SPEED_LIMIT
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 from animtool.systems.springs.body import (
     Body,
-    Draws,
     Flags,
-    Loads,
     Paths,
+    SpringForces,
+    TargetSprings,
     spring_layers,
 )
 from animtool.systems.springs.checks import (
@@ -40,7 +40,7 @@ from animtool.systems.springs.checks import (
 from animtool.systems.springs.paths import (
     Path,
     Pins,
-    Targets,
+    PointTargets,
     Teleports,
     over_knots,
     position_at,
@@ -48,7 +48,7 @@ from animtool.systems.springs.paths import (
 )
 from animtool.systems.springs.records import Air, SelfContact
 from animtool.systems.springs.slopes import fastest, slopes
-from animtool.systems.springs.ties import Ties
+from animtool.systems.springs.ties import BodyTies
 
 # Of the speed of targets, where no step says over which time to take it [s].
 EPSILON_TIME = 1e-6
@@ -110,7 +110,7 @@ class SpringSystem(SecondOrder):
         body: Body,
         *,
         pins: Pins | None = None,
-        targets: Targets | None = None,
+        targets: PointTargets | None = None,
         gravity: ArrayLike = (0.0, 0.0, -9.81),
         drag: float = 0.0,
         resistance: ArrayLike = 0.0,
@@ -122,7 +122,7 @@ class SpringSystem(SecondOrder):
         self_contact: SelfContact | None = None,
     ) -> None:
         pins, air = pins or Pins(()), air or Air(drag=0.0, lift=0.0)
-        targets = targets or Targets((), np.zeros((0, 3)), 0.0)
+        targets = targets or PointTargets((), np.zeros((0, 3)), 0.0)
         self.pinned, drawn = (
             np.asarray(each.particles, np.int64).reshape(-1) for each in (pins, targets)
         )
@@ -142,8 +142,10 @@ class SpringSystem(SecondOrder):
         winds = np.asarray(air.wind, np.float64)[..., None, :]
         self._wind_path = check_path("air", winds, air.times, 1)
         self.fixed: BoolArray = np.isin(np.arange(count), self.pinned)
-        held = body.positions[self.pinned] if pins.positions is None else pins.positions
-        pin_path = check_path("pins", held, pins.times, len(self.pinned))
+        pinned_positions = (
+            body.positions[self.pinned] if pins.positions is None else pins.positions
+        )
+        pin_path = check_path("pins", pinned_positions, pins.times, len(self.pinned))
         target_path = check_path(
             "targets", targets.positions, targets.times, len(drawn)
         )
@@ -151,21 +153,21 @@ class SpringSystem(SecondOrder):
             np.array(np.broadcast_to(value, drawn.shape), np.float64)
             for value in (targets.stiffness, targets.damping)
         )
-        self.draws = Draws(drawn, stiffness, damping)
+        self.target_springs = TargetSprings(drawn, stiffness, damping)
         holders = np.append(self.pinned, drawn)
-        self._ways = (pin_path, target_path)
-        self.jumps = Teleports(body, holders, self._ways, speed_limit)
+        self._paths = (pin_path, target_path)
+        self.jumps = Teleports(body, holders, self._paths, speed_limit)
         self._staged: tuple[int, _Stage] | None = None
         self.contacts: Contacts | None = None
-        self.ties: Ties | None = None  # what carries some of the pins
+        self.ties: BodyTies | None = None  # what carries some of the pins
         self.colliders = (
             colliders if isinstance(colliders, Colliders) else Colliders(colliders)
         )
         self.radius, self.speed_limit = float(radius), float(speed_limit)
         self._pins_move = len(pin_path[0]) > 1
         self.self_contact = self_contact
-        given = None if self_contact is None else self_contact.rest
-        rest = body.positions if given is None else given
+        contact_rest = None if self_contact is None else self_contact.rest
+        rest = body.positions if contact_rest is None else contact_rest
         self._rest = np.ascontiguousarray(rest, np.float64)
         self._collides = self.colliders.active or self_contact is not None
         self.settles = self._pins_move or self._collides or len(self.jumps) > 0
@@ -193,9 +195,9 @@ class SpringSystem(SecondOrder):
         knots = np.linspace(0.0, span, len(path))
         pins, targets = (
             (knots, np.ascontiguousarray(path[:, rows]))
-            for rows in (self.pinned, self.draws.particles)
+            for rows in (self.pinned, self.target_springs.particles)
         )
-        before, self._ways = self._ways, (pins, targets)
+        before, self._paths = self._paths, (pins, targets)
         if self._staged is None or not np.array_equal(before[0][0], knots):
             self._staged = None
             return
@@ -205,7 +207,7 @@ class SpringSystem(SecondOrder):
 
     def _stage(self, number: int) -> _Stage:
         if self._staged is None or self._staged[0] != number:
-            pins, targets = self.jumps.paths(number) if len(self.jumps) else self._ways
+            pins, targets = self.jumps.paths(number) if len(self.jumps) else self._paths
             knots, paths = over_knots([pins, targets, self._wind_path])
             springs = self.body.springs.select(self.order)
             network = replace(self.loads, springs=springs).network(Paths(knots, *paths))
@@ -214,8 +216,8 @@ class SpringSystem(SecondOrder):
 
     def cell_knots(self, stage: int, t0: float, t1: float) -> FloatArray:
         """Return both ends of a cell, and times [s] between at which paths bend."""
-        made = self._stage(stage)
-        times = [one for one, _ in (made.pins, made.targets, self._wind_path)]
+        staged = self._stage(stage)
+        times = [one for one, _ in (staged.pins, staged.targets, self._wind_path)]
         every = np.unique(np.concatenate(times))
         inside = every[(every > t0) & (every < t1)]
         return np.concatenate([[t0], inside, [t1]])
@@ -227,25 +229,25 @@ class SpringSystem(SecondOrder):
 
         At its knots ``(K, P, 3)`` and ``(K, A, 3)`` [m].
         """
-        made, knots = self._stage(stage), self.cell_knots(stage, t0, t1)
-        held, drawn, wind = (
+        staged, knots = self._stage(stage), self.cell_knots(stage, t0, t1)
+        pinned, drawn, wind = (
             np.array([position_at(path, t) for t in knots.tolist()])
-            for path in (made.pins, made.targets, self._wind_path)
+            for path in (staged.pins, staged.targets, self._wind_path)
         )
         springs = self.body.springs.select(self.order)
-        paths = Paths(knots, held, drawn, wind)
-        return replace(self.loads, springs=springs).network(paths), held, drawn
+        paths = Paths(knots, pinned, drawn, wind)
+        return replace(self.loads, springs=springs).network(paths), pinned, drawn
 
     def faces_of(self, particles: IntArray) -> bool:
         """Return whether some particles have faces, which meet colliders too."""
         return bool(np.isin(self.body.triangles, particles).any())
 
     @property
-    def loads(self) -> Loads:
+    def loads(self) -> SpringForces:
         """What acts on particles, with springs in the order of the body's."""
-        return Loads(
+        return SpringForces(
             self.inverse_masses, self.drags, self.body.springs, self.body.triangles,
-            self.gravity, self.pressures, self.pinned, self.draws,
+            self.gravity, self.pressures, self.pinned, self.target_springs,
         )  # fmt: skip
 
     @cached_property
@@ -263,7 +265,7 @@ class SpringSystem(SecondOrder):
         return _kernels.spring_order(self.body.springs.ends, count)
 
     @cached_property
-    def whole(self) -> Flags:
+    def none_torn(self) -> Flags:
         """Which springs are torn where none is, in the order of kernels ``(S,)``."""
         return np.zeros(len(self.body.springs.rest), np.uint8)
 
@@ -298,7 +300,7 @@ class SpringSystem(SecondOrder):
         """Return accelerations ``(N, 3)`` [m/s²], 0 of particles that are held."""
         network = self.network(self.jumps.stage(t))
         return _kernels.spring_accelerations(
-            network, t, EPSILON_TIME, np.array((x, v)), self.whole
+            network, t, EPSILON_TIME, np.array((x, v)), self.none_torn
         )
 
     def jacobians(
@@ -328,11 +330,11 @@ class SpringSystem(SecondOrder):
             drag: What slows all motion, over mass and speed [1/s].
         """
         stage = self._stage(self.jumps.stage(t))
-        aims, draws = position_at(stage.targets, t), self.draws
+        aims, draws = position_at(stage.targets, t), self.target_springs
         return SpringSystem(
             body,
             pins=Pins(self.pinned, position_at(stage.pins, t)),
-            targets=Targets(draws.particles, aims, draws.stiffness, draws.damping),
+            targets=PointTargets(draws.particles, aims, draws.stiffness, draws.damping),
             gravity=self.gravity,
             drag=drag,
         )
@@ -352,10 +354,10 @@ class SpringSystem(SecondOrder):
         Args:
             positions: ``(N, 3)`` [m].
         """
-        places = as_floats(positions, self.body.positions.shape, "positions")
+        points = as_floats(positions, self.body.positions.shape, "positions")
         moved = copy(self)
-        moved.body = replace(self.body, positions=places)
-        moved._state = np.stack([places, np.zeros_like(places)])
+        moved.body = replace(self.body, positions=points)
+        moved._state = np.stack([points, np.zeros_like(points)])
         return moved
 
     def energy(self, t: float, state: FloatArray) -> Energy:
@@ -377,12 +379,12 @@ class SpringSystem(SecondOrder):
         stage = self._stage(self.jumps.stage(t))
         potential, _ = _kernels.spring_energy(stage.network, np.ascontiguousarray(x))
         potential -= float(masses @ x @ self.gravity)
-        draws = self.draws
+        draws = self.target_springs
         if len(draws.particles):
             gaps = x[draws.particles] - position_at(stage.targets, t)
             potential += 0.5 * float(draws.stiffness @ (gaps * gaps).sum(axis=1))
-        mass, given_speed, speed = self._driven
-        supply = mass * (given_speed + max(speed, self.colliders.fastest) ** 2)
+        mass, supplied, speed = self._driven
+        supply = mass * (supplied + max(speed, self.colliders.fastest) ** 2)
         return Energy(kinetic, potential, supply)
 
     @cached_property
@@ -390,7 +392,7 @@ class SpringSystem(SecondOrder):
         """The mass that moves, what wind and ways bring it, and the speed of those."""
         mass = float(self.body.masses[~self.fixed].sum())
         wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
-        speed, travel = map(max, zip(*map(reach_of, self._ways), strict=True))
+        speed, travel = map(max, zip(*map(reach_of, self._paths), strict=True))
         pull = float(np.linalg.norm(self.gravity))
         # What is put elsewhere brings no speed.
         return mass, wind**2 + pull * travel, min(speed, self.speed_limit)
@@ -401,9 +403,9 @@ class SpringSystem(SecondOrder):
 
     def stretch(self, t: float, state: FloatArray) -> float | None:
         """Return the largest length of a spring over its length at rest [1]."""
-        places = np.ascontiguousarray(state[0])
+        points = np.ascontiguousarray(state[0])
         network = self.network(self.jumps.stage(t))
-        longest = _kernels.spring_energy(network, places)[1]
+        longest = _kernels.spring_energy(network, points)[1]
         return longest if (self.body.springs.rest > 0).any() else None
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
@@ -442,22 +444,22 @@ class SpringSystem(SecondOrder):
             return None
 
         def steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:
-            made = np.ascontiguousarray(state)
+            motion = np.ascontiguousarray(state)
             for first in range(0, count, AT_ONCE):
-                made = _kernels.step_springs(
-                    self.network(0), made, self.whole, t, first, h,
+                motion = _kernels.step_springs(
+                    self.network(0), motion, self.none_torn, t, first, h,
                     min(AT_ONCE, count - first), 1, None,
                 )[0]  # fmt: skip
-            return made
+            return motion
 
         return steps
 
     def notices(self) -> list[Fault]:
         """Return warnings of the start, and of what is put elsewhere at once."""
-        found = start_notices(self.body) + self.colliders.notices()
+        notices = start_notices(self.body) + self.colliders.notices()
         if self.self_contact is not None:
-            found += tangle_notices(self.body.positions, self.body.triangles)
-        return found + self.jumps.notices()
+            notices += tangle_notices(self.body.positions, self.body.triangles)
+        return notices + self.jumps.notices()
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return which spring is stretched most."""

@@ -47,7 +47,7 @@ class Tie:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ties:
+class BodyTies:
     """What carries held particles, of one or more rigid systems."""
 
     carriers: Sequence[TiedBodies]
@@ -58,13 +58,13 @@ class Ties:
     @property
     def lightest(self) -> tuple[str, float] | None:
         """Name and mass [kg] of the lightest body that moves; None where none does."""
-        found = []
+        masses = []
         for tie in self.ties:
             system = self.carriers[tie.carrier].system.shared
             rows = np.flatnonzero(system.dynamic == tie.body)
             mass = float(self.carriers[tie.carrier].masses[rows].min(initial=np.inf))
-            found.append((mass, system.names[tie.body]))
-        mass, name = min(found)
+            masses.append((mass, system.names[tie.body]))
+        mass, name = min(masses)
         return None if mass == np.inf else (name, mass)
 
 
@@ -103,16 +103,16 @@ class _Unknown(NamedTuple):
 
 def _corrected(slopes: FloatArray, now: _Pulled) -> FloatArray:
     """Return the correction of velocities that takes away what is missed."""
-    found = np.linalg.lstsq(slopes, now.left, rcond=None)[0]
-    return np.asarray(-found, np.float64)
+    correction = np.linalg.lstsq(slopes, now.left, rcond=None)[0]
+    return np.asarray(-correction, np.float64)
 
 
 class TiedCell:
     """A cell of time of springs and of the bodies that carry some of their pins."""
 
-    def __init__(self, ties: Ties, steps: Sequence[TiedStep]) -> None:
+    def __init__(self, ties: BodyTies, steps: Sequence[TiedStep]) -> None:
         self._ties, self._steps, self._h = ties, steps, steps[0].span
-        self._places = [
+        self._positions = [
             to_world(self._steps[tie.carrier].begins[tie.body], tie.inside)
             for tie in ties.ties
         ]
@@ -120,7 +120,7 @@ class TiedCell:
         # Velocities of what each body carries, at the begin.
         self._begun = [
             {
-                k: self._steps[one.carrier].begun_at(one.number, self._places[k])
+                k: self._steps[one.carrier].begun_at(one.number, self._positions[k])
                 for k in one.ties
             }
             for one in self._unknown
@@ -133,18 +133,18 @@ class TiedCell:
             dynamic = carriers[k].system.shared.dynamic
             for number, body in enumerate(dynamic.tolist()):
                 ties = self._ties.ties
-                own = [
+                carried = [
                     i for i, t in enumerate(ties) if (t.carrier, t.body) == (k, body)
                 ]
-                if not own or not step.free[number]:
+                if not carried or not step.free[number]:
                     continue
                 centre, ease = (rows[number] for rows in step.inertias)
-                points = np.concatenate([self._places[i] for i in own])
+                points = np.concatenate([self._positions[i] for i in carried])
                 reach = float(np.linalg.norm(points - centre, axis=1).max())
                 mass = float(carriers[k].masses[number])
                 inertia = np.linalg.pinv(ease, hermitian=True)
                 reach = max(reach, self._ties.size)
-                yield _Unknown(k, number, own, mass, inertia, ease, reach)
+                yield _Unknown(k, number, carried, mass, inertia, ease, reach)
 
     @property
     def _scale(self) -> FloatArray:
@@ -176,25 +176,25 @@ class TiedCell:
             moved = float(np.abs(change * scale).max())
             if moved <= MET * size:
                 break
-            share, left, after = self._taken(y, change, slopes, cross)
+            fraction, left, after = self._taken(y, change, slopes, cross)
             if after is None:
                 if fresh or moved <= NEAR * size:
                     break
                 slopes = None
                 continue
-            change = share * change
+            change = fraction * change
             y = y + change
             gap = after.left - now.left - slopes @ change
             now = after
-            if left > SLOW * moved or share < 1.0:
+            if left > SLOW * moved or fraction < 1.0:
                 slopes, fresh = None, False
                 continue
             # Broyden's: what this correction showed of how the pull changes.
             slopes = slopes + np.outer(gap, change) / float(change @ change)
             fresh = False
         now.crossed.lost |= not moved <= ENOUGH * size
-        found = None if slopes is None else np.column_stack([slopes, y])
-        return TiedCrossing(now.crossed, tuple(now.wrenches), found)
+        warm_start = None if slopes is None else np.column_stack([slopes, y])
+        return TiedCrossing(now.crossed, tuple(now.wrenches), warm_start)
 
     def _slopes(
         self, y: FloatArray, now: _Pulled, steps: FloatArray, cross: Cross
@@ -219,23 +219,23 @@ class TiedCell:
         With how far the next one moves bodies, as it is with these slopes [m]. It has
         to be less (P. Deuflhard, Newton Methods for Nonlinear Problems, 2004, 3.3).
         """
-        size, scale, share = self._ties.size, self._scale, 1.0
+        size, scale, fraction = self._ties.size, self._scale, 1.0
         moved = float(np.abs(change * scale).max())
         for _ in range(MAX_HALVINGS):
-            after = self._tried(y + share * change, cross)
+            after = self._tried(y + fraction * change, cross)
             if not after.crossed.lost and np.isfinite(after.left).all():
                 left = float(np.abs(_corrected(slopes, after) * scale).max())
-                if left <= max((1 - share / 4) * moved, MET * size):
-                    return share, left, after
-            share /= 2
-        return share, np.inf, None
+                if left <= max((1 - fraction / 4) * moved, MET * size):
+                    return fraction, left, after
+            fraction /= 2
+        return fraction, np.inf, None
 
     def _tried(self, y: FloatArray, cross: Cross) -> _Pulled:
         """Return what comes of velocities ``(6 U,)`` that pulls give bodies."""
         pulls = [np.zeros((one.count, 6)) for one in self._ties.carriers]
-        for one, own in zip(self._unknown, y.reshape(-1, 6), strict=True):
+        for one, velocity in zip(self._unknown, y.reshape(-1, 6), strict=True):
             row = pulls[one.carrier][one.number]
-            row[:3], row[3:] = one.mass * own[:3], one.inertia @ own[3:]
+            row[:3], row[3:] = one.mass * velocity[:3], one.inertia @ velocity[3:]
         ends = [
             step.pulled(step.wrenches(rows))
             for step, rows in zip(self._steps, pulls, strict=True)
@@ -244,19 +244,19 @@ class TiedCell:
             to_world(ends[tie.carrier][1][tie.body], tie.inside)
             for tie in self._ties.ties
         ]
-        crossed = cross(np.concatenate(self._places), np.concatenate(goals))
-        found = [np.zeros_like(rows) for rows in pulls]
+        crossed = cross(np.concatenate(self._positions), np.concatenate(goals))
+        totals = [np.zeros_like(rows) for rows in pulls]
         left = []
-        for u, own in enumerate(y.reshape(-1, 6)):
+        for u, velocity in enumerate(y.reshape(-1, 6)):
             one = self._unknown[u]
             step = self._steps[one.carrier]
             pull = self._pull(u, ends[one.carrier][0], goals, crossed.pulls)
             turning = step.turning(one.number, pull)
             gained = [pull[:3] / one.mass, one.ease @ turning]
-            left.append(np.concatenate(gained) - own)
-            found[one.carrier][one.number] = *pull[:3], *turning
+            left.append(np.concatenate(gained) - velocity)
+            totals[one.carrier][one.number] = *pull[:3], *turning
         wrenches = [
-            step.wrenches(rows) for step, rows in zip(self._steps, found, strict=True)
+            step.wrenches(rows) for step, rows in zip(self._steps, totals, strict=True)
         ]
         return _Pulled(crossed, np.array(left).reshape(-1), wrenches)
 
@@ -270,11 +270,11 @@ class TiedCell:
         one, total = self._unknown[u], np.zeros(6)
         step = self._steps[one.carrier]
         for k in one.ties:
-            tie, x0, x1 = self._ties.ties[k], self._places[k], goals[k]
+            tie, x0, x1 = self._ties.ties[k], self._positions[k], goals[k]
             total += pulls[tie.columns].sum(axis=0)
             mass, v0 = tie.masses[:, None], self._begun[u][k]
             v1 = step.speeds_at(end, one.number, x1)
-            own = mass * (self._h * self._ties.gravity - (v1 - v0))
-            total[:3] += own.sum(axis=0)
-            total[3:] += so3.cross((x0 + x1) / 2, own).sum(axis=0)
+            inertial = mass * (self._h * self._ties.gravity - (v1 - v0))
+            total[:3] += inertial.sum(axis=0)
+            total[3:] += so3.cross((x0 + x1) / 2, inertial).sum(axis=0)
         return total

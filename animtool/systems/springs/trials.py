@@ -20,42 +20,42 @@ EXPLICIT = Solver.SYMPLECTIC_EULER
 
 
 def trial_settings(
-    system: SpringSystem, own: SpringOptions, begin: float
+    system: SpringSystem, configured: SpringOptions, begin: float
 ) -> TrialSettings:
     """Return solvers in several steps, about those that each takes itself."""
-    free = replace(own, step=None)
+    free = replace(configured, step=None)
 
-    def usual(solver: Solver, options: SpringOptions = free) -> Setting:
+    def default_setting(solver: Solver, options: SpringOptions = free) -> Setting:
         """Return a solver with the step that options come to."""
         choice = choose(system, options, solver, begin, system.state)
         return Setting.of(choice.solver, step=choice.cell / choice.substeps)
 
-    chosen = usual(Solver(own.solver), own)
+    chosen = default_setting(Solver(configured.solver), configured)
 
     def able(solver: Solver) -> list[Setting]:
         """Return the setting of a solver; none where it is not for the springs."""
         try:
-            return [usual(solver)]
+            return [default_setting(solver)]
         except OptionError:
             return []
 
     def settings() -> list[Setting]:
         each = [one for s in Solver if s is not Solver.AUTO for one in able(s)]
         each = [chosen if one.method == chosen.method else one for one in each]
-        return [way for one in each for way in stepwise(one.method, one["step"])]
+        return [row for one in each for row in stepwise(one.method, one["step"])]
 
     def references() -> list[list[Setting]]:
         """Return ever shorter steps of bdf2; of the explicit, of its own else."""
         exact = [min(chosen["step"], one["step"]) for one in able(EXACT)]
-        ways = [stepwise(EXACT, step, FINER) for step in exact]
-        ways += [stepwise(EXPLICIT, one["step"], FINER) for one in able(EXPLICIT)]
+        groups = [stepwise(EXACT, step, FINER) for step in exact]
+        groups += [stepwise(EXPLICIT, one["step"], FINER) for one in able(EXPLICIT)]
         if chosen.method not in {EXACT, EXPLICIT}:
-            ways.append(stepwise(chosen.method, chosen["step"], FINER))
-        return ways
+            groups.append(stepwise(chosen.method, chosen["step"], FINER))
+        return groups
 
     def changes(setting: Setting) -> Mapping[str, Any]:
         if setting == chosen:
-            return {"error": None, "solver": own.solver, "step": own.step}
+            return {"error": None, "solver": configured.solver, "step": configured.step}
         return {"error": None, "solver": setting.method, "step": setting["step"]}
 
     return TrialSettings(chosen, settings, references, changes)

@@ -24,7 +24,7 @@ from animtool.systems.framework.simulation import Diagnostics
 from animtool.systems.framework.spec import Member
 from animtool.systems.springs.body import Body
 from animtool.systems.springs.crossings import SelfCrossings, thin_notices, widest_gap
-from animtool.systems.springs.drawing import Faces, Tearing
+from animtool.systems.springs.drawing import FaceShape, Tearing
 from animtool.systems.springs.motion import SpringState
 from animtool.systems.springs.simulation import SpringSimulation
 
@@ -37,11 +37,11 @@ class SpringView:
     member: Member  # its entry
     rows: IntArray  # its particles in the simulation ``(N,)``
     springs: slice  # its springs there
-    own: Sequence[Fault]  # what is odd about it alone
+    member_notices: Sequence[Fault]  # what is odd about it alone
     first: bool  # whether it speaks for all that it is joined to
-    _torn_mesh: Tearing | Faces | None = None
+    _torn_mesh: Tearing | FaceShape | None = None
     # How many springs are torn, and the faces that are whole then.
-    _whole: tuple[int, IntArray, IntArray] | None = None
+    _intact: tuple[int, IntArray, IntArray] | None = None
     _crossings: SelfCrossings | None = None
     # What of a surface is measured where it touches anything, and the worst of it.
     _sides: Sides | None = None
@@ -55,7 +55,7 @@ class SpringView:
     @property
     def tears(self) -> bool:
         """Whether it is a surface that may part."""
-        return isinstance(self.body.shape, Faces) and self.body.shape.tears
+        return isinstance(self.body.shape, FaceShape) and self.body.shape.tears
 
     def torn(self, state: SpringState) -> BoolArray:
         """Return which of its springs are torn ``(S,)``."""
@@ -63,8 +63,8 @@ class SpringView:
 
     def part(self, last: SpringState) -> None:
         """Draw it so that it can part where springs are torn in a later state."""
-        shape = cast(Faces, self.body.shape)
-        self._torn_mesh = shape.parted(self.torn(last), self.body.body.positions)
+        shape = cast(FaceShape, self.body.shape)
+        self._torn_mesh = shape.torn_shape(self.torn(last), self.body.body.positions)
 
     def frame(self, state: SpringState, t: float) -> Frame:
         """Return what is drawn of it."""
@@ -78,19 +78,21 @@ class SpringView:
 
     def _look(self, points: FloatArray, t: float) -> None:
         """Count what of a surface goes through it, where nothing keeps it apart."""
-        made, shape = self.simulation, self.body.shape
-        if made.system.self_contact is not None or not isinstance(shape, Faces):
+        simulation, shape = self.simulation, self.body.shape
+        if simulation.system.self_contact is not None or not isinstance(
+            shape, FaceShape
+        ):
             return
         if self._crossings is None:
             corners = self.body.body.triangles
-            self._crossings = SelfCrossings(corners, made.begin, made.last)
+            self._crossings = SelfCrossings(corners, simulation.begin, simulation.last)
         self._crossings.look(t, points)
 
     def _measure(self, points: FloatArray, t: float, state: SpringState) -> None:
         """Note how deep a surface is in what it touches, through it, and strained."""
         system, body, shape = self.simulation.system, self.body.body, self.body.shape
         colliders, touches = system.colliders, system.self_contact is not None
-        if not isinstance(shape, Faces) or not (colliders.active or touches):
+        if not isinstance(shape, FaceShape) or not (colliders.active or touches):
             return
         if self._sides is None:
             self._sides = _sides_of(shape, system.fixed[self.rows], body, touches)
@@ -102,15 +104,15 @@ class SpringView:
 
     def _crossing_notices(self) -> list[Fault]:
         """Return warnings of what went through it, or may have (SIM194, SIM195)."""
-        made, body, name = self.simulation, self.body, self.member.name
-        found = self._crossings.notices(name) if self._crossings is not None else []
-        met = made.system.faces_of(self.rows)
-        if met and not found:
-            return found
+        simulation, body, name = self.simulation, self.body, self.member.name
+        notices = self._crossings.notices(name) if self._crossings is not None else []
+        met = simulation.system.faces_of(self.rows)
+        if met and not notices:
+            return notices
         gap = widest_gap(body.shape, body.body.positions)
-        colliders, radius = list(made.system.colliders), made.system.radius
-        return found + thin_notices(
-            name, colliders, radius, gap, made.stretch, faces=met
+        colliders, radius = list(simulation.system.colliders), simulation.system.radius
+        return notices + thin_notices(
+            name, colliders, radius, gap, simulation.stretch, faces=met
         )
 
     @property
@@ -127,41 +129,45 @@ class SpringView:
     def surface(self, state: SpringState, t: float) -> MeshFrame:
         """Return those of its faces that are not torn."""
         self.simulation.measure(state, t)
-        shape, torn = cast(Faces, self.body.shape), self.torn(state)
+        shape, torn = cast(FaceShape, self.body.shape), self.torn(state)
         gone = int(torn.sum())
-        if self._whole is None or gone != self._whole[0]:
-            whole = shape.whole(torn) if gone else (shape.counts, shape.indices)
-            self._whole = gone, *whole
+        if self._intact is None or gone != self._intact[0]:
+            intact = shape.intact_faces(torn) if gone else (shape.counts, shape.indices)
+            self._intact = gone, *intact
         points, velocities = state.motion[:, self.rows]
-        return MeshFrame(points, velocities, *self._whole[1:], self.closed)
+        return MeshFrame(points, velocities, *self._intact[1:], self.closed)
 
     def diagnostics(self, state: SpringState, t: float) -> Diagnostics:  # noqa: ARG002
         """Return what became of it, and what is odd so far."""
-        made, body, name = self.simulation, self.body.body, self.member.name
+        simulation, body, name = self.simulation, self.body.body, self.member.name
         values: dict[str, Any] = {
             "kind": self.member.kind,
             "particles": len(body.positions),
             "springs": len(body.springs.rest),
-            "solver": str(made.choice.solver),
-            "reason": made.reason,
-            "step": made.shortest,
-            "steps": made.taken,
-            "stretch": made.stretch,
+            "solver": str(simulation.choice.solver),
+            "reason": simulation.reason,
+            "step": simulation.shortest,
+            "steps": simulation.taken,
+            "stretch": simulation.stretch,
             "torn": int(self.torn(state).sum()),
-            "unresolved": made.unresolved,
+            "unresolved": simulation.unresolved,
         }
-        if made.error is not None:
-            values["error"] = made.error if math.isfinite(made.error) else None
+        if simulation.error is not None:
+            values["error"] = (
+                simulation.error if math.isfinite(simulation.error) else None
+            )
         if self._sides is not None:
             values |= self._meter.values
-        notices = [*self.own, *self._crossing_notices(), *self._meter.notices(name)]
+        notices = [
+            *self.member_notices,
+            *self._crossing_notices(),
+            *self._meter.notices(name),
+        ]
         if self.first:
-            notices += made.notices
-            if made.long:
-                message = (
-                    f"{name}: springs stretch {percent(made.stretch)} beyond their "
-                    "length "
-                )
+            notices += simulation.notices
+            if simulation.long:
+                strain = percent(simulation.stretch)
+                message = f"{name}: springs stretch {strain} beyond their length "
                 hint = "raise the stiffness [N/m] of each spring, or "
                 hint += "lower the mass [kg]"
                 notices.append(warning("SIM187", f"{message}at rest", hint))
@@ -169,14 +175,14 @@ class SpringView:
         return Diagnostics(values=values, notices=notices)
 
     def _note(self, torn: int) -> Fault:
-        made = self.simulation
+        simulation = self.simulation
         parts = [
-            f"{made.choice.solver} ({made.reason})",
-            f"steps of {plain(made.shortest)} s and more",
-            f"springs strained by up to {percent(made.stretch)}",
+            f"{simulation.choice.solver} ({simulation.reason})",
+            f"steps of {plain(simulation.shortest)} s and more",
+            f"springs strained by up to {percent(simulation.stretch)}",
         ]
-        if made.error is not None and math.isfinite(made.error):
-            parts.append(f"error {length_text(made.error)}")
+        if simulation.error is not None and math.isfinite(simulation.error):
+            parts.append(f"error {length_text(simulation.error)}")
         if torn:
             parts.append(f"{counted(torn, 'spring')} torn")
         if self._meter.text:
@@ -186,7 +192,7 @@ class SpringView:
 
 
 def _sides_of(
-    shape: Faces,
+    shape: FaceShape,
     fixed: BoolArray,
     body: Body,
     touches: bool,
@@ -196,9 +202,11 @@ def _sides_of(
 
     Its triangles where they keep apart from each other.
     """
-    own = shape.side_springs
-    kept = (body.springs.rest[own] > 0) & ~fixed[body.springs.ends[own]].all(axis=1)
-    kept &= True if torn is None else ~torn[own]
+    side_springs = shape.side_springs
+    kept = (body.springs.rest[side_springs] > 0) & ~fixed[
+        body.springs.ends[side_springs]
+    ].all(axis=1)
+    kept &= True if torn is None else ~torn[side_springs]
     triangles = body.triangles if touches else body.triangles[:0]
-    springs = body.springs.select(own[kept])
+    springs = body.springs.select(side_springs[kept])
     return Sides(np.flatnonzero(~fixed), triangles, springs.ends, springs.rest)

@@ -12,7 +12,7 @@ from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, HeldArray, Mesh, Skin
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.skins import capped, margin_for, skins_of
-from animtool.systems.framework.meter import Solid, depths_in
+from animtool.systems.framework.meter import ClosedSurface, depths_in
 
 SIZE = 10
 BOX = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
@@ -48,7 +48,8 @@ def deepest(take: Take) -> float:
     roots = take.world().positions[:, 0]
     frames = zip(moved(take), roots, strict=True)
     return max(
-        float(depths_in(Solid(points + root, TRIANGLES), x).max()) for x, root in frames
+        float(depths_in(ClosedSurface(points + root, TRIANGLES), x).max())
+        for x, root in frames
     )
 
 
