@@ -1,4 +1,4 @@
-"""One attachment on its way through a take."""
+"""Simulation of one attachment through a take."""
 
 from __future__ import annotations
 
@@ -46,23 +46,23 @@ def upwards(rig: Rig) -> FloatArray:
 
 @dataclass
 class PosePaths:
-    """A character over one frame, worked out once for each number of steps."""
+    """Character poses within one frame, cached by number of steps."""
 
     rig: Rig  # the character
-    before: LocalPose  # its pose at the begin
-    after: LocalPose  # its pose at the end
-    skins: Sequence[SkinSurface] = ()  # what of it is met
+    before: LocalPose  # pose at the begin
+    after: LocalPose  # pose at the end
+    skins: Sequence[SkinSurface] = ()  # its collision meshes
     _by_steps: dict[int, PosePath] = field(default_factory=dict)
     _skin_points: dict[int, list[FloatArray]] = field(default_factory=dict)
 
     def of(self, steps: int) -> PosePath:
-        """Return the character at the begin, and at the end of each step."""
+        """Return the poses at the begin and at the end of each step."""
         if steps not in self._by_steps:
             self._by_steps[steps] = pose_path(self.rig, self.before, self.after, steps)
         return self._by_steps[steps]
 
     def skin_points(self, steps: int) -> list[FloatArray]:
-        """Return the points of each skin at the same times ``(K, P, 3)`` [m]."""
+        """Return points of each skin at these times ``(K, P, 3)`` [m]."""
         if steps not in self._skin_points:
             path = self.of(steps)
             self._skin_points[steps] = [skin.points(path) for skin in self.skins]
@@ -70,7 +70,7 @@ class PosePaths:
 
 
 class Actor:
-    """Carries one attachment from frame to frame."""
+    """Simulates one attachment frame by frame."""
 
     def __init__(
         self,
@@ -82,7 +82,7 @@ class Actor:
         skins: Sequence[SkinSurface] = (),
         world: Colliders | None = None,
     ) -> None:
-        """Begin in a pose, at rest, in its size; a frame spans so long [s]."""
+        """Start at rest in a pose, at its scale; a frame lasts ``span`` [s]."""
         self.body, self.settings = body, settings
         self._rig = rig
         first = pose_path(rig, pose, pose, 1)
@@ -99,7 +99,7 @@ class Actor:
         self.meter = ContactMeter()
         self._sides = _sides(network)
         if not self._stepper.thickness and not skins:
-            # It may go through itself, and there is no other surface.
+            # Without self-contact and skins there is no piercing to count.
             self._sides = replace(self._sides, triangles=network.triangles[:0])
         self._solids: list[ClosedSurface] = []  # skins as the last frame ended
         self._skins = SkinContacts(
@@ -110,7 +110,7 @@ class Actor:
         )
         capsules = Capsules.of(rig) if settings.options.capsules else Capsules.none()
         if self._skins:
-            # What has a skin is met by that.
+            # Joints with a skin collide with that instead of their capsules.
             covered = np.any([skin.joints for skin in skins], axis=0)
             capsules = capsules.select(~covered[capsules.joints])
         bound = body.network.points
@@ -134,12 +134,12 @@ class Actor:
         self.state = AttachState(self.target, np.zeros_like(self.target))
 
     def rush(self, speed: FloatArray) -> None:
-        """Add a velocity ``(3,)`` [m/s] to the whole."""
+        """Add a velocity ``(3,)`` [m/s] to all particles."""
         state = self.state
         self.state = replace(state, velocities=state.velocities + speed)
 
     def cross(self, paths: PosePaths, frame: int) -> None:
-        """Go on by a frame of a number; the take begins with that of 0."""
+        """Advance by a frame; frame 0 is the first of the take."""
         began = time.perf_counter()
         motion = paths.of(self._cells)
         targets = self.body.targets(motion)
@@ -163,23 +163,23 @@ class Actor:
         self.seconds += time.perf_counter() - began
 
     def measure(self, frame: float) -> None:
-        """Note how it lies at the end of a frame, by its time code."""
+        """Measure contact and strain at the end of a frame, by its time code."""
         points = self.state.positions
         depths = self._contacts.depths(self._world, points, self._time)
         solids = [*self._solids, *self._contacts.solids(self._time)]
         self.meter.look(frame, points, self._sides, solids, depths)
 
     def follow(self, paths: PosePaths) -> None:
-        """Go on by a frame as the animation does."""
+        """Follow the animation for a frame without simulation."""
         self.target = self.body.targets(paths.of(1))[-1]
         self.state = AttachState(self.target, np.zeros_like(self.target))
 
     def set_target(self, pose: LocalPose) -> None:
-        """Note where the animation has it in a pose; it stays where it is."""
+        """Set the animated target from a pose; the state stays."""
         self.target = self.body.targets(PosePaths(self._rig, pose, pose).of(1))[0]
 
     def jump(self, paths: PosePaths) -> None:
-        """Go on by a frame that is a jump: all moves with what carries it."""
+        """Advance over a teleport: all particles move rigidly with the carrier."""
         motion = paths.of(1)
         self.target = self.body.targets(motion)[-1]
         shift, rotation = _move(motion.world, self.body.carrier)
@@ -190,13 +190,13 @@ class Actor:
         self.jumps += 1
 
     def speed(self, paths: PosePaths) -> float:
-        """Return how fast what carries it is over a frame [m/s]."""
+        """Return the speed of the carrier joint over a frame [m/s]."""
         positions = paths.of(1).world.positions[:, self.body.carrier]
         return float(np.linalg.norm(positions[1] - positions[0])) / self._span
 
 
 def _sides(network: Network) -> Sides:
-    """Return what of a network is measured: of cloth what does not become longer."""
+    """Return the sides to measure: structural springs of cloth."""
     pinned = np.zeros(network.count, np.bool_)
     pinned[network.pinned] = True
     ends, rests = network.sides, network.rests
@@ -208,7 +208,7 @@ def _sides(network: Network) -> Sides:
 def rigidly_moved(
     state: AttachState, shift: FloatArray, rotation: FloatArray
 ) -> AttachState:
-    """Return a state moved as a whole: turned about the origin, and shifted."""
+    """Return a state rotated about the origin and then shifted."""
     return replace(
         state,
         positions=so3.rotate(rotation, state.positions) + shift,
@@ -217,7 +217,7 @@ def rigidly_moved(
 
 
 def _move(world: WorldTransforms, joint: int) -> tuple[FloatArray, FloatArray]:
-    """Return shift and turn of a joint from the first to the last time."""
+    """Return shift and rotation of a joint from the first to the last time."""
     rotations = so3.split_scale(world.linear[:, joint])[0]
     rotation = so3.multiply(rotations[-1], so3.conjugate(rotations[0]))
     positions = world.positions[:, joint]
@@ -225,7 +225,7 @@ def _move(world: WorldTransforms, joint: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _size(world: WorldTransforms, joint: int) -> float:
-    """Return how large the animation makes what a joint carries [1]."""
+    """Return the animated scale of a joint [1]."""
     size = float(np.cbrt(abs(np.linalg.det(world.linear[0, joint]))))
-    # Rotations have a determinant of 1 but for rounding.
+    # Rotations have a determinant of 1 up to rounding.
     return size if abs(size - 1) > 1e-9 else 1.0

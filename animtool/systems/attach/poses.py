@@ -1,4 +1,4 @@
-"""A character from one frame to the next, and round a cycle."""
+"""Character poses between frames, and the travel of a cycle."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
-# A root that comes back to within so many of its steps stands in its place [1].
+# A root that returns to within this many of its steps is stationary [1].
 STATIONARY_STEPS = 2.0
-# Part of the cycle over which what is left is brought in [1].
+# Fraction of the cycle over which the seam residual is blended [1].
 SEAM = 0.25
 
 
@@ -26,16 +26,16 @@ class LocalPose:
     translations: FloatArray  # ``(J, 3)`` [m], parent space
     rotations: FloatArray  # ``(J, 4)``
     scales: FloatArray | None  # ``(J, 3)`` [1]; None is none
-    # Of the rig's shapes ``(S,)`` [1]; None where the take has none.
+    # Shape weights ``(S,)`` [1]; None if the take has none.
     weights: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosePath:
-    """A character at K times, from one frame to another, both among them."""
+    """A character at K times from one frame to another, inclusive."""
 
-    world: WorldTransforms  # where its joints are
-    # Of the rig's shapes ``(K, S)`` [1]; None where there are none.
+    world: WorldTransforms  # joint transforms
+    # Shape weights ``(K, S)`` [1]; None without shapes.
     weights: FloatArray | None
 
 
@@ -62,10 +62,10 @@ def pose_at(motion: Motion, frame: int) -> LocalPose:
 
 
 def pose_path(rig: Rig, before: LocalPose, after: LocalPose, steps: int) -> PosePath:
-    """Return a character at even times from a pose to the next, ``steps`` apart.
+    """Return a character at even times between two poses.
 
-    Joints turn in their parents along the shortest arc at constant speed; the rest
-    goes straight, as samples for motion blur do.
+    Local rotations are interpolated by slerp, all else linearly, as motion blur samples
+    are.
     """
     fractions = np.arange(steps + 1) / steps
     world = forward(
@@ -99,7 +99,7 @@ def _turned(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
 def extrapolated(
     rig: Rig, first: LocalPose, second: LocalPose, frames: float
 ) -> LocalPose:
-    """Return the first pose some frames earlier, at the speed of its roots [frame]."""
+    """Return the first pose moved back some frames at the speed of its roots."""
     translations = first.translations.copy()
     roots = np.array(rig.roots)
     step = second.translations[roots] - first.translations[roots]
@@ -109,9 +109,9 @@ def extrapolated(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleTravel:
-    """What a cycle carries the character by, over the ground."""
+    """Displacement of a character over one cycle, along the ground."""
 
-    shift: FloatArray  # ``(3,)`` [m], behind the turn
+    shift: FloatArray  # ``(3,)`` [m], after the rotation
     rotation: FloatArray  # about the up axis, at the world's origin ``(4,)``
 
 
@@ -120,8 +120,8 @@ def travel_between(
 ) -> CycleTravel:
     """Return the travel of a cycle, from its first two poses and its last two.
 
-    A first root that is near its first place at the end has none. Another goes on, from
-    the last frame to the one behind it, at the mean of its speeds on either side.
+    It is zero if the first root returns to its start. Else the step from the last frame
+    to the next cycle has the mean speed of both ends.
     """
     root = rig.roots[0]
     first, second, before, last = (pose.translations[root] for pose in poses)
@@ -142,7 +142,7 @@ def travel_between(
 
 
 def onward(rig: Rig, pose: LocalPose, travel: CycleTravel) -> LocalPose:
-    """Return a pose carried on by a cycle's travel."""
+    """Return a pose moved by the travel of a cycle."""
     translations, rotations = pose.translations.copy(), pose.rotations.copy()
     roots = np.array(rig.roots)
     translations[roots] = (
@@ -153,7 +153,7 @@ def onward(rig: Rig, pose: LocalPose, travel: CycleTravel) -> LocalPose:
 
 
 def seam_weights(frames: int) -> FloatArray:
-    """Return how much of a correction each frame has, before all of it ``(F,)``.
+    """Return the blend weight of the seam correction for each frame ``(F,)``.
 
     >>> seam_weights(8).round(3).tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5]

@@ -1,4 +1,4 @@
-"""The options of the pass ``simulate``, and what they come to for one attachment."""
+"""Options of the pass ``simulate``, and their values for one attachment."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from animtool.systems.framework.fields import (
     SystemSurfaceModel,
 )
 
-# How fast each kind swings back to its animated pose, unless the scene says it [Hz].
+# Default frequency of the pull to the animated pose by kind [Hz].
 _FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}
-# How much longer springs may become, likewise [1]: many particles in a line cost many
-# steps, and of cloth and hair nobody sees it.
+# Default strain limit by kind [1]: long rows of particles need many steps, and strain
+# of cloth and hair is hardly visible.
 _STRETCHES = {AttachKind.STRANDS: 0.05, AttachKind.CLOTH: 0.05}
 STRETCH = 0.01
-# Of folds, likewise [Hz].
+# Default frequency of bending by kind [Hz].
 _BENDS = {AttachKind.CLOTH: 2.0, AttachKind.STRANDS: 2.0}
 
 
 class Lead(StrEnum):
-    """What the character does before its first frame.
+    """Motion of the character before its first frame.
 
-    ``hold`` stands in the first pose; ``extrapolate`` travels on into it at the speed
-    that the roots have from the first frame to the second.
+    ``hold`` keeps the first pose; ``extrapolate`` travels into it at the speed that the
+    roots have from the first frame to the second.
     """
 
     HOLD = "hold"
@@ -121,19 +121,19 @@ class SimulateOptions:
 
 @dataclass(frozen=True, slots=True)
 class AttachSettings:
-    """The options as one kind of attachment has them: defaults and SI units."""
+    """Option values for one kind of attachment, with defaults, in SI units."""
 
-    options: SimulateOptions  # all that is the same for every kind
-    frequency: float  # of the draw to the animated pose [Hz]
+    options: SimulateOptions  # options shared by all kinds
+    frequency: float  # of the pull to the animated pose [Hz]
     bend: float  # of folds [Hz]
-    stretch: float  # aimed at [1]
+    stretch: float  # target strain [1]
     radius: float  # distance kept from colliders [m]
-    # Distance that cloth keeps from itself [m]; 0 does not ask, None is by its edges.
+    # Self-contact distance of cloth [m]; 0 is off, None depends on edge lengths.
     thickness: float | None
 
 
 def settings_for(options: SimulateOptions, kind: str) -> AttachSettings:
-    """Return what the options come to for an attachment of a kind."""
+    """Return the option values for a kind of attachment."""
     known = AttachKind(kind)
     frequency, bend, stretch = options.frequency, options.bend, options.stretch
     if frequency is None:
@@ -158,10 +158,10 @@ def settings_for(options: SimulateOptions, kind: str) -> AttachSettings:
 
 
 def length_of(value: str | float) -> float:
-    """Return a length such as ``5mm``, or a number of metres [m].
+    """Parse a length such as ``5mm``, or a number of metres [m].
 
     Raises:
-        ValueError: It is none.
+        ValueError: It is not a length.
     """
     if isinstance(value, str):
         return parse_length(value)
@@ -172,7 +172,7 @@ def length_of(value: str | float) -> float:
 
 
 def option_checks(options: SimulateOptions) -> OptionChecks:
-    """Return what can be checked of the options before there is a take."""
+    """Return checks of the options that need no take."""
     checks: dict[str, Callable[[], object]] = {
         name: partial(_check_range, options, name)
         for name in ranges_of(SimulateOptions)

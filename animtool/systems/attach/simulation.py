@@ -1,4 +1,4 @@
-"""Attachments through a take, frame by frame."""
+"""Simulation of attachments through a take, frame by frame."""
 
 from __future__ import annotations
 
@@ -39,42 +39,42 @@ from animtool.systems.framework.run import Reached
 from animtool.systems.framework.saved import Clocked
 from animtool.systems.springs.contacts import LOOK_BACK
 
-# Numbers of points in a block, at most: it has fewer frames the more points move.
+# Most point values in a block: more points mean fewer frames.
 BLOCK_VALUES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedFrame:
-    """States of attachments at one frame, to go on from."""
+    """Saved states of attachments at one frame."""
 
     frame: float  # its time code
     states: Mapping[str, AttachState]  # by the attachment's name
 
 
 def saved_state(body: AttachedBody, frame: float) -> tuple[str, Clocked]:
-    """Return what a file calls the state of an attachment at a frame, and its clock."""
+    """Return the name of a saved state in a file, and its clock."""
     return f"{frame!r}/{body.name}", Clocked(body.kind, frame, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """How a cycle came round."""
+    """Result of closing a cycle."""
 
-    repeats: int  # how often it was run
-    residual: float  # how far its end was from its begin at the last [m]
-    tolerance: float  # what was asked for [m]
+    repeats: int  # number of repeats
+    residual: float  # last distance between end and begin [m]
+    tolerance: float  # requested [m]
 
 
 @dataclass(slots=True)
 class _Rows:
-    """Frames of one attachment: where it is, and where the animation has it."""
+    """Simulated and animated frames of one attachment."""
 
     moved: list[FloatArray]
     targets: list[FloatArray]
 
 
 class AttachSimulation:
-    """Carries attachments through a take."""
+    """Simulates attachments through a take."""
 
     def __init__(
         self,
@@ -89,27 +89,27 @@ class AttachSimulation:
         progress: Callable[[float], None] | None = None,
         world: Colliders | None = None,
     ) -> None:
-        """Make ready; nothing is read yet.
+        """Set up the simulation without reading the take.
 
-        Frames are a step of time codes apart, from the start on. Early ones, before the
-        take's own, hold its first; no cycle has them. In the world the take begins at
-        0 s.
+        Frames are ``step`` time codes apart from ``start`` on. ``early`` frames before
+        the take hold its first frame; a cycle has none. The take starts at 0 s of world
+        time.
         """
         self._world = Colliders(()) if world is None else world
         self.rig, self.bodies, self.options = rig, bodies, options
-        self.actors: list[Actor] = []  # of the bodies, once a frame was seen
-        # States at the frames that are asked for, and the steps of each a frame.
+        self.actors: list[Actor] = []  # one for each body, from the first frame on
+        # Requested states, with the steps per frame.
         self.saved: dict[str, tuple[Clocked, Reached[AttachState]]] = {}
-        self.codes: list[float] = []  # time codes that were gone through
-        self.resumed = resumed  # states that it goes on from
-        self.closing: Closing | None = None  # of a cycle
-        self.skins: list[SkinSurface] = []  # what of the character is met
+        self.codes: list[float] = []  # visited time codes
+        self.resumed = resumed  # states to resume from
+        self.closing: Closing | None = None  # result of a cycle
+        self.skins: list[SkinSurface] = []  # collision meshes of the character
         if options.skin and any(isinstance(body, SurfaceBody) for body in bodies):
             self.skins = skins_of(rig)
-        self.swung: dict[str, float] = {}  # largest turn of last joints [rad]
+        self.swung: dict[str, float] = {}  # largest rotation of last joints [rad]
         self._rate, self._start, self._step = rate, start, step
         self._early = early
-        # Number of the frame that is crossed next; 0 is the first of the take's own.
+        # Index of the next frame; 0 is the first of the take.
         self._frame = 0 if options.loop else -early
         self._progress = progress
         self._crossed, self._to_cross = 0, 1
@@ -118,7 +118,7 @@ class AttachSimulation:
         self._signs: dict[int, FloatArray] = {}
 
     def blocks(self, motions: Iterator[Motion]) -> Iterator[Motion]:
-        """Yield motions with what is attached moved."""
+        """Yield motions with simulated attachments."""
         if self.options.loop:
             motion, early = Motion.concatenate(list(motions)), self._early
             cycle = self._cycle(motion.select(slice(early, None)))
@@ -154,7 +154,7 @@ class AttachSimulation:
         return time_codes(self._start + first * self._step, self._step, count)
 
     def _begin(self, pose: LocalPose, following: LocalPose) -> None:
-        """Bring everything to the first frame."""
+        """Create the actors, settle them and advance to the first frame."""
         options, rate = self.options, float(self._rate)
         leading = math.ceil(options.preroll * rate)
         travels = Lead(options.lead) is Lead.EXTRAPOLATE
@@ -196,7 +196,7 @@ class AttachSimulation:
             self._cross(self._paths(earlier, later))
 
     def _advance(self, pose: LocalPose, code: float) -> None:
-        """Go on to the next frame."""
+        """Advance to the next frame."""
         assert self._before is not None
         paths = self._paths(self._before, pose)
         if self.resumed is not None and code <= self.resumed.frame:
@@ -222,7 +222,7 @@ class AttachSimulation:
                 self._progress(min(self._crossed / total, 1.0))
         self._frame += 1
         if not self.options.loop:
-            # The next frame looks back a little from its begin.
+            # The next frame samples surfaces a little before its begin.
             since = self._frame / float(self._rate) - LOOK_BACK
             for bodies in self._world.bodies:
                 bodies.forget(since)
@@ -230,7 +230,7 @@ class AttachSimulation:
                 sheet.motion.forget(since)
 
     def _note(self, code: float) -> None:
-        """Take the states of the frame that is resumed from; keep those asked for."""
+        """Load the resumed states at their frame; save requested ones."""
         if self.resumed is not None and code == self.resumed.frame:
             for actor in self.actors:
                 actor.state = self.resumed.states[actor.body.name]
@@ -240,7 +240,7 @@ class AttachSimulation:
                 self.saved[name] = clocked, Reached(actor.steps, actor.state)
 
     def _cycle(self, motion: Motion) -> Motion:
-        """Return a cycle whose attachments end as they began."""
+        """Return a cycle whose attachments end as they start."""
         count = motion.frames
         poses = [pose_at(motion, i) for i in range(count)]
         if count == 1:
@@ -276,7 +276,7 @@ class AttachSimulation:
         return self._moved(motion, self._codes(self._early, count), rows)
 
     def _round(self, poses: list[LocalPose]) -> list[_Rows]:
-        """Go once through a cycle; return its frames but the last."""
+        """Simulate a cycle once; return its frames except the last."""
         rows = [_Rows([], []) for _ in self.bodies]
         codes = self._codes(self._early, len(poses)).tolist()
         self.codes = codes[:-1]
@@ -294,7 +294,7 @@ class AttachSimulation:
         return rows
 
     def _moved(self, block: Motion, codes: FloatArray, rows: list[_Rows]) -> Motion:
-        """Return a motion with what was moved in the place of what was animated."""
+        """Return a motion with simulated values blended over animated ones."""
         options = self.options
         weights = weights_at(options.weight, codes, options.interpolation)
         if self.resumed is not None:
@@ -318,7 +318,7 @@ class AttachSimulation:
         targets: FloatArray,
         weights: FloatArray,
     ) -> FloatArray:
-        """Return rotations of a chain that point where it was moved ``(F, C, 4)``."""
+        """Return chain rotations that match simulated points ``(F, C, 4)``."""
         animated = rotations[:, body.joints]
         turned = chain_rotations(self.rig, body.joints, rotations, targets, moved)
         mixed = so3.slerp(animated, turned, weights[:, None])
@@ -330,12 +330,12 @@ class AttachSimulation:
         last = so3.angle_between(animated[:, -1], aligned[:, -1]) * (weights != 0)
         most = max(self.swung.get(body.name, 0.0), float(last.max(initial=0.0)))
         self.swung[body.name] = most
-        # As it was, to the bit, where nothing is taken of the simulation.
+        # With weight 0 keep the animation bit for bit.
         return np.where((weights == 0)[:, None, None], animated, aligned)
 
 
 def _begun(blocks: Iterator[Motion]) -> Iterator[Motion]:
-    """Yield blocks, the first of them of two frames at least, if there are as many."""
+    """Yield blocks, merging so that the first has two frames if possible."""
     early: list[Motion] = []
     for block in blocks:
         early.append(block)
@@ -349,7 +349,7 @@ def _begun(blocks: Iterator[Motion]) -> Iterator[Motion]:
 
 
 def _back(state: AttachState, travel: CycleTravel) -> AttachState:
-    """Return a state at the end of a cycle as one at its begin."""
+    """Return the end state of a cycle moved back to its begin."""
     rotation = so3.conjugate(travel.rotation)
     return rigidly_moved(state, -so3.rotate(rotation, travel.shift), rotation)
 
@@ -361,7 +361,7 @@ def _pointed(
     targets: FloatArray,
     weights: FloatArray,
 ) -> Motion:
-    """Return a motion that says where points are."""
+    """Return a motion with simulated points blended over animated ones."""
     values = moved
     if (weights != 1).any():
         weight = weights[:, None, None]

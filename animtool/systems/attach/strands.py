@@ -1,4 +1,4 @@
-"""Chains of joints that point where they were moved, and colliders of joints."""
+"""Rotations of simulated joint chains, and colliders of joints."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from animtool.systems.springs.contacts import (
     cell_colliders,
 )
 
-# Bones shorter than this [m] point nowhere.
+# Bones shorter than this have no direction [m].
 SHORTEST = 1e-9
-# A particle that begins inside a collider is moved out at this speed [m/s].
+# Speed at which particles that start inside a collider are moved out [m/s].
 DEPENETRATION = 1.0
-# What is deeper than this after every push [m] is left inside.
+# Particles deeper than this after every push count as unresolved [m].
 UNRESOLVED = 1e-3
 
 
 def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the shortest rotations ``(F, 4)`` from directions to others ``(F, 3)``.
 
-    Identity where either has no length; half a turn about some axis across where they
-    are opposed.
+    Identity if either has no length; 180° about a perpendicular axis if they are
+    opposite.
 
     >>> least_turns(np.array([[1.0, 0, 0]]), np.array([[2.0, 0, 0]])).tolist()
     [[0.0, 0.0, 0.0, 1.0]]
@@ -62,13 +62,13 @@ def chain_rotations(
     animated: FloatArray,
     moved: FloatArray,
 ) -> FloatArray:
-    """Return local rotations ``(F, C, 4)`` that point a chain's bones where they moved.
+    """Return local rotations ``(F, C, 4)`` that align bones with moved points.
 
-    Each joint is carried along by those above it, and then turned by the least turn
-    that points its bone: it does not twist. Joints stay within their limits: a pin
-    keeps to its axis, and the bones below go on from where that leaves it. Under
-    scales that differ by axis, directions hold only roughly. Rotations are those of all
-    joints as animated ``(F, J, 4)``; ends of bones ``(F, C + 1, 3)`` [m].
+    Each joint inherits the rotation of those above it and gets the shortest rotation
+    that aligns its bone, without twist. Joint limits apply: a pin keeps its axis, and
+    the bones below continue from there. With non-uniform scales, directions are
+    approximate. Rotations of all animated joints are ``(F, J, 4)``; bone ends are
+    ``(F, C + 1, 3)`` [m].
     """
     world = _above(rig, int(joints[0]), rotations)
     inherited = np.tile(so3.IDENTITY, (len(rotations), 1))
@@ -84,7 +84,7 @@ def chain_rotations(
         local = so3.normalize(so3.multiply(so3.conjugate(parent), goal))
         result[:, k] = _allowed(rig.joints[joint], local, source)
         world = so3.multiply(world, source)
-        # What the joints so far have turned the animation by, in the world.
+        # World rotation of the joints so far relative to the animation.
         inherited = so3.multiply(
             so3.multiply(parent, result[:, k]), so3.conjugate(world)
         )
@@ -92,7 +92,7 @@ def chain_rotations(
 
 
 def _above(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
-    """Return the rotation of what carries a joint, in the world ``(F, 4)``."""
+    """Return the world rotation of the parent of a joint ``(F, 4)``."""
     rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
     parent = rig.joints[joint].parent
     while parent >= 0:
@@ -102,7 +102,7 @@ def _above(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
 
 
 def _allowed(joint: Joint, local: FloatArray, fallback: FloatArray) -> FloatArray:
-    """Return rotations that a joint can have ``(F, 4)``; its own where it has none."""
+    """Return rotations within the joint limits ``(F, 4)``; fallback if fixed."""
     rest = np.array(joint.rotation)
     motion = so3.multiply(so3.conjugate(rest), local)
     if joint.type is JointType.PIN:
@@ -122,10 +122,10 @@ def _allowed(joint: Joint, local: FloatArray, fallback: FloatArray) -> FloatArra
 def depth(
     points: FloatArray, ends: FloatArray, radius: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return how far points ``(N, 3)`` are outside a capsule ``(N,)`` [m], and where.
+    """Return signed distances of points ``(N, 3)`` from a capsule ``(N,)`` [m].
 
-    That is the way out ``(N, 3)``, none of a point on the axis, and the share of the
-    axis ``(N,)`` [1]. Its ends are ``(2, 3)`` [m]; distances are negative inside.
+    With the outward directions ``(N, 3)``, zero on the axis, and the fractions along
+    the axis ``(N,)`` [1]. Its ends are ``(2, 3)`` [m].
     """
     axis = ends[1] - ends[0]
     square = float((axis * axis).sum())
@@ -142,10 +142,10 @@ def depth(
 def depth_at_bind(
     capsules: Capsules, rig: Rig, points: FloatArray, margin: float
 ) -> FloatArray:
-    """Return how deep points are in capsules at bind ``(C, N)`` [m], at most 0.
+    """Return signed distances from capsules at bind ``(C, N)`` [m], at most 0.
 
-    Capsules are thicker than the body here and there, and what lies on the body is in
-    them from the start: there they let it be.
+    Capsules may be thicker than the body, so that points on the body start inside; they
+    may stay that deep.
     """
     placed = capsules.placed(bind_world(rig))[0]
     depths = np.zeros((len(capsules), len(points)))
@@ -155,7 +155,7 @@ def depth_at_bind(
 
 
 class CharacterColliders:
-    """Capsules and skins of a character, and what of the world is met with them."""
+    """Capsules and skins of a character, with the colliders of the world."""
 
     def __init__(
         self,
@@ -166,10 +166,10 @@ class CharacterColliders:
         friction: float,
         world: Colliders | None = None,
     ) -> None:
-        """Make what does not change from frame to frame.
+        """Set up the constants of all frames.
 
-        Radii ``(C,)`` [m] are in the size of the character; depths, at most 0, are how
-        deep particles may be in capsules ``(C, N)``, and in each skin ``(N,)`` [m].
+        Radii ``(C,)`` [m] have the scale of the character. Depths, at most 0, are the
+        allowed signed distances from capsules ``(C, N)`` and each skin ``(N,)`` [m].
         """
         self._capsules, self._radius = capsules, radius
         self._world = world = Colliders(()) if world is None else world
@@ -189,10 +189,9 @@ class CharacterColliders:
     def depths(
         self, world: WorldTransforms, points: FloatArray, t: float
     ) -> FloatArray:
-        """Return how much deeper than they may be points are at the last pose ``(N,)``.
+        """Return depths beyond the allowed ones at the last pose ``(N,)`` [m].
 
-        In the collider that they are deepest in, as that is at a time [s] [m]; below 0
-        outside of all.
+        In the deepest collider at a time [s]; below 0 outside of all.
         """
         deepest = depths_of(self._world, points, t)
         radii, allowed = self._sizes[:, 6], self._allowed + self._radius
@@ -208,9 +207,9 @@ class CharacterColliders:
     def over(
         self, world: WorldTransforms, cells: Cells, skins: Sequence[Any] = ()
     ) -> CellColliders:
-        """Return what kernels take for the cells between K poses; None without any.
+        """Return kernel arguments for the cells between K poses; None without any.
 
-        With it skins in motion, as kernels take these.
+        Skins are kernel surfaces in motion.
         """
         rows, ends = self._capsules.turned(world)
         sizes = self._sizes.copy()

@@ -34,19 +34,19 @@ Named = Annotated[
 
 
 class EntryPart(StrEnum):
-    """What entries of a field are read as, for a build to take from its context."""
+    """Kinds of parts that field entries are read as, for the build context."""
 
-    ARRAY = "array"  # numbers of a file, as floats of the shape that they have there
-    NAMES = "names"  # a name or number as it is, or numbers of a file as a list
+    ARRAY = "array"  # array of a file, as floats
+    NAMES = "names"  # a name or number, or numbers of a file as a list
     FORCE = "force"  # one of the shared force fields: `Force`
-    EMITTER_SHAPE = "place"  # where emitters make particles: `Place`
+    EMITTER_SHAPE = "place"  # an emitter shape: `Place`
     SHAPE = "shape"  # a shape of colliders, a mesh among them: `Shape`
 
 
 ArrayEntry = Annotated[Name, EntryPart.ARRAY]
 NameEntry = Annotated[str | Whole, EntryPart.NAMES]
 ForceEntry = Annotated[Named, EntryPart.FORCE]
-# How shapes are written.
+# Syntax of shapes.
 SHAPE_FORMS = Forms(
     {
         "box": {"size": [1, 1, 1]},
@@ -60,7 +60,7 @@ SHAPE_FORMS = Forms(
 EmitterShapeEntry = Annotated[Named, EntryPart.EMITTER_SHAPE]
 ShapeEntry = Annotated[Named, EntryPart.SHAPE, SHAPE_FORMS]
 
-# Seconds from the first frame on, and a vector.
+# Seconds from the first frame, and a vector.
 TimedVector = Annotated[list[Real], Len(4, 4)]
 
 Velocities = Annotated[
@@ -153,12 +153,12 @@ class CarryingBodyModel(_CarrierModel):
 
 
 class RecordModel(FileModel):
-    """An entry whose part is a record."""
+    """An entry that becomes a record."""
 
-    makes: ClassVar[str]  # the record, as ``module:class``; it says what makes no sense
+    makes: ClassVar[str]  # the record, as ``module:class``; it checks its values
 
     def record(self, parts: Mapping[str, Any]) -> Checked:
-        """Return it, from what the keys are read as."""
+        """Return the record, from the parts read for its keys."""
         kind: Any = load_object(self.makes)
         record: Checked = record_of(kind, self, **parts)
         return record
@@ -178,7 +178,7 @@ class PlacementModel(FileModel):
 class PlacedModel(PlacementModel):
     """What stands somewhere, or moves."""
 
-    code: ClassVar[str] = "SIM020"  # of a place that makes no sense
+    code: ClassVar[str] = "SIM020"  # of an invalid placement
 
     moves: list[TimedVector] = key(
         "Displacement over time, from `at`: rows of seconds from the first frame and "
@@ -218,7 +218,7 @@ class SystemColliderModel(PlacedModel, _MaterialModel):
 
 
 class _Entries:
-    """Lets pydantic read colliders of a scene as its systems have them."""
+    """Lets pydantic validate pass options as system colliders."""
 
     @staticmethod
     def __get_pydantic_core_schema__(_: object, handler: Any) -> Any:
@@ -315,7 +315,7 @@ class PhysicsStageModel(FollowedPrimModel):
     prim: PrimPath = key("Everything below this prim is read.", "/Yard", default="/")
 
 
-# What a system runs into, each under one key of that name; `AROUND` lists them.
+# Keys of what a system collides with; listed in `AROUND`.
 Colliders = Annotated[
     list[SystemColliderModel],
     key(

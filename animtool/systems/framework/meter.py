@@ -1,4 +1,4 @@
-"""How far simulated surfaces are in what they touch, through it, and strained."""
+"""Meter of depth, piercing and strain of simulated surfaces."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from animtool.core.errors import Fault, counted, percent, warning
 from animtool.core.record import dataclass
 from animtool.sim.colliders import Collider, Colliders, Mesh
 
-# What is deeper in a skin or a collider is seen in a picture [m].
+# Depth in a skin or a collider that is visible in a picture [m].
 DEEP = 2e-3
-# Strain that is seen of cloth, of one side in a hundred and of any [1].
+# Visible strain of cloth: 99th percentile and maximum [1].
 STRAINED_99, STRAINED = 0.08, 0.15
 
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """The worst of something over the frames, and where it was."""
+    """Largest value over the frames, with its frame and position."""
 
-    value: float = 0.0  # a length in [m], a share or a count
-    frame: float | None = None  # its time code; None of a system, or of nothing
-    point: int | None = None  # the particle that has it, the first of two
-    at: tuple[float, float, float] | None = None  # where that was [m]
-    time: float | None = None  # of a system, when [s]
+    value: float = 0.0  # a length in [m], a fraction or a count
+    frame: float | None = None  # time code; None for a system, or without a value
+    point: int | None = None  # particle index, the first of two
+    at: tuple[float, float, float] | None = None  # its position [m]
+    time: float | None = None  # time of a system [s]
 
     @property
     def when(self) -> str:
-        """When it was, in words."""
+        """Frame or time as text."""
         return f"{self.time:.3g} s" if self.frame is None else f"frame {self.frame:g}"
 
     @property
     def text(self) -> str:
-        """When and where it was, in words."""
+        """Frame and position as text."""
         if self.point is None or self.at is None:
             return "nowhere"
         position = ", ".join(f"{value:.3g}" for value in self.at)
@@ -45,7 +45,7 @@ class Peak:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedSurface:
-    """A closed surface that nothing should be inside of, at one time."""
+    """A closed collision surface at one time."""
 
     points: FloatArray  # ``(P, 3)`` [m]
     triangles: IntArray  # counter-clockwise from outside ``(T, 3)``
@@ -53,25 +53,24 @@ class ClosedSurface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sides:
-    """What of a surface is measured."""
+    """Measured particles, triangles and sides of a surface."""
 
-    free: IntArray  # particles that nothing holds ``(M,)``
+    free: IntArray  # free particles ``(M,)``
     triangles: IntArray  # ``(T, 3)``
-    ends: IntArray  # of its sides ``(S, 2)``
-    rests: FloatArray  # lengths of these at rest, above 0 ``(S,)`` [m]
+    ends: IntArray  # ends of its sides ``(S, 2)``
+    rests: FloatArray  # rest lengths of these, above 0 ``(S,)`` [m]
 
 
 @dataclass(slots=True)
 class ContactMeter:
-    """The worst of depth, piercing and strain over the frames that were looked at."""
+    """Peaks of depth, piercing and strain over the measured frames."""
 
-    seconds: bool = False  # whether frames are times in [s], as those of systems
+    seconds: bool = False  # whether frames are times in [s], as for systems
     depth: Peak = field(default_factory=Peak)  # in a skin or a collider [m]
-    # Pairs of an edge and a triangle that it goes through, of surface and skins or of
-    # the surface alone.
+    # Intersecting pairs of an edge and a triangle, with itself and with skins.
     pierced: Peak = field(default_factory=Peak)
-    strain: Peak = field(default_factory=Peak)  # longer or shorter than at rest [1]
-    strain_99: Peak = field(default_factory=Peak)  # that 99 sides of 100 keep to [1]
+    strain: Peak = field(default_factory=Peak)  # largest strain of a side [1]
+    strain_99: Peak = field(default_factory=Peak)  # 99th percentile of strain [1]
 
     def look(
         self,
@@ -81,14 +80,14 @@ class ContactMeter:
         solids: Sequence[ClosedSurface] = (),
         depths: FloatArray | None = None,
     ) -> None:
-        """Note a frame.
+        """Measure a frame.
 
         Args:
-            frame: Its time code, or its time [s].
-            points: Of the particles ``(N, 3)`` [m].
-            sides: What joins them.
-            solids: What they should be outside of.
-            depths: How deep they are in other colliders ``(N,)`` [m], below 0 outside.
+            frame: Time code, or time [s].
+            points: Particle positions ``(N, 3)`` [m].
+            sides: Sides and triangles to measure.
+            solids: Closed surfaces to stay outside of.
+            depths: Depths in other colliders ``(N,)`` [m], below 0 outside.
         """
         deep = np.zeros(len(points)) if depths is None else depths.copy()
         free = sides.free
@@ -116,7 +115,7 @@ class ContactMeter:
     def _worse(
         self, known: Peak, value: float, frame: float, points: FloatArray, point: int
     ) -> Peak:
-        """Return the worse of what is known and of a frame."""
+        """Return the larger of the peak so far and a frame's value."""
         if not value > known.value:
             return known
         x, y, z = points[point].tolist()
@@ -125,13 +124,13 @@ class ContactMeter:
 
     @property
     def values(self) -> dict[str, dict[str, object]]:
-        """What was measured, for a report."""
+        """Measured values for a report."""
         names = ("depth", "pierced", "strain", "strain_99")
         return {name: asdict(getattr(self, name)) for name in names}
 
     @property
     def text(self) -> str:
-        """What was measured, in words; empty where there was nothing to say."""
+        """Measured values as text; empty without contact and strain."""
         parts = []
         if self.depth.value > 0:
             depth = f"{1000 * self.depth.value:.2g} mm deep in what it touches"
@@ -145,7 +144,7 @@ class ContactMeter:
         return ", ".join(parts)
 
     def notices(self, what: str) -> list[Fault]:
-        """Return warnings of what is seen (SIM180, SIM181, SIM182)."""
+        """Return warnings about visible faults (SIM180, SIM181, SIM182)."""
         notices, finer = [], "a shorter step" if self.seconds else "a higher rate"
         if self.depth.value > DEEP:
             message = f"{what} is {1000 * self.depth.value:.2g} mm deep in what it "
@@ -169,7 +168,7 @@ class ContactMeter:
 
 
 def closed_surfaces(colliders: Colliders, t: float) -> list[ClosedSurface]:
-    """Return the closed surfaces in motion of colliders at a time [s]."""
+    """Return the closed moving surfaces of colliders at a time [s]."""
     return [
         ClosedSurface(one.motion.points(t), one.motion.triangles(t))
         for one in colliders.sheets
@@ -178,14 +177,14 @@ def closed_surfaces(colliders: Colliders, t: float) -> list[ClosedSurface]:
 
 
 def depths_of(colliders: Colliders, points: FloatArray, t: float) -> FloatArray:
-    """Return how deep points are in rigid colliders ``(N,)`` [m], below 0 outside."""
+    """Return depths of points in rigid colliders ``(N,)`` [m], below 0 outside."""
     if not colliders.rigid:
         return np.full(len(points), -np.inf)
     return np.asarray(-colliders.sample(points, t).distances.min(axis=0))
 
 
 def depths_in(solid: ClosedSurface, points: FloatArray) -> FloatArray:
-    """Return how deep points ``(N, 3)`` are in a closed surface ``(N,)`` [m].
+    """Return depths of points ``(N, 3)`` in a closed surface ``(N,)`` [m].
 
     >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     >>> faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
@@ -206,9 +205,9 @@ def depths_in(solid: ClosedSurface, points: FloatArray) -> FloatArray:
 def pierced_pairs(
     points: FloatArray, triangles: IntArray, solids: Sequence[ClosedSurface] = ()
 ) -> int:
-    """Return how many pairs of an edge and a triangle go through each other.
+    """Return the number of intersecting pairs of an edge and a triangle.
 
-    Those of solids alone are not counted.
+    Pairs within solids are not counted.
     """
     count = _pierced(points, triangles)
     low, high = points.min(axis=0), points.max(axis=0)

@@ -1,4 +1,4 @@
-"""Bodies of entries: particles and springs, with the names of places on them."""
+"""Build the particles and springs of scene entries, with named regions."""
 
 from __future__ import annotations
 
@@ -36,40 +36,40 @@ from animtool.systems.springs.spec import (
     VolumeModel,
 )
 
-# Particles of a system, at most: their springs fit into memory.
+# Most particles of a system: more springs than these do not fit into memory.
 MAX_PARTICLES = 10_000_000
-# The least mass of a system, or of a particle that has one of its own [kg].
+# Smallest mass of a system, or of a particle with a configured mass [kg].
 LIGHTEST = 1e-30
 
 
 @dataclass(frozen=True, slots=True)
 class SpringBody:
-    """Particles and springs as an entry has them."""
+    """Particles and springs of an entry."""
 
-    body: Body  # particles and springs, at rest where they are
-    regions: Mapping[str, IntArray]  # numbers of particles by the name of their place
-    shape: Shape  # what is drawn of them
-    notices: tuple[Fault, ...] = ()  # what is odd about them
+    body: Body  # particles and springs, at rest in their positions
+    regions: Mapping[str, IntArray]  # particle indices by region name
+    shape: Shape  # curves or faces to draw
+    notices: tuple[Fault, ...] = ()  # warnings about the geometry
 
 
 @dataclass(slots=True)
 class BodyEntry:
-    """An entry that becomes a body, and what is wrong with it.
+    """Builds the body of an entry and collects its faults.
 
-    What is in doubt has something that stands in for it, so that the rest is checked;
-    what is noted otherwise leaves no body.
+    Doubtful values are replaced by a default, so that the rest is still checked. Any
+    other fault prevents the body from being built.
     """
 
     spec: Any
     parts: Mapping[str, Any]
-    # By name; None are those left out.
+    # By name; None for families that are left out.
     families: Mapping[str, Family | None] = field(default_factory=dict)
     mass: float = 1.0  # [kg]
     faults: list[Fault] = field(default_factory=list)
-    sound: bool = True  # whether nothing was noted that leaves no body
+    sound: bool = True  # whether the body can be built
 
     def add(self, fault: Fault, *keys: str | int, doubt: bool = False) -> None:
-        """Add a fault at a key of the entry, and at its own below that."""
+        """Add a fault at a key of the entry, extended by the location in the fault."""
         subkeys = (fault.where,) if fault.where else ()
         self.faults.append(replace(fault, where=spelled((*keys, *subkeys))))
         self.sound &= doubt
@@ -77,11 +77,11 @@ class BodyEntry:
     def note(
         self, code: str, message: str, *keys: str | int, hint: str | None = None
     ) -> None:
-        """Note a fault at a key of the entry."""
+        """Record a fault at a key of the entry."""
         self.add(Fault(code, message, hint=hint), *keys)
 
     def mass_of(self, key: str, mass: float) -> float:
-        """Return a mass; what is none is noted, and 1 kg stands in for it."""
+        """Return a mass; record a fault and return 1 kg if it is not positive."""
         if mass >= LIGHTEST:
             return mass
         allowed = "above 0" if mass <= 0 else f"{LIGHTEST:g} kg or more"
@@ -91,7 +91,7 @@ class BodyEntry:
 
 
 def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
-    """Return a rope; None where what is noted leaves none."""
+    """Return a rope; None if it has faults."""
     if not 2 <= model.count <= MAX_PARTICLES:
         message = f"a rope has 2 to {MAX_PARTICLES} particles, not {model.count}"
         entry.note("SIM050", message, "count")
@@ -119,7 +119,7 @@ def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
 
 
 def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
-    """Return strands; None where what is noted leaves none."""
+    """Return strands; None if they have faults."""
     points = entry.parts["points"]
     if points is not None and not (
         points.ndim == 3
@@ -142,7 +142,7 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
 
 
 def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
-    """Return cloth; None where what is noted leaves none."""
+    """Return cloth; None if it has faults."""
     if model.mesh is not None:
         why = "applies to a sheet, but this is a mesh"
         _refuse_keys(entry, model, {"corner", "across", "up", "resolution"}, why)
@@ -208,7 +208,7 @@ def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
 def _area_fractions(
     points: FloatArray, counts: IntArray, indices: IntArray
 ) -> tuple[FloatArray, IntArray]:
-    """Return each point's share of the area ``(N,)``, and faces that have none."""
+    """Return each point's fraction of the area ``(N,)``, and faces without area."""
     starts = np.cumsum(counts) - counts
     middle = np.add.reduceat(points[indices], starts) / counts[:, None]
     next_corners = sides(counts, indices)[:, 1]
@@ -225,7 +225,7 @@ def _area_fractions(
 def _mesh_warnings(
     prim: str, points: FloatArray, flat: IntArray, shared: tuple[IntArray, IntArray]
 ) -> tuple[Fault, ...]:
-    """Return warnings of what cloth bears, and nobody means."""
+    """Return warnings about degenerate faces, duplicate points and shared edges."""
     _, same, often = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     double = np.flatnonzero(often[same.reshape(-1)] > 1)
     remarks = {}
@@ -246,7 +246,7 @@ def _mesh_warnings(
 
 
 def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
-    """Return a volume; None where what is noted leaves none."""
+    """Return a volume; None if it has faults."""
     if model.tetrahedra is not None:
         why = "applies to a block, but this has tetrahedra"
         _refuse_keys(entry, model, {"corner", "size", "resolution"}, why)
@@ -309,7 +309,7 @@ def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
 
 
 def _volume_fractions(points: FloatArray, cells: IntArray) -> FloatArray:
-    """Return each point's share of the volume ``(N,)``."""
+    """Return each point's fraction of the volume ``(N,)``."""
     sides = points[cells[:, 1:]] - points[cells[:, :1]]
     volumes = np.abs(np.linalg.det(sides))
     size = np.ptp(points, axis=0).max()
@@ -327,10 +327,10 @@ def _skin(body: Body) -> FaceShape:
 def _distribute(
     sizes: FloatArray, counts: IntArray, corners: IntArray, points: int
 ) -> FloatArray:
-    """Return each point's share ``(N,)`` [1] of cells that divide among corners.
+    """Distribute cell sizes to their corners; return fractions ``(N,)`` [1].
 
-    Cells have sizes ``(M,)`` and so many corners ``(M,)``, cell by cell. Shares come to
-    1, or are all 0 where no cell has a size.
+    Cells have sizes ``(M,)`` and corner counts ``(M,)``, cell by cell. Fractions add up
+    to 1, or are all 0 if every cell has size 0.
     """
     sums = np.bincount(corners, np.repeat(sizes / counts, counts), points)
     total = float(sums.sum())
@@ -338,7 +338,7 @@ def _distribute(
 
 
 def _check_grid(entry: BodyEntry, what: str, resolution: Sequence[int]) -> None:
-    """Note a grid of too few particles some way, or of too many."""
+    """Record a fault if a grid has too few particles along an axis, or too many."""
     if min(resolution) < 2 or math.prod(resolution) > MAX_PARTICLES:
         *first, last = resolution
         resolution_text = f"{listed(first)} and {last}"
@@ -348,7 +348,7 @@ def _check_grid(entry: BodyEntry, what: str, resolution: Sequence[int]) -> None:
 
 
 def _grid_sides(grid: IntArray, *names: tuple[str, str]) -> dict[str, IntArray]:
-    """Return the particles at both ends of each axis of a grid, by their names."""
+    """Return the particles at both ends of each grid axis by region name."""
     return {
         name: np.take(grid, end, axis).ravel()
         for axis, both in enumerate(names)
@@ -357,7 +357,7 @@ def _grid_sides(grid: IntArray, *names: tuple[str, str]) -> dict[str, IntArray]:
 
 
 def _refuse_keys(entry: BodyEntry, model: FileModel, keys: set[str], why: str) -> None:
-    """Note keys that an entry gives, and that are for what it is not, and why."""
+    """Record a fault for each specified key that does not apply."""
     for key in sorted(keys & model.model_fields_set):
         entry.note("SIM050", f"{key} {why}", key)
 

@@ -1,4 +1,4 @@
-"""Ropes, strands, cloth and volumes of a scene as one system of particles."""
+"""Build one particle system from the ropes, strands, cloth and volumes of a scene."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from animtool.systems.framework.tied import OnBody, TiedBodies
 from animtool.systems.springs import (
     Body,
     Pins,
-    PointTargets,
     SpringSystem,
+    Targets,
     Welded,
     find_rest,
     join,
@@ -31,35 +31,34 @@ from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 from animtool.systems.springs.ties import BodyTies, Tie
 from animtool.systems.springs.view import SpringView
 
-# Particles that are put together, or held, this far from where they are built are
-# said to be apart [m].
+# Distance between merged or pinned particles above which a warning is given [m].
 MAX_GAP = 1e-4
 
 
 def build(spec: SpringsModel, context: SimContext) -> SpringSimulation:
-    """Return springs that are joined, or those of one entry, at their beginning."""
+    """Return the simulation of one entry, or of joined entries."""
     return _SystemBuilder(spec, context).simulation()
 
 
 class _SystemBuilder:
-    """Bodies that become one system of particles."""
+    """Builds one particle system from several bodies."""
 
     def __init__(self, spec: SpringsModel, context: SimContext) -> None:
         self._spec, self._context = spec, context
         self._entries: list[SpringEntry] = [one.record for one in context.members]
-        self._notices: list[Fault] = []  # what is odd about them together
+        self._notices: list[Fault] = []  # warnings about the joined system
         bodies, ties = self._position_bodies()
         starts = np.cumsum([0, *(len(body.positions) for body in bodies)])
         welded = weld(join(bodies), join_pairs(context.members, starts))
         self._warn_gap("particles that are joined are", welded.gap)
-        self._rows: list[IntArray] = [  # of each body, its particles in the system
+        self._rows: list[IntArray] = [  # particle indices in the system, by body
             welded.rows[start : start + len(body.positions)]
             for start, body in zip(starts, bodies, strict=False)
         ]
         self._system = self._build_system(welded, ties)
 
     def simulation(self) -> SpringSimulation:
-        """Return them with what each entry shows."""
+        """Return the simulation with one view for each entry."""
         context, spec = self._context, self._spec
         plan = plan_springs(self._system, spec.options, context, settled=spec.settle)
         simulation = SpringSimulation(plan, context)
@@ -76,8 +75,8 @@ class _SystemBuilder:
         simulation.views = views
         return simulation
 
-    def _position_bodies(self) -> tuple[list[Body], list[list[Pins | PointTargets]]]:
-        """Return bodies where pins have them, and what ties each."""
+    def _position_bodies(self) -> tuple[list[Body], list[list[Pins | Targets]]]:
+        """Return bodies moved to their pins, and pins and targets of each."""
         bodies, ties, begin = [], [], self._context.begin
         acting = any(_has_acting_faces(entry) for entry in self._entries)
         for entry in self._entries:
@@ -91,17 +90,17 @@ class _SystemBuilder:
                     pinned[pin.particles] = pin.start(frame, points, begin)
             gap = float(np.linalg.norm(pinned - points, axis=1).max())
             self._warn_gap("pins hold particles", gap)
-            # Of several, wind blows on the faces of those that say so.
+            # With several entries, wind acts on the faces of those that request it.
             faces = not acting or _has_acting_faces(entry)
             triangles = body.triangles if faces else body.triangles[:0]
             bodies.append(replace(body, positions=pinned, triangles=triangles))
         return bodies, ties
 
     def _build_system(
-        self, welded: Welded, ties: Sequence[Sequence[Pins | PointTargets]]
+        self, welded: Welded, ties: Sequence[Sequence[Pins | Targets]]
     ) -> SpringSystem:
         spec, context = self._spec, self._context
-        every: list[Pins | PointTargets] = []
+        every: list[Pins | Targets] = []
         resistance = np.zeros(len(welded.body.positions))
         air, contact = None, None
         for entry, rows, entry_ties in zip(
@@ -123,7 +122,7 @@ class _SystemBuilder:
         system = SpringSystem(
             welded.body,
             pins=combined([tie for tie in every if isinstance(tie, Pins)]),
-            targets=combined([tie for tie in every if isinstance(tie, PointTargets)]),
+            targets=combined([tie for tie in every if isinstance(tie, Targets)]),
             gravity=spec.gravity,
             resistance=resistance,
             air=air,
@@ -136,7 +135,7 @@ class _SystemBuilder:
         return self._settle(system) if spec.settle else system
 
     def _tie_pins(self, system: SpringSystem) -> BodyTies | None:
-        """Return what carries pins of the system; None without."""
+        """Return the rigid bodies that carry pins; None if there are none."""
         carriers = self._context.carriers
         names, ties = list(carriers), []
         columns = {n: k for k, n in enumerate(system.pinned.tolist())}
@@ -164,7 +163,7 @@ class _SystemBuilder:
     def _warn_distant(
         self, name: str, carrier: OnBody, bodies: TiedBodies, points: FloatArray
     ) -> None:
-        """Warn of pins that begin farther from their body than that is large."""
+        """Warn about pins that start farther from their body than its size."""
         gap, size = bodies.gap(carrier, points)
         if gap > size:
             message = f"pins of {name} start {length_text(gap)} from the surface of "
@@ -176,7 +175,7 @@ class _SystemBuilder:
             self._notices.append(warning("SIM160", message, hint, carrier.where))
 
     def _settle(self, system: SpringSystem) -> SpringSystem:
-        """Return a system that begins where it comes to rest."""
+        """Return the system with its static equilibrium as the start."""
         rest = find_rest(system, self._context.begin, progress=self._context.phase())
         if not rest.solved:
             message = f"no rest state was found: forces of {rest.residual:.2g} N remain"
@@ -192,5 +191,5 @@ class _SystemBuilder:
 
 
 def _has_acting_faces(entry: SpringEntry) -> bool:
-    """Return whether wind blows on the faces of a body, or they meet each other."""
+    """Return whether the faces of a body feel wind or collide with themselves."""
     return isinstance(entry.spec.air, FaceWindModel) or entry.spec.contact is not None

@@ -1,4 +1,4 @@
-"""What cannot be simulated, found before the first step."""
+"""Checks of bodies, pins and options before the first step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.core.options import range_faults
 from animtool.systems.springs.body import Body, Springs
 from animtool.systems.springs.records import SelfContact, Solver, SpringOptions
 
-# Of many that are wrong in the same way, those that are named.
+# Most particles or springs named for one kind of fault.
 MAX_NAMED = 5
 
 
@@ -23,7 +23,7 @@ def some_of(numbers: IntArray) -> str:
 
 
 def check_body(body: Body, pinned: IntArray, drawn: IntArray) -> None:
-    """Raise where particles, springs or what holds them make no sense."""
+    """Raise OptionError for invalid particles, springs, pins or targets."""
     count = len(body.positions)
     not_finite = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
     faults = _named("SIM041", "its position is not finite", not_finite)
@@ -34,7 +34,7 @@ def check_body(body: Body, pinned: IntArray, drawn: IntArray) -> None:
     free = np.ones(count, bool)
     free[pinned[(pinned >= 0) & (pinned < count)]] = False
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        # What moves them is over their mass, which has to be a number, too.
+        # Forces are divided by the mass: its inverse must be finite too.
         finite = np.isfinite(body.masses) & np.isfinite(1.0 / body.masses)
         light = ~((body.masses > 0) & finite) & free
     hint = "pin it, or give it a mass above 0"
@@ -71,7 +71,7 @@ def check_path(
 
 
 def start_notices(body: Body) -> list[Fault]:
-    """Return warnings of a start that springs make nothing of."""
+    """Return a warning about springs whose ends coincide at the start."""
     springs = body.springs
     gaps = body.positions[springs.ends[:, 1]] - body.positions[springs.ends[:, 0]]
     lost = int(((gaps == 0).all(axis=1) & (springs.rest > 0)).sum())
@@ -100,7 +100,7 @@ def _named(
 
 
 def _first(message: str, bad: BoolArray | np.bool) -> list[Fault]:
-    """Return a fault of a body (SIM042) for each of the first that are bad."""
+    """Return a fault (SIM042) for each of the first bad rows."""
     return [
         Fault("SIM042", message.format(i), where="body")
         for i in np.flatnonzero(bad)[:MAX_NAMED].tolist()
@@ -134,7 +134,7 @@ def _spring_faults(springs: Springs, count: int) -> list[Fault]:
 
 
 def check_self_contact(contact: SelfContact, body: Body) -> None:
-    """Raise where a body cannot keep apart from itself in this way (SIM045)."""
+    """Raise if self-contact is not possible for a body (SIM045)."""
     messages = [fault.message for fault in range_faults(contact)]
     if not len(body.triangles):
         messages.append("self-contact needs triangles")
@@ -174,7 +174,7 @@ def tangle_notices(
 
 
 def check_options(options: SpringOptions) -> Solver:
-    """Return the solver that options name; raise SIM001 or SIM004 where none is."""
+    """Return the configured solver; raise SIM001 or SIM004 for invalid options."""
     faults = []
     names = [str(solver) for solver in Solver]
     if options.solver not in names:
@@ -188,7 +188,7 @@ def check_options(options: SpringOptions) -> Solver:
 
 
 def check_supports_self_contact(solver: Solver) -> None:
-    """Raise where a solver does not keep a surface apart from itself (SIM046)."""
+    """Raise if a solver does not support self-contact (SIM046)."""
     if solver not in {Solver.AUTO, Solver.XPBD}:
         message = f"{solver} has no self-contact"
         hint = "use xpbd or auto"

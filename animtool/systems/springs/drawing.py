@@ -1,4 +1,4 @@
-"""What is drawn of particles and springs: curves, faces, and faces that part."""
+"""Curves and faces drawn for particles and springs, and faces that tear."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from animtool.maths.faces import sides
 from animtool.motion.frames import CurvesFrame, MeshFrame
 from animtool.systems.springs.body import Springs
 
-# What keeps a turn as small as it may be where neighbours leave it open.
+# Keeps rotations minimal where neighbours do not determine them.
 ROTATION_REGULARIZATION = 1e-9
-# Over which points that no particle carries alone are looked at for their speed [s].
+# Difference step for velocities of points that depend on several particles [s].
 EPSILON_TIME = 1e-4
 
 
 @dataclass(frozen=True)
 class CurveShape:
-    """Particles in rows.
+    """Particles in rows, drawn as curves.
 
-    Where a spring between two neighbours tears, a curve becomes two; a particle alone
-    is not drawn.
+    A curve is split where a spring between two neighbours tears; single particles are
+    not drawn.
     """
 
     counts: IntArray  # particles of each ``(C,)``
@@ -35,13 +35,13 @@ class CurveShape:
 
     @property
     def tears(self) -> bool:
-        """Whether it may be drawn otherwise than at the start."""
+        """Whether its springs can tear, so that the topology changes."""
         return bool(np.isfinite(self.springs.limit).any())
 
     def row(
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> CurvesFrame:
-        """Return curves of ``(N, 3)`` [m, m/s] where springs are torn ``(S,)``."""
+        """Return the curves of ``(N, 3)`` [m, m/s] for torn springs ``(S,)``."""
         if not torn.any():
             return CurvesFrame(points, velocities, self.counts, self.width, self.tears)
         last = np.zeros(len(points), bool)
@@ -68,11 +68,11 @@ class FaceShape:
     counts: IntArray  # corners of each face ``(M,)``
     indices: IntArray  # corners, face by face
     springs: Springs  # between the particles
-    closed: bool = False  # whether only its outside is to be seen
+    closed: bool = False  # whether only its outside is visible
 
     @property
     def tears(self) -> bool:
-        """Whether it may part."""
+        """Whether it can tear."""
         sides = self._sides[self._sides >= 0]
         return bool(np.isfinite(self.springs.limit[sides]).any())
 
@@ -82,11 +82,11 @@ class FaceShape:
         velocities: FloatArray,
         torn: BoolArray,  # noqa: ARG002
     ) -> MeshFrame:
-        """Return what is drawn; what is to part has a shape of its own."""
+        """Return the mesh frame; a surface that tears is drawn by `Tearing`."""
         return MeshFrame(points, velocities, self.counts, self.indices, self.closed)
 
     def torn_shape(self, torn: BoolArray, positions: FloatArray) -> Tearing | FaceShape:
-        """Return it as it parts at springs ``(S,)``, at rest at ``(N, 3)`` [m]."""
+        """Return the surface split at torn springs ``(S,)``; rest ``(N, 3)`` [m]."""
         if not (torn[self._sides] & (self._sides >= 0)).any():
             return self
         return tear_surface(
@@ -94,7 +94,7 @@ class FaceShape:
         )
 
     def intact_faces(self, torn: BoolArray) -> tuple[IntArray, IntArray]:
-        """Return corners a face, and corners, of faces without a torn side ``(S,)``."""
+        """Return counts and indices of faces without a torn side; torn ``(S,)``."""
         open_sides = torn[self._sides] & (self._sides >= 0)
         starts = np.cumsum(self.counts) - self.counts
         kept = ~np.logical_or.reduceat(open_sides, starts)
@@ -128,26 +128,26 @@ def _between(springs: Springs, pairs: IntArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tearing:
-    """A surface with more points, so that it can part and stays the same polygons.
+    """A surface with additional points, so that it can tear with constant topology.
 
-    A tear goes through the middle of each side whose spring tears, from there on
-    through the face to the next such side, or to the middle of the face where it
-    ends. Each half goes with the particles of its end: until the spring tears, both
-    halves meet where they did; then each is as at rest, turned as what is around its
-    particle. No face goes.
+    A tear passes through the middle of each side whose spring tears, and through the
+    face to the next such side, or ends in the middle of the face. Each half follows the
+    particle at its end. Until the spring tears, both halves coincide; after that each
+    keeps its rest shape, rotated with the neighbours of its particle. No face is
+    removed.
 
-    Points are the particles, two halves for each side that ever tears, and middles of
-    faces.
+    Points are the particles, two halves for each side that ever tears, and face
+    middles.
 
     Attributes:
         counts: Corners of each face ``(M,)``.
         indices: Corners, face by face.
         size: Number of points.
-        springs: Those that ever tear along sides ``(E,)``.
+        springs: Side springs that ever tear ``(E,)``.
         ends: Their particles ``(E, 2)``.
-        ways: Half the way from the first end to the second, at rest ``(E, 3)`` [m].
-        turning: How particles at tears turn.
-        middles: Of faces.
+        half_edges: Half the rest vector from first to second end ``(E, 3)`` [m].
+        rotations: Rotations of particles at tears.
+        middles: Face middles.
     """
 
     counts: IntArray
@@ -162,7 +162,7 @@ class Tearing:
     def row(
         self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> MeshFrame:
-        """Return what is drawn of particles at a frame, as `Faces.row` does."""
+        """Return the mesh frame, as `FaceShape.row` does."""
         drawn = self.points(points, torn), self.velocities(points, velocities, torn)
         return MeshFrame(*drawn, self.counts, self.indices)
 
@@ -171,7 +171,7 @@ class Tearing:
 
         Args:
             particles: ``(N, 3)`` [m].
-            torn: Which springs are ``(S,)``.
+            torn: Torn flags ``(S,)``.
         """
         now = torn[self.springs]
         first, second = (particles[self.ends[:, k]] for k in (0, 1))
@@ -190,12 +190,12 @@ class Tearing:
     def velocities(
         self, particles: FloatArray, speeds: FloatArray, torn: BoolArray
     ) -> FloatArray:
-        """Return how fast all points go ``(size, 3)`` [m/s].
+        """Return the velocities of all points ``(size, 3)`` [m/s].
 
         Args:
             particles: ``(N, 3)`` [m].
-            speeds: Theirs ``(N, 3)`` [m/s].
-            torn: Which springs are ``(S,)``.
+            speeds: Velocities of the particles ``(N, 3)`` [m/s].
+            torn: Torn flags ``(S,)``.
         """
         after = self.points(particles + EPSILON_TIME * speeds, torn)
         before = self.points(particles - EPSILON_TIME * speeds, torn)
@@ -206,19 +206,19 @@ class Tearing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _NeighbourRotations:
-    """How particles turn with their neighbours."""
+    """Rotations of particles, fitted to their neighbours."""
 
     which: IntArray  # the particles, ascending ``(P,)``
-    owners: IntArray  # numbers of particles in it, one a neighbour ``(K,)``
-    neighbours: IntArray  # particles that stay next to them ``(K,)``
-    rest_offsets: FloatArray  # to them at rest ``(K, 3)`` [m]
+    owners: IntArray  # row in `which` for each neighbour ``(K,)``
+    neighbours: IntArray  # particles that stay connected to them ``(K,)``
+    rest_offsets: FloatArray  # rest vectors to the neighbours ``(K, 3)`` [m]
 
     def rows(self, particles: IntArray) -> IntArray:
-        """Return where particles stand among those that turn."""
+        """Return the rows of particles in `which`."""
         return np.searchsorted(self.which, particles)
 
     def sample(self, particles: FloatArray) -> FloatArray:
-        """Return their turns ``(P, 3, 3)``, as small as neighbours leave them open."""
+        """Return minimal rotations ``(P, 3, 3)`` that fit the neighbours."""
         now = particles[self.neighbours] - particles[self.which[self.owners]]
         spread = np.zeros((len(self.which), 3, 3))
         np.add.at(spread, self.owners, now[:, :, None] * self.rest_offsets[:, None, :])
@@ -229,7 +229,7 @@ class _NeighbourRotations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Middle:
-    """The middle of a face, once for each of the parts that meet there."""
+    """The middle of a face, once for each part that joins there."""
 
     corners: IntArray  # of the face ``(C,)``
     parts: IntArray  # of each corner ``(C,)``
@@ -243,13 +243,13 @@ class _Middle:
         turning: _NeighbourRotations,
         rotations: FloatArray,
     ) -> FloatArray:
-        """Return where it is for each part ``(P, 3)`` [m]."""
+        """Return its position for each part ``(P, 3)`` [m]."""
         gone = torn[self.springs]
         groups = int(gone.sum())
         if groups < 2:
             middle = particles[self.corners].mean(axis=0)
             return np.tile(middle, (len(gone), 1))
-        # What comes behind the last that is gone meets what comes before the first.
+        # The parts after the last torn side join those before the first.
         group = np.mod(np.cumsum(gone) - gone, groups)
         corner_rotations = rotations[turning.rows(self.corners)]
         predicted = particles[self.corners] + np.einsum(
@@ -270,15 +270,15 @@ def tear_surface(
     torn: BoolArray,
     positions: FloatArray,
 ) -> Tearing:
-    """Return how a surface parts.
+    """Return the split topology of a tearing surface.
 
     Args:
         counts: Corners of each face ``(M,)``.
         indices: Corners, face by face ``(C,)``.
         sides: The spring along each side ``(C,)``, from its corner on; -1 for none.
         springs: Between the particles.
-        torn: Which of them ever tear ``(S,)``.
-        positions: Where particles are at rest ``(N, 3)`` [m].
+        torn: Springs that ever tear ``(S,)``.
+        positions: Rest positions of particles ``(N, 3)`` [m].
 
     >>> from animtool.systems.springs import Family, sheet
     >>> body = sheet(3, 2, mass=1.0, structural=Family(1.0))
@@ -343,12 +343,12 @@ def tear_surface(
     )
 
 
-# A run of corners that stay together, between the springs that tear at both ends.
+# A run of corners that stay together, between the torn springs at both ends.
 _Run: TypeAlias = tuple[int, list[int], int]
 
 
 def _runs(corners: Sequence[int], cut: Sequence[int]) -> Iterator[_Run]:
-    """Yield runs of corners of a face whose sides are cut at springs; -1 is none."""
+    """Yield runs of corners between the cut sides of a face; -1 is not cut."""
     count = len(corners)
     crossed = [i for i in range(count) if cut[i] >= 0]
     for one, other in zip(crossed, [*crossed[1:], crossed[0] + count], strict=True):
@@ -357,7 +357,7 @@ def _runs(corners: Sequence[int], cut: Sequence[int]) -> Iterator[_Run]:
 
 
 def _middle(runs: Sequence[_Run], positions: FloatArray, at: FloatArray) -> _Middle:
-    """Return the middle of a face of runs, which at rest is at a place ``(3,)`` [m]."""
+    """Return the middle of a face of runs with rest position ``(3,)`` [m]."""
     order = np.array([corner for _, run, _ in runs for corner in run])
     parts = np.array([i for i, (_, run, _) in enumerate(runs) for _ in run])
     after = np.array([after for _, _, after in runs])
@@ -365,7 +365,7 @@ def _middle(runs: Sequence[_Run], positions: FloatArray, at: FloatArray) -> _Mid
 
 
 def polar_rotations(spreads: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Return turns ``(..., 3, 3)`` by covariances of that shape, of some sizes."""
+    """Return the polar rotations of covariances ``(..., 3, 3)`` of given sizes."""
     small = ROTATION_REGULARIZATION * sizes[..., None, None] * np.eye(3)
     u, _, v = np.linalg.svd(spreads + small)
     u[..., -1] *= np.sign(np.linalg.det(u @ v))[..., None]
@@ -376,7 +376,7 @@ def polar_rotations(spreads: FloatArray, sizes: FloatArray) -> FloatArray:
 def _neighbour_rotations(
     which: IntArray, pairs: IntArray, positions: FloatArray
 ) -> _NeighbourRotations:
-    """Return how ascending particles ``(P,)`` turn with those of pairs ``(K, 2)``."""
+    """Return rotations of ascending particles ``(P,)`` by pairs ``(K, 2)``."""
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.isin(both[:, 0], which)]
     offsets = positions[both[:, 1]] - positions[both[:, 0]]

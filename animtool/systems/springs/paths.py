@@ -1,4 +1,4 @@
-"""What acts on particles from outside: pins, targets, their teleports, the air."""
+"""Paths of pins and targets, and their teleports."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from animtool.systems.springs.motion import TimeGrid
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
 Path: TypeAlias = tuple[FloatArray, FloatArray]
 
-# A step ends on a jump that is this much behind its end [s]: rounding of times.
+# Tolerance for a jump at the end of a step [s]: rounding of times.
 SLACK = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Pins:
-    """Particles that are held, and where.
+    """Pinned particles and their positions over time.
 
-    Between two times they go straight; before the first and after the last they stay.
+    Positions are linear between times and constant outside of them.
 
     Attributes:
         particles: Which ``(P,)``.
-        positions: At the times ``(K, P, 3)``, or ``(P, 3)`` where they stand still
-            [m]; None where they are at the start.
-        times: Ascending ``(K,)`` [s]; None where they stand still.
+        positions: At the times ``(K, P, 3)``, or ``(P, 3)`` if static [m]; None keeps
+            the positions of the body.
+        times: Ascending ``(K,)`` [s]; None if static.
     """
 
     particles: ArrayLike
@@ -43,17 +43,17 @@ class Pins:
 
 
 @dataclass(frozen=True, slots=True)
-class PointTargets:
-    """Points that particles are drawn to by springs of no length.
+class Targets:
+    """Target points that pull particles by zero-length springs.
 
     Attributes:
-        particles: Which are drawn ``(A,)``; one may stand twice.
-        positions: Of the points at the times ``(K, A, 3)``, or ``(A, 3)`` where they
-            stand still [m].
+        particles: Pulled particles ``(A,)``; repeats are allowed.
+        positions: Of the points at the times ``(K, A, 3)``, or ``(A, 3)`` if static
+            [m].
         stiffness: Force over distance, of each or of all [N/m].
         damping: Force over the speed between particle and point, of each or all
             [N s/m].
-        times: Ascending ``(K,)`` [s]; None where the points stand still.
+        times: Ascending ``(K,)`` [s]; None if static.
     """
 
     particles: ArrayLike
@@ -63,11 +63,11 @@ class PointTargets:
     times: ArrayLike | None = None
 
 
-Tied = TypeVar("Tied", Pins, PointTargets)
+Tied = TypeVar("Tied", Pins, Targets)
 
 
 def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
-    """Return paths over the times of all: ``(K,)`` [s] and each ``(K or 1, P, 3)`` [m].
+    """Resample paths to shared times: ``(K,)`` [s] and each ``(K or 1, P, 3)`` [m].
 
     >>> times, (path,) = over_knots([(np.array([0.0, 1.0]), np.zeros((2, 1, 3)))])
     >>> times.tolist(), path.shape
@@ -86,7 +86,7 @@ def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
 
 
 def combined(ties: Sequence[Tied]) -> Tied | None:
-    """Return pins, or targets, that have times, as one; None of none."""
+    """Merge pins, or targets, with times into one; None if there are none."""
     if not ties:
         return None
     names = {each.name for each in fields(ties[0])} - {"positions", "times"}
@@ -99,7 +99,7 @@ def combined(ties: Sequence[Tied]) -> Tied | None:
 
 
 def _merged(paths: Sequence[Path]) -> Path:
-    """Return paths of some particles each as one of all."""
+    """Concatenate paths along their particles, over shared times."""
     knots, tracks = over_knots(paths)
     rows = [np.broadcast_to(one, (len(knots), *one.shape[1:])) for one in tracks]
     return knots, np.concatenate(rows, axis=1)
@@ -117,7 +117,7 @@ def position_at(path: Path, t: float) -> FloatArray:
 
 
 def reach_of(path: Path) -> tuple[float, float]:
-    """Return the largest speed on a path [m/s], and how far it leads at most [m]."""
+    """Return the largest speed [m/s] and the largest distance [m] on a path."""
     times, positions = path
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
     speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))
@@ -135,12 +135,12 @@ def _resampled(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatA
 
 
 class Teleports:
-    """Where holders of particles are put elsewhere, and take along what they hold.
+    """Teleports of pins and targets, which move attached particles along.
 
-    Holders ``(H,)`` are pins, then targets. Where one of a group of particles that
-    springs join is faster than the limit [m/s], all holders of the group are where they
-    were until the end of that way, and there at once: what they hold is moved with them
-    as a whole, and gets no velocity of it. Between two jumps is a stage.
+    Holders ``(H,)`` are pins, then targets. If a holder of a connected group is faster
+    than the limit [m/s], all holders of the group stay until the end of that interval
+    and then jump: attached particles move rigidly with them and gain no velocity. The
+    time between two jumps is a stage.
     """
 
     def __init__(
@@ -156,28 +156,28 @@ class Teleports:
             self._groups = _groups(body)
         self._jumping = _together(fast, self._groups[holders])
         self._begins: IntArray = np.flatnonzero(self._jumping.any(axis=1))
-        # Of the jumps ``(J,)`` [s].
+        # Times of the jumps ``(J,)`` [s].
         self.times: FloatArray = self._knots[self._begins + 1]
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of jumps."""
         return len(self.times)
 
     def stage(self, t: float) -> int:
-        """Return how many jumps are over at a time [s]."""
+        """Return the number of jumps before a time [s]."""
         return int(np.searchsorted(self.times, t + SLACK, "right"))
 
     def _cells_until_jumps(self, grid: TimeGrid) -> list[int]:
-        """Return how many cells before that of each jump, from its start, a grid is."""
+        """Return the number of cells from a grid to each jump."""
         cells = [(t - SLACK - grid.origin) / grid.cell for t in self.times.tolist()]
         return [math.ceil(cell) - 1 - grid.index for cell in cells]
 
     def stage_of(self, grid: TimeGrid) -> int:
-        """Return the stage of the cell that a motion is to cross next."""
+        """Return the stage of the next cell of a grid."""
         return sum(cells <= 0 for cells in self._cells_until_jumps(grid))
 
     def cells(self, grid: TimeGrid) -> float:
-        """Return how many cells there are before the next jump."""
+        """Return the number of cells before the next jump."""
         return min(
             (c for c in self._cells_until_jumps(grid) if c > 0), default=math.inf
         )
@@ -198,7 +198,7 @@ class Teleports:
         ]
 
     def across(self, state: FloatArray, begin: int, end: int) -> FloatArray:
-        """Return a state of one stage in a later one ``(2, N, 3)``."""
+        """Return a state carried over the jumps between two stages ``(2, N, 3)``."""
         moved = state.copy() if end > begin else state
         for row in self._begins[begin:end].tolist():
             for group in np.unique(self._groups[self._holders[self._jumping[row]]]):
@@ -206,7 +206,7 @@ class Teleports:
         return moved
 
     def _carry(self, state: FloatArray, row: int, group: int) -> None:
-        """Move a group of particles over a jump, in place."""
+        """Move a group of particles over a jump, in the array."""
         of = np.flatnonzero(self._groups[self._holders] == group)
         before, after = self._positions[row : row + 2, of]
         rotation, shift = rigid_motion(before, after)
@@ -218,7 +218,7 @@ class Teleports:
         state[1, self._holders[of[pins]]] = 0.0
 
     def notices(self) -> list[Fault]:
-        """Return a warning of each time that pins or targets are put elsewhere."""
+        """Return a warning for each teleport of pins or targets."""
         notices = []
         for jumping, t in zip(self._jumping[self._begins], self.times, strict=True):
             names = ["pins"] if jumping[: self._pins].any() else []
@@ -233,7 +233,7 @@ class Teleports:
 
 
 def _groups(body: Body) -> IntArray:
-    """Return which particles springs join, by a number of each group ``(N,)``."""
+    """Return the connected component of each particle ``(N,)``."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -245,7 +245,7 @@ def _groups(body: Body) -> IntArray:
 
 
 def _together(fast: BoolArray, groups: IntArray) -> BoolArray:
-    """Return which holders jump ``(K - 1, H)``: all of a group with one that does."""
+    """Return jumping holders ``(K - 1, H)``: all of a group if one jumps."""
     _, numbers = np.unique(groups, return_inverse=True)
     jumps = np.zeros((len(fast), numbers.max(initial=-1) + 1), bool)
     row, holder = np.nonzero(fast)

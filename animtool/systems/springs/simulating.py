@@ -1,4 +1,4 @@
-"""From springs and times to their states at these times."""
+"""Simulate springs and return their states at given times."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ from animtool.systems.springs.solvers import (
 )
 from animtool.systems.springs.system import SpringSystem
 
-# A time within this share of a cell is at its start.
+# A time within this fraction of a cell counts as its start.
 ON_GRID = 1e-9
-# Cells between two looks for signs of a blow-up.
+# Cells between two checks for blow-up.
 LOOK_EVERY = 120
-# Times the stretch of xpbd from which on it is said that springs give by themselves:
-# then at least three quarters of it are their own.
+# Multiple of the xpbd stretch above which compliance is reported: at least three
+# quarters of the strain is then compliance.
 GIVES = 2
-# What has less mass than this share of the springs that pull it is thrown about.
+# A body with less than this fraction of the mass of its springs is unstable.
 LIGHT = 0.01
-# Times that the step is halved to keep an error.
+# Most halvings of the step to reach an error.
 MAX_HALVINGS = 8
-# Error of a step over that of a half one.
+# Error of a step relative to that of half the step.
 GAIN = {
     Solver.SYMPLECTIC_EULER: 2.0,
     Solver.XPBD: 2.0,
@@ -61,27 +61,26 @@ def simulate_springs(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> SpringMotion:
-    """Return the states of springs at times.
+    """Simulate springs and return their states at times.
 
-    Steps stand on a grid of time of their own, so that the rate of the output does not
-    change the motion: a time on the grid has the state there, one between two steps is
-    on the cubic through both.
+    Steps lie on a fixed time grid, so that the output rate does not change the motion.
+    Times between two grid points are interpolated by a cubic.
 
     Args:
-        system: Particles and springs, and what acts on them.
-        times: Ascending ``(F,)`` [s]; the first is that of the start.
-        options: Solver, steps and what is allowed.
-        checkpoint: Where to begin in place of the system's start: where an earlier
-            motion ended. The motion in parts is then the whole motion, bit for bit.
-            Without its memory a motion begins anew from its state.
-        progress: Told the time that was reached now and then [s]; where an error is to
-            be kept, once for each motion that is compared.
+        system: Particles, springs and external forces.
+        times: Ascending ``(F,)`` [s]; the first is the start.
+        options: Solver, steps and limits.
+        checkpoint: End of an earlier motion to resume from. The parts are then equal to
+            the uninterrupted motion, bit for bit. Without its memory, a new motion
+            starts from its state.
+        progress: Called with the time reached [s]; with an error tolerance, restarted
+            for each motion that is compared.
 
     Raises:
-        OptionError: There is no such solver (SIM001); times descend, are not finite or
-            none (SIM002); the start is not finite or of another shape (SIM003); an
-            option is out of its range (SIM004); a solver that is asked for does not
-            keep a surface apart from itself (SIM046).
+        OptionError: The solver is unknown (SIM001); times descend, are empty or not
+            finite (SIM002); the start is not finite or has another shape (SIM003); an
+            option is out of range (SIM004); the requested solver does not support
+            self-contact (SIM046).
 
     >>> from animtool.systems.springs import Family, Pins, SpringSystem, rope
     >>> line = rope([0, 0, 0], [1, 0, 0], 8, Family(1e4), mass=0.01)
@@ -99,7 +98,7 @@ def simulate_springs(
         choice = Choice(
             grid.solver, grid.cell, grid.state.substeps, "it was carried on", limit
         )
-        # Nothing is counted yet.
+        # Start with zero counts.
         begun = TimeGrid(grid.solver, grid.origin, grid.cell, grid.index, grid.state)
         return _motion(SpringRun(system, options, choice, begun, progress), knots)
     t = float(knots[0])
@@ -134,7 +133,7 @@ def _check_start(system: SpringSystem, state: FloatArray) -> None:
 def _near_enough(
     simulate_with: Callable[[int], SpringMotion], choice: Choice, error: float
 ) -> SpringMotion:
-    """Return the motion in the longest steps whose error is said to be in bounds."""
+    """Return the motion in the longest steps whose estimated error is in bounds."""
     coarse = simulate_with(choice.substeps)
     factor = 1 / (GAIN[choice.solver] - 1)
     substeps, estimate = choice.substeps, np.inf
@@ -189,7 +188,7 @@ def _motion(run: SpringRun, times: FloatArray) -> SpringMotion:
 
 
 class SpringRun:
-    """A motion under way, in the steps that were chosen."""
+    """Advances a motion in the chosen steps."""
 
     def __init__(
         self,
@@ -201,37 +200,37 @@ class SpringRun:
     ) -> None:
         self.system, self.choice = system, choice
         self._options, self._progress = options, progress
-        # Where it begins, where it is, and where it was at the last time asked for.
+        # Grid at the start, now, and at the last requested time.
         self._begun = self.grid = self.kept = grid
-        self._lost: TimeGrid | None = None  # begin of the cell that was not crossed
-        # What rigid bodies of others were pushed by in the last cells.
+        self._lost: TimeGrid | None = None  # start of the cell that was not solved
+        # Impulses on rigid bodies of other systems in the last cells.
         self.wrenches: list[Wrenches] = []
         self.max_substeps = grid.state.substeps
         self.status = Status.OK
         self.sign = ""
-        # Where bodies are pushed, they feel it before the next cell.
+        # Pushed bodies react before the next cell.
         together = system.colliders.bodies or system.ties is not None
         self._cells = 1 if together else LOOK_EVERY
-        # Share that bodies took at least of what they were pushed by.
+        # Smallest fraction of an impulse that a body received.
         self.taken = 1.0
-        # Of a spring of xpbd, over that at rest.
+        # Longest xpbd spring relative to its rest length.
         self.longest = 1.0
-        # What xpbd leaves of a stretch is no energy that it goes on with, nor is what
-        # colliders leave of one to implicit steps.
+        # Residual strain of xpbd, and of implicit steps with colliders, is not energy
+        # that the motion continues with.
         stable = grid.solver is not Solver.SYMPLECTIC_EULER and system.colliders.active
         calm = stable or grid.solver is Solver.XPBD or system.ties is not None
         growth = np.inf if calm else options.growth
         bounds = IntegrateOptions(growth=growth, stretch=options.longest)
-        # Its springs that are not torn.
+        # The system without torn springs, and their number.
         self.left, self._gone = system, 0
         self._watch = Watch(system, bounds)
         self._exclude_torn()
         self._watch.start(grid.time, grid.state.motion)
 
     def states_at(self, t: float) -> FloatArray:
-        """Return the state at a time, not before the one asked for last.
+        """Return the state at a time not before the last requested one.
 
-        What is pressed on bodies of others pushes them.
+        Contacts push bodies of other systems.
         """
         position = (t - self.grid.origin) / self.grid.cell
         near = round(position)
@@ -244,7 +243,7 @@ class SpringRun:
         return self.within((t - self.grid.time) / self.grid.cell)
 
     def cross(self, target: int, *, push: bool = False) -> None:
-        """Go on to the begin of a cell of a number, as far as it can."""
+        """Advance to the start of a cell by its index, as far as possible."""
         while self.grid.index < target and self.status is Status.OK:
             self._advance(min(self._cells, target - self.grid.index))
             pushed = self.system.colliders.bodies if push else ()
@@ -255,7 +254,7 @@ class SpringRun:
                 self._progress(self.grid.time)
 
     def within(self, fraction: float) -> FloatArray:
-        """Return the state at a share of the next cell, which is not kept."""
+        """Return the state at a fraction of the next cell, which is discarded."""
         begun = self._entered()
         with np.errstate(all="ignore"):
             after = advance(self.system, self._options, begun, 1)
@@ -273,7 +272,7 @@ class SpringRun:
         return self.grid.cell / self.max_substeps
 
     def stats(self, reached: float) -> Stats:
-        """Return what it took to reach a time [s]."""
+        """Return the statistics up to a time [s]."""
         grid = self.grid
         stable = self.choice.limit if self.status is Status.UNSTABLE else None
         return Stats(
@@ -283,22 +282,22 @@ class SpringRun:
         )  # fmt: skip
 
     def energy_of(self, t: float, state: FloatArray) -> float:
-        """Return the energy of a state that was reached last [J]."""
+        """Return the energy of the last state [J]."""
         known = self._watch.energy if state is self.grid.state.motion else None
         return (known or self.left.energy(t, state)).total
 
     @property
     def _stretched(self) -> bool:
-        """Whether xpbd left springs longer than they may be, and not by their give."""
+        """Whether xpbd strains springs beyond the limit and their compliance."""
         return not self.grid.stretch <= self._options.stretch
 
     @property
     def _auto(self) -> bool:
-        """Whether no solver was asked for."""
+        """Whether the solver was chosen automatically."""
         return self._options.solver == Solver.AUTO
 
     def _entered(self) -> TimeGrid:
-        """Return where the next cell begins: pins that jump in it are there at once."""
+        """Return the grid at the start of the next cell, after its teleports."""
         grid, jumps = self.grid, self.system.jumps
         here = jumps.stage_of(grid)
         last = jumps.stage_of(replace(grid, index=grid.index - 1))
@@ -308,7 +307,7 @@ class SpringRun:
         return replace(grid, state=replace(grid.state, motion=motion, before=None))
 
     def _exclude_torn(self) -> None:
-        """Judge energy and stretch by the springs that there are."""
+        """Exclude torn springs from energy and strain checks."""
         torn = self.grid.state.torn
         gone = int(torn.sum())
         if gone != self._gone:
@@ -340,7 +339,7 @@ class SpringRun:
             self.wrenches = [*self._pressed(), *self.grid.tied]
 
     def _convergence_hint(self) -> str:
-        """Return what to do where Newton's method found no solution of a cell."""
+        """Return a hint for a cell where Newton's method did not converge."""
         step = None if self._lost is None else working_step(self.system, self._lost)
         ties, hint = self.system.ties, "use a shorter step"
         if step is not None:
@@ -359,10 +358,10 @@ class SpringRun:
         return hint
 
     def _pressed(self) -> list[Wrenches]:
-        """Return what is pressed on bodies of other systems.
+        """Return contact impulses on bodies of other systems.
 
-        What is heavier than a body would throw it off, faster than it came: it gives no
-        more than as much mass as that of the body would.
+        Impulses are limited to those of the mass of the body: heavier contacts would
+        throw it off.
         """
         wrenches, first = [], len(self.system.colliders)
         for bodies in self.system.colliders.bodies:
@@ -376,12 +375,12 @@ class SpringRun:
             )
             self.taken = min(self.taken, float(fraction.min(initial=1.0)))
             now = sums[:, :6] * fraction[:, None]
-            # What presses all through a cell has moved bodies as from its middle.
+            # A constant force over a cell moves bodies as an impulse at its middle.
             wrenches.append(Wrenches(now, self.grid.cell / 2 * now))
         return wrenches
 
     def notices(self, stats: Stats) -> list[Fault]:
-        """Return what is odd about it so far."""
+        """Return warnings collected so far."""
         system, options, choice = self.system, self._options, self.choice
         begins = self._begun.index == 0
         notices = system.notices() if begins else system.colliders.surfaces.notices()
@@ -427,7 +426,7 @@ class SpringRun:
         return notices + through_notices(self.grid.through)
 
     def _refused(self, stats: Stats) -> Fault:
-        """Return why auto does not go on, and what does."""
+        """Return why auto stopped, and alternatives."""
         allowed = self._options.stretch
         message = f"auto finds no solver for it: {self.choice.solver}, chosen because "
         message += (
@@ -442,7 +441,7 @@ class SpringRun:
 
 
 def _between(begin: FloatArray, end: FloatArray, h: float, s: float) -> FloatArray:
-    """Return the state at a share of a cell [s], on the cubic through its ends."""
+    """Return the state at a fraction of a cell, on the cubic through its ends."""
     (x0, v0), (x1, v1) = begin, end
     slope = x1 - x0
     x = x0 + s * (

@@ -1,4 +1,4 @@
-"""Springs of a scene in steps, and what each entry shows of them."""
+"""Springs of a scene as a simulation in steps."""
 
 from __future__ import annotations
 
@@ -38,49 +38,48 @@ from animtool.systems.springs.solvers import Choice, advance, choose
 from animtool.systems.springs.system import SpringSystem
 from animtool.systems.springs.trials import trial_settings
 
-# Times of a whole motion that are compared with those of one in half steps.
+# Times at which a motion is compared with one in half steps.
 COMPARED = 64
-# Notices whose message says how much it is so far.
+# Notices whose message contains a running maximum.
 _GROWING = {"SIM131", "SIM123"}
-# Why a motion ends.
+# Codes that end a motion.
 STOPS = {"SIM102", "SIM105"}
-# Over how long they were at the beginning, springs that are as long as this are
-# hardly meant: no rope or cloth becomes twice as long [1].
+# Length relative to the start above which springs are reported as too soft [1].
 LONG = 2.0
 
 
 class TearingView(Protocol):
-    """An entry that shows some of the springs."""
+    """A view that may tear."""
 
     member: Member
 
     @property
     def tears(self) -> bool:
-        """Whether it is a surface that may part."""
+        """Whether it is a surface that can tear."""
 
     def part(self, last: SpringState) -> None:
-        """Draw it so that it can part where springs are torn in a later state."""
+        """Prepare the split topology for the torn springs of the final state."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpringPlan:
-    """Springs as they begin, and the steps that they are taken in."""
+    """Initial springs and their solver steps."""
 
     system: SpringSystem
     options: SpringOptions
     choice: Choice
     reason: str  # for the solver and its steps
-    error: float | None = None  # of positions, where it was asked for [m]
-    # What was told while they were found, and how long springs became [1].
+    error: float | None = None  # position error, if requested [m]
+    # Notices of the planning runs, each with the strain reached [1].
     planning_notices: Sequence[tuple[Sequence[Fault], float]] = ()
 
 
 def plan_springs(
     system: SpringSystem, options: SpringOptions, context: SimContext, *, settled: bool
 ) -> SpringPlan:
-    """Return the steps of springs, short enough for an error that is asked for.
+    """Return the springs and steps that meet a requested error.
 
-    Where they are ``settled`` and xpbd rests lower, they begin at its rest.
+    With ``settled``, xpbd starts in its rest state.
     """
     begin, reason, error = context.begin, "", None
     planning_notices: list[tuple[Sequence[Fault], float]] = []
@@ -104,7 +103,7 @@ def plan_springs(
 
 
 class SpringSimulation:
-    """Springs in cells of time; what went on is counted for warnings alone."""
+    """Simulates springs in cells of time; counters serve warnings only."""
 
     checked = True
     views: Sequence[TearingView] = ()
@@ -129,7 +128,7 @@ class SpringSimulation:
         self.clock = context.clock()
 
     def initial(self) -> SpringState:
-        """Return the state that they begin in."""
+        """Return the initial state."""
         substeps, state = self.choice.substeps, self.system.state
         untorn, tied = self.system.none_torn, self.system.ties is not None
         pulls = np.zeros((len(self.system.pinned), 6)) if tied else None
@@ -140,7 +139,7 @@ class SpringSimulation:
     def step(
         self, state: SpringState, t: float, dt: float
     ) -> SpringState | Stepped[SpringState]:
-        """Return the state a cell later, or on the way to it; raise SIM102, SIM105."""
+        """Return the state a cell later, or within it; raise SIM102, SIM105."""
         if dt >= (1 - ON_STEP) * self.step_length:
             return self.steps(state, t, dt, 1)
         run = self._run(state, t)
@@ -155,7 +154,7 @@ class SpringSimulation:
         dt: float,  # noqa: ARG002
         count: int,
     ) -> Stepped[SpringState]:
-        """Return the state some cells later, and what pressed on bodies of others."""
+        """Return the state some cells later, and impulses on other bodies."""
         run = self._run(state, t)
         run.cross(run.grid.index + count)
         self._take_note(run, run.grid.time)
@@ -165,7 +164,7 @@ class SpringSimulation:
         return Stepped(grid.state, run.wrenches)
 
     def pulls(self, state: SpringState, t: float) -> Sequence[Wrenches]:
-        """Return what bodies of others are pressed and pulled by in the next cell."""
+        """Return impulses on bodies of other systems in the next cell."""
         run = self._run(state, t)
         run.cross(run.grid.index + 1)
         if run.status is not Status.OK:
@@ -173,7 +172,7 @@ class SpringSimulation:
         return run.wrenches
 
     def _run(self, state: SpringState, t: float) -> SpringRun:
-        """Return a motion that goes on from a state at its time [s]."""
+        """Return a run that continues from a state at its time [s]."""
         grid, choice = self._grid(state, t), self.choice
         return SpringRun(self.system, self.options, choice, grid, self.clock)
 
@@ -183,7 +182,7 @@ class SpringSimulation:
         return TimeGrid(choice.solver, begin, choice.cell, index, state)
 
     def incompatibility(self, state: SpringState, t: float) -> str:
-        """Return why kernels cannot go on from a state; empty where they can."""
+        """Return why kernels cannot resume from a state; empty if they can."""
         try:
             advance(self.system, self.options, self._grid(state, t), 0)
         except ValueError as error:
@@ -193,15 +192,15 @@ class SpringSimulation:
         return ""
 
     def _take_note(self, run: SpringRun, reached: float) -> None:
-        """Count what a motion took, and stop where it ended."""
+        """Add the counts of a run; raise if it stopped."""
         stats = run.stats(reached)
         notices = run.notices(stats)
         self.taken += run.grid.steps
         if stats.status is not Status.OK:
-            # What stopped it comes last, and is told with the frame.
+            # The fault that stopped it comes last and is reported with the frame.
             faults = sorted(_as_errors(notices), key=lambda one: one.code in STOPS)
             if self.system.ties is not None:
-                # Bodies that are asked for first would have it said of them.
+                # Otherwise the fault would be attributed to the bodies.
                 names = " and ".join(view.member.name for view in self.views)
                 faults[-1] = replace(
                     faults[-1], message=f"{names}: " + faults[-1].message
@@ -212,9 +211,9 @@ class SpringSimulation:
         self.unresolved = max(self.unresolved, run.grid.unresolved)
 
     def _keep_notices(self, notices: Sequence[Fault], stretch: float) -> None:
-        """Keep what a motion says, the worst of each kind."""
+        """Keep notices of a run, the worst of each kind."""
         for fault in notices:
-            # Of what has a number that changes, the first, or the worst.
+            # Keep the first, or the worst, of notices with changing numbers.
             key = fault.code if fault.code in _GROWING else str(fault)
             worse = fault.code == "SIM131" and stretch >= self._worst
             if key not in self._notices or worse:
@@ -222,7 +221,7 @@ class SpringSimulation:
         self._worst = max(self._worst, stretch)
 
     def measure(self, state: SpringState, t: float) -> None:
-        """Count how long springs are in a state that is looked at, and its energy."""
+        """Record strain and energy of a visited state."""
         if state.motion is self._measured:
             return
         self._measured = state.motion
@@ -239,11 +238,11 @@ class SpringSimulation:
 
     @property
     def needs_final_state(self) -> bool:
-        """Whether a surface may part, which has all its points from the first frame."""
+        """Whether a surface can tear: its topology must include the final tears."""
         return any(view.tears for view in self.views)
 
     def set_final_state(self, last: SpringState) -> None:
-        """Let surfaces part where springs are torn in the end."""
+        """Prepare surfaces for the tears of the final state."""
         for view in self.views:
             if view.tears:
                 view.part(last)
@@ -256,7 +255,7 @@ class SpringSimulation:
         return PointsFrame(np.arange(len(points)), points, velocities, radii, {})
 
     def diagnostics(self, state: SpringState, t: float) -> Diagnostics:
-        """Return the energy where nothing takes or brings any, and what was counted."""
+        """Return the energy of a conservative system, and counters."""
         long = (self.system.body.springs.rest > 0).any()
         return Diagnostics(
             self._energy(state, t),
@@ -267,7 +266,7 @@ class SpringSimulation:
 
     @property
     def notices(self) -> list[Fault]:
-        """What is odd so far."""
+        """Warnings collected so far."""
         return [*self._notices.values(), *self._losses.notices(self.choice.solver)]
 
     def _energy(self, state: SpringState, t: float) -> Energy | None:
@@ -278,7 +277,7 @@ class SpringSimulation:
 
     @cached_property
     def _slowed(self) -> bool:
-        """Whether anything takes energy."""
+        """Whether drag, damping or colliders dissipate energy."""
         system = self.system
         slowing = [
             system.drags,
@@ -289,12 +288,12 @@ class SpringSimulation:
         return system.colliders.active or any(values.any() for values in slowing)
 
     def trial_settings(self) -> TrialSettings:
-        """Return solvers in several steps, about those that each takes itself."""
+        """Return solvers with several step lengths around their defaults."""
         return trial_settings(self.system, self.options, self.begin)
 
     @property
     def long(self) -> bool:
-        """Whether springs that never tear became very long."""
+        """Whether untearable springs became very long."""
         tears = np.isfinite(self.system.body.springs.limit).any()
         longest = LONG * (1 + self._stretch_at_start)
         return bool(not tears and 1 + self.stretch > longest)
@@ -307,7 +306,7 @@ def _as_errors(notices: Sequence[Fault]) -> list[Fault]:
 def _by_motions(
     phase: Callable[[], Progress], begin: float, last: float
 ) -> Callable[[float], None]:
-    """Return a function of the time reached; each motion it sees is a phase."""
+    """Return a progress callback; a time that falls starts a new phase."""
     span, before, tell = max(last - begin, 1e-9), math.inf, None
 
     def show(t: float) -> None:

@@ -1,4 +1,4 @@
-"""Derivatives and bounds of the accelerations of springs."""
+"""Derivatives of spring accelerations, and bounds of their frequencies."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.sim.system import Matrix
 from animtool.systems.springs.body import Paths, SpringForces, Springs
 
-# Differences of the forces of air: a share of lengths, or of speeds.
+# Step of finite differences of air forces, relative to lengths or speeds.
 NUDGE = 1e-5
-# Of forces on B particles by the positions and by the velocities of others: numbers of
-# both ``(B,)``, and derivatives ``(B, 3, 3)``.
+# Derivative blocks of forces: row and column particles ``(B,)``, by positions and by
+# velocities ``(B, 3, 3)``.
 _Blocks: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
 def fastest(loads: SpringForces) -> FloatArray | None:
-    """Return bounds of the fastest motions (ω, ζ) ``(2, 2)``, None without springs.
+    """Return bounds of the fastest modes (ω, ζ) ``(2, 2)``; None without springs.
 
-    The stiffness over √(m m') has no eigenvalue above the largest sum of sizes in a row
-    (Gershgorin), each spring as if along all others of its particle; the same of the
-    damping. The first motion bears all of that, the second only the drag.
+    By Gershgorin, eigenvalues of the stiffness over √(m m') are at most the largest row
+    sum, with all springs of a particle taken as parallel; likewise for the damping. The
+    first mode has all of the damping, the second only the drag.
     """
     stiffest = _largest(loads, loads.springs.stiffness, loads.target_springs.stiffness)
     if stiffest == 0:
@@ -57,8 +57,8 @@ def slopes(
 ) -> Iterator[Matrix]:
     """Yield derivatives of accelerations by positions, then by velocities, sparse.
 
-    Those of springs, targets and drag are exact, those of the air differences. Masses
-    ``(N,)`` [kg] of particles that are held are 0; the wind is ``(1, 3)`` [m/s].
+    Derivatives of springs, targets and drag are exact, those of air are differences.
+    Masses ``(N,)`` [kg] are 0 for pinned particles; the wind is ``(1, 3)`` [m/s].
     """
     from scipy.sparse import coo_array
 
@@ -99,7 +99,7 @@ def _of_springs(springs: Springs, x: FloatArray, v: FloatArray) -> Iterator[_Blo
     short = springs.rest * np.sqrt(square) * inverse
     closing = springs.damping * (d * e).sum(axis=1) * inverse
     outer = d[:, :, None] * d[:, None, :] * inverse[:, None, None]
-    # Of the pull on the first end by the place of the second.
+    # Derivative of the force on the first end by the position of the second.
     isotropic = springs.stiffness * (1 - short) + closing
     along = springs.stiffness * short - 2 * closing
     by_x = isotropic[:, None, None] * np.eye(3) + along[:, None, None] * outer
@@ -133,9 +133,9 @@ def _of_air(
 def _nudged(
     separate: _kernels.SpringNetwork, state: FloatArray, part: int, corner: int
 ) -> FloatArray:
-    """Return derivatives of forces on corners by one corner's place or velocity.
+    """Return derivatives of corner forces by one corner's position or velocity.
 
-    ``(T, 3, 3, 3)``: triangle, corner, component of the force, component of the place.
+    ``(T, 3, 3, 3)``: triangle, corner, force component, position component.
     """
     untorn = np.zeros(0, np.uint8)
     size = NUDGE * max(float(np.abs(state[part]).max(initial=0.0)), 1e-3)

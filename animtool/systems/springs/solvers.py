@@ -1,4 +1,4 @@
-"""Solvers that take springs from cell to cell of time, and which is chosen."""
+"""Choice of a solver, and its advance over cells of time."""
 
 from __future__ import annotations
 
@@ -28,45 +28,43 @@ from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
 from animtool.systems.springs.ties import BodyTies, TiedCell
 
-# Steps of xpbd are not shorter than this [s], and those that auto takes not than the
-# other: what keeps surfaces apart from themselves is to keep springs short as well.
+# Shortest step of xpbd [s], and of xpbd chosen by auto, which also has to limit strain
+# with self-contact.
 SHORTEST, SHORTEST_OF_AUTO = 1 / 61440, 1 / 983040
-# Of a cell that is longer than so many of these, no more are tried.
+# Largest number of these in a long cell.
 LONG_CELL = 131072
-# Newton's corrections of implicit steps go on until they are below this share of the
-# mean length of springs.
+# Newton tolerance of implicit steps, relative to the mean spring length.
 SOLVED = 1e-6
-# The same where bodies carry pins: they feel what is left of it times a stiffness [1].
+# The same with pins on bodies, which feel the residual times a stiffness [1].
 TIED = 1e-11
-# Of a cell, where bodies turn by more in each [rad], or where no solution is found.
+# Rotation of bodies per part of a cell [rad], and most parts of a cell.
 MAX_ANGLE, MAX_PARTS = 0.125, 16
-# Where a cell is lost, how many times as many steps are tried; of what works a step is
-# proposed with as much room as this.
+# Refinements tried for a cell that was not solved, and the safety factor of the
+# proposed step.
 SHORTER, ROOM = (2, 4, 8, 16), 4
-# Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
-# 30, 48, 60 and 120 a second.
+# Default cell [s]: frames at 24, 30, 48, 60 and 120 per second are multiples of it.
 CELL = 1 / 240
-# Of the limit of explicit steps, what is taken.
+# Safety factor of the explicit step limit.
 SAFE = 0.8
-# Time for each second of motion that is short enough for explicit steps anyway [s].
+# Compute time per second of motion below which explicit steps are always fine [s].
 LITTLE = 0.03
-# Explicit steps a second from which on doubles hold no solution of implicit ones.
+# Explicit step rate above which implicit solves lose precision in float64.
 SOLVABLE = 1e9
-# Steps in a cell to begin with.
+# Initial steps per cell.
 FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
-# Time of a step, for each spring of a sheet of 20 by 20 [s], on one core of a server of
-# 2024 (tests/bench/results/sim_springs.csv). Where there are few springs a step costs
-# more of each, in all solvers about alike. Only how they compare decides.
+# Time of a step per spring of a 20 by 20 sheet [s], on one core of a server of 2024
+# (tests/bench/results/sim_springs.csv). With few springs the cost per spring is higher
+# in all solvers alike; only the ratio matters.
 COSTS = {
-    # Springs of neighbours are pulled four at a time, from columns of particles.
+    # Forces of neighbouring springs are computed four at a time.
     Solver.SYMPLECTIC_EULER: 2.8e-9,
-    # Newton's corrections, each of some ten products of a matrix; more where explicit
-    # steps were many in each of its own, see `implicit_cost`.
+    # Newton corrections of about ten matrix products each; more for stiff systems, see
+    # `implicit_cost`.
     Solver.BDF2: 150e-9,
 }
-# The same of chains, whose equations are solved directly, however stiff [s].
+# The same for chains, which are solved directly [s].
 CHAIN_COST = 500e-9
-# Numbers that the ends of springs of a chain lie apart, at most, as kernels have it.
+# Largest index distance of spring ends in a chain; the kernels use the same limit.
 WIDEST_CHAIN = 4
 
 
@@ -97,7 +95,7 @@ def choose(
     t: float,
     state: FloatArray,
 ) -> Choice:
-    """Return the solver asked for, or the one that is expected to take least time."""
+    """Return the requested solver, or the one expected to be fastest."""
     limit = explicit_limit(system, t, state)
     rate = 1 / (SAFE * limit) if limit > 0 else math.inf
     solver, reason = requested, "it was requested"
@@ -136,10 +134,10 @@ def tied_choice(
     begin: float,
     limit: float,
 ) -> Choice:
-    """Return a solver whose cells begin and end with steps of what carries pins.
+    """Return a solver whose cells align with the steps of the pins' bodies.
 
     Raises:
-        OptionError: None does (SIM164).
+        OptionError: The steps cannot be aligned (SIM164).
     """
     solver, reason = requested, "it was requested"
     if requested is Solver.AUTO:
@@ -169,15 +167,15 @@ def tied_choice(
 
 
 def _is_integer(ratio: float) -> bool:
-    """Return whether a ratio is a whole number, but for rounding."""
+    """Return whether a ratio is an integer up to rounding."""
     return abs(ratio - round(ratio)) <= 1e-9 * max(1.0, abs(ratio))
 
 
 def implicit_cost(system: SpringSystem, ratio: float) -> float:
-    """Return what a step of bdf2 takes for each spring [s].
+    """Return the time of a bdf2 step per spring [s].
 
-    The ratio is how many steps of semi-implicit Euler one step stands for: products of
-    the matrix are about as many as its square root.
+    The ratio is the number of semi-implicit Euler steps that one step replaces: matrix
+    products grow with its square root.
     """
     bandwidth = np.abs(np.diff(system.body.springs.ends, axis=1)).max(initial=0)
     if bandwidth <= WIDEST_CHAIN:
@@ -188,12 +186,11 @@ def implicit_cost(system: SpringSystem, ratio: float) -> float:
 def _cheapest(
     system: SpringSystem, options: SpringOptions, rate: float
 ) -> tuple[Solver, str]:
-    """Return what is expected to take least time, of what is of the second order.
+    """Return the second-order solver that is expected to be fastest, and why.
 
-    Both keep a swing's energy where the other does, explicit steps that are stable and
-    those of bdf2: time decides, steps times what each costs. A step that is asked for
-    is the longest: explicit ones are as short as they have to be. Where an error is to
-    be kept steps of bdf2 count as little as they ever take.
+    Stable explicit steps and bdf2 conserve energy equally well, so that steps times
+    their cost decide. A requested step is an upper limit: explicit steps are as short
+    as stability needs. With an error tolerance, bdf2 steps count at their lowest cost.
     """
     step = options.step
     limits = f"semi-implicit Euler needs {rate:.0f} steps per second"
@@ -225,7 +222,7 @@ def _met(system: SpringSystem, grid: TimeGrid, count: int) -> CellColliders:
 def advance(
     system: SpringSystem, options: SpringOptions, grid: TimeGrid, cells: int
 ) -> TimeGrid:
-    """Return where a motion is some cells later."""
+    """Advance a motion by some cells."""
     if system.ties is not None and cells:
         return _tied(system, grid, system.ties)
     network = system.network(system.jumps.stage_of(grid))
@@ -263,11 +260,11 @@ def projected(
     most: int,
     limit: float = 0.0,
 ) -> TimeGrid:
-    """Return where a motion is some cells later, in steps of xpbd.
+    """Advance a motion by some cells in steps of xpbd.
 
-    A cell in which springs are longer by more than the stretch [1], and not by their
-    own give, is crossed in more steps, the ``most`` at most. Within a ``limit`` above 0
-    springs that hardly give are brought back each step [1].
+    A cell whose springs are strained beyond the stretch [1] and their compliance is
+    repeated with more steps, up to ``most``. A ``limit`` above 0 clamps the strain of
+    stiff springs in each step [1].
     """
     state = grid.state
     (
@@ -290,9 +287,9 @@ def projected(
 
 
 def _tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeGrid:
-    """Return where a motion is a cell later with the bodies that carry its pins.
+    """Advance a motion by a cell together with the bodies that carry its pins.
 
-    In parts where these turn fast, or where nothing is found.
+    The cell is split into parts if bodies rotate fast or no solution is found.
     """
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
     steps = [one.over(t0, t1) for one in ties.carriers]
@@ -308,9 +305,9 @@ def _tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeGrid:
 
 
 def working_step(system: SpringSystem, grid: TimeGrid) -> float | None:
-    """Return a step that crosses a lost cell, with room; None where none is found.
+    """Return a step that solves a failed cell with a safety factor, or None [s].
 
-    That of the bodies [s], where these carry pins.
+    With pins on bodies it is a step of the bodies.
     """
     ties, begun = system.ties, grid.state
     if ties is not None:
@@ -337,7 +334,7 @@ def _in_parts(
     steps: Sequence[TiedStep],
     parts: int,
 ) -> TimeGrid:
-    """Return where a motion is a cell later, in parts of it with bodies after each."""
+    """Advance a motion by a cell in parts, with the bodies after each part."""
     if parts == 1:
         return _tied_part(system, grid, ties, steps)[0]
     begun, count = grid.state, -(-grid.state.substeps // parts)
@@ -367,7 +364,7 @@ def _in_parts(
 def _tied_part(
     system: SpringSystem, grid: TimeGrid, ties: BodyTies, steps: Sequence[TiedStep]
 ) -> tuple[TimeGrid, list[Any]]:
-    """Return where a motion is a cell later, and the states of the bodies then."""
+    """Return the grid a cell later, and the states of the bodies."""
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
     stage = system.jumps.stage_of(grid)
     network, pinned, drawn = system.cell_network(stage, t0, t1)
@@ -393,7 +390,7 @@ def _tied_part(
 
 @dataclass(slots=True)
 class Pulled:
-    """Where a motion is after a cell, and what held particles were pulled by."""
+    """A grid after a cell, and impulses on pinned particles."""
 
     grid: TimeGrid
     pulls: FloatArray  # impulses and moments about the origin ``(H, 6)``

@@ -1,4 +1,4 @@
-"""Particles and springs as a system that integrators take through time."""
+"""Particles and springs as a system for integrators."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from animtool.systems.springs.checks import (
 from animtool.systems.springs.paths import (
     Path,
     Pins,
-    PointTargets,
+    Targets,
     Teleports,
     over_knots,
     position_at,
@@ -50,14 +50,14 @@ from animtool.systems.springs.records import Air, SelfContact
 from animtool.systems.springs.slopes import fastest, slopes
 from animtool.systems.springs.ties import BodyTies
 
-# Of the speed of targets, where no step says over which time to take it [s].
+# Interval for estimating target velocities when no step is given [s].
 EPSILON_TIME = 1e-6
-# Steps that a kernel takes in one call, at most.
+# Most steps in one kernel call.
 AT_ONCE = 1 << 20
 
 
 class _Stage(NamedTuple):
-    """What holds particles between two jumps."""
+    """Pins and targets between two teleports."""
 
     pins: Path
     targets: Path
@@ -65,34 +65,33 @@ class _Stage(NamedTuple):
 
 
 class SpringSystem(SecondOrder):
-    """A body of springs, held and drawn, in gravity and air.
+    """A body of springs with pins and targets, in gravity and air.
 
-    A spring from a to b pulls with k (|d| - rest) + c (ḋ·d)/|d| along d = b - a; its
-    ends at one place it pulls nothing. Torn springs come of `simulate_springs` only:
-    other methods go on with all.
+    A spring from a to b pulls with k (|d| - rest) + c (ḋ·d)/|d| along d = b - a, and
+    not at all if its ends coincide. Only `simulate_springs` tears springs.
 
     Attributes:
-        contacts: What particles met in the last step that `integrate` settled; None
-            where there was none.
+        contacts: Contacts of the last step that `integrate` settled; None if there was
+            no such step.
 
     Args:
         body: Particles, springs and triangles.
-        pins: Particles that are held, and where.
-        targets: Points that particles are drawn to.
+        pins: Pinned particles and their paths.
+        targets: Points that pull particles.
         gravity: ``(3,)`` [m/s²].
-        drag: What slows all motion, over mass and speed [1/s].
-        resistance: The same over speed, of each particle ``(N,)`` or all [N s/m].
-        air: What acts on the triangles.
+        drag: Drag per mass and speed [1/s].
+        resistance: Drag per speed, of each particle ``(N,)`` or all [N s/m].
+        air: Air that acts on the triangles.
         velocities: At the start ``(N, 3)`` [m/s]; None is at rest.
-        colliders: What particles may run into.
+        colliders: What particles collide with.
         radius: Distance that particles keep from colliders [m].
-        speed_limit: Pins and targets that go faster were put elsewhere: what they hold
-            is taken along as a whole, and gets no velocity of it [m/s].
-        self_contact: How the triangles keep apart from themselves; None does not ask.
+        speed_limit: Faster pins and targets count as teleports: attached particles move
+            along rigidly and gain no velocity [m/s].
+        self_contact: Self-contact of the triangles; None turns it off.
 
     Raises:
-        OptionError: What makes no sense (SIM004, SIM040 to SIM045), of colliders
-            SIM020.
+        OptionError: A body, pin or option is invalid (SIM004, SIM040 to SIM045), or a
+            collider is (SIM020).
 
     >>> from animtool.systems.springs.shapes import rope
     >>> from animtool.systems.springs import Family
@@ -110,7 +109,7 @@ class SpringSystem(SecondOrder):
         body: Body,
         *,
         pins: Pins | None = None,
-        targets: PointTargets | None = None,
+        targets: Targets | None = None,
         gravity: ArrayLike = (0.0, 0.0, -9.81),
         drag: float = 0.0,
         resistance: ArrayLike = 0.0,
@@ -122,7 +121,7 @@ class SpringSystem(SecondOrder):
         self_contact: SelfContact | None = None,
     ) -> None:
         pins, air = pins or Pins(()), air or Air(drag=0.0, lift=0.0)
-        targets = targets or PointTargets((), np.zeros((0, 3)), 0.0)
+        targets = targets or Targets((), np.zeros((0, 3)), 0.0)
         self.pinned, drawn = (
             np.asarray(each.particles, np.int64).reshape(-1) for each in (pins, targets)
         )
@@ -137,7 +136,7 @@ class SpringSystem(SecondOrder):
         self.gravity = as_floats(gravity, (3,), "gravity")
         self.drag = float(drag)
         self.resistance = np.broadcast_to(np.asarray(resistance, np.float64), count)
-        # Of air, over the area of triangles and the square of its speed.
+        # Air drag and lift per area and squared speed.
         self.pressures = 0.5 * air.density * air.drag, 0.5 * air.density * air.lift
         winds = np.asarray(air.wind, np.float64)[..., None, :]
         self._wind_path = check_path("air", winds, air.times, 1)
@@ -159,7 +158,7 @@ class SpringSystem(SecondOrder):
         self.jumps = Teleports(body, holders, self._paths, speed_limit)
         self._staged: tuple[int, _Stage] | None = None
         self.contacts: Contacts | None = None
-        self.ties: BodyTies | None = None  # what carries some of the pins
+        self.ties: BodyTies | None = None  # rigid bodies that carry pins
         self.colliders = (
             colliders if isinstance(colliders, Colliders) else Colliders(colliders)
         )
@@ -179,18 +178,18 @@ class SpringSystem(SecondOrder):
 
     @property
     def spacing(self) -> float:
-        """Mean length of its springs at rest, 1 where they have none [m]."""
+        """Mean rest length of its springs; 1 if all are 0 [m]."""
         rest = self.body.springs.rest
         return float(rest.mean()) if rest.any() else 1.0
 
     def network(self, stage: int) -> _kernels.SpringNetwork:
-        """Return what kernels step, after some of the jumps of pins and targets."""
+        """Return the kernel network of a stage between teleports."""
         return self._stage(stage).network
 
     def lead(self, span: float, path: FloatArray) -> None:
-        """Take pins and targets over a span [s], straight between even times of it.
+        """Set the paths of pins and targets over a span [s], linear between even times.
 
-        At these all particles are to be at ``path`` ``(K, N, 3)`` [m].
+        ``path`` has the positions of all particles at these times ``(K, N, 3)`` [m].
         """
         knots = np.linspace(0.0, span, len(path))
         pins, targets = (
@@ -215,7 +214,7 @@ class SpringSystem(SecondOrder):
         return self._staged[1]
 
     def cell_knots(self, stage: int, t0: float, t1: float) -> FloatArray:
-        """Return both ends of a cell, and times [s] between at which paths bend."""
+        """Return both ends of a cell, and the path knots within it [s]."""
         staged = self._stage(stage)
         times = [one for one, _ in (staged.pins, staged.targets, self._wind_path)]
         every = np.unique(np.concatenate(times))
@@ -225,9 +224,9 @@ class SpringSystem(SecondOrder):
     def cell_network(
         self, stage: int, t0: float, t1: float
     ) -> tuple[_kernels.SpringNetwork, FloatArray, FloatArray]:
-        """Return what kernels step in a cell, with paths of pins and of targets in it.
+        """Return the kernel network of a cell, with pin and target paths.
 
-        At its knots ``(K, P, 3)`` and ``(K, A, 3)`` [m].
+        Paths at the knots of the cell are ``(K, P, 3)`` and ``(K, A, 3)`` [m].
         """
         staged, knots = self._stage(stage), self.cell_knots(stage, t0, t1)
         pinned, drawn, wind = (
@@ -239,12 +238,12 @@ class SpringSystem(SecondOrder):
         return replace(self.loads, springs=springs).network(paths), pinned, drawn
 
     def faces_of(self, particles: IntArray) -> bool:
-        """Return whether some particles have faces, which meet colliders too."""
+        """Return whether particles have faces, which collide too."""
         return bool(np.isin(self.body.triangles, particles).any())
 
     @property
     def loads(self) -> SpringForces:
-        """What acts on particles, with springs in the order of the body's."""
+        """Forces on particles, with springs in body order."""
         return SpringForces(
             self.inverse_masses, self.drags, self.body.springs, self.body.triangles,
             self.gravity, self.pressures, self.pinned, self.target_springs,
@@ -252,7 +251,7 @@ class SpringSystem(SecondOrder):
 
     @cached_property
     def layers(self) -> _kernels.SpringLayers | None:
-        """What of the surface kernels keep apart."""
+        """Kernel self-contact of the surface; None without."""
         contact = self.self_contact
         if contact is None:
             return None
@@ -260,44 +259,44 @@ class SpringSystem(SecondOrder):
 
     @cached_property
     def order(self) -> IntArray:
-        """The order in which springs are gone through ``(S,)``."""
+        """Order in which kernels visit springs ``(S,)``."""
         count = len(self.body.positions)
         return _kernels.spring_order(self.body.springs.ends, count)
 
     @cached_property
     def none_torn(self) -> Flags:
-        """Which springs are torn where none is, in the order of kernels ``(S,)``."""
+        """Torn flags with no spring torn, in kernel order ``(S,)``."""
         return np.zeros(len(self.body.springs.rest), np.uint8)
 
     def torn(self, flags: Flags) -> BoolArray:
-        """Return which springs are torn ``(S,)``, of those in the order of kernels."""
+        """Return torn flags in body order ``(S,)``, from kernel order."""
         torn = np.zeros(len(flags), np.bool_)
         torn[self.order] = flags.astype(np.bool_)
         return torn
 
     @cached_property
     def inverse_masses(self) -> FloatArray:
-        """Of particles ``(N,)`` [1/kg], 0 of those that are held."""
+        """Inverse masses ``(N,)`` [1/kg], 0 for pinned particles."""
         masses = np.where(self.fixed, 1.0, self.body.masses)
         return np.where(self.fixed, 0.0, 1.0 / masses)
 
     @cached_property
     def free_masses(self) -> FloatArray:
-        """Of particles ``(N,)`` [kg], 0 of those that are held."""
+        """Masses ``(N,)`` [kg], 0 for pinned particles."""
         return np.where(self.fixed, 0.0, self.body.masses)
 
     @cached_property
     def drags(self) -> FloatArray:
-        """What slows each particle, over its mass and speed ``(N,)`` [1/s]."""
+        """Drag of each particle per mass and speed ``(N,)`` [1/s]."""
         return self.drag + self.resistance * self.inverse_masses
 
     @property
     def state(self) -> FloatArray:
-        """Where it starts ``(2, N, 3)``."""
+        """Initial positions and velocities ``(2, N, 3)``."""
         return self._state
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return accelerations ``(N, 3)`` [m/s²], 0 of particles that are held."""
+        """Return accelerations ``(N, 3)`` [m/s²], 0 for pinned particles."""
         network = self.network(self.jumps.stage(t))
         return _kernels.spring_accelerations(
             network, t, EPSILON_TIME, np.array((x, v)), self.none_torn
@@ -311,9 +310,9 @@ class SpringSystem(SecondOrder):
         return by_x, by_v
 
     def stiffness(self, t: float, x: FloatArray) -> Matrix:
-        """Return the derivative of forces by positions, negative ``(3 N, 3 N)``.
+        """Return the sparse stiffness matrix: minus force derivatives ``(3 N, 3 N)``.
 
-        Of springs and targets, sparse; rows of particles that are held are 0.
+        It has springs and targets; rows of pinned particles are 0.
         """
         from scipy.sparse import diags_array
 
@@ -322,25 +321,25 @@ class SpringSystem(SecondOrder):
         return diags_array(np.repeat(-masses, 3)) @ by_x
 
     def halted(self, t: float, body: Body, drag: float = 0.0) -> SpringSystem:
-        """Return springs with pins and targets as they are at a time, without air.
+        """Return the springs with pins and targets frozen at a time, without air.
 
         Args:
             t: The time [s].
-            body: Where particles are, and their springs.
-            drag: What slows all motion, over mass and speed [1/s].
+            body: Positions and springs.
+            drag: Drag per mass and speed [1/s].
         """
         stage = self._stage(self.jumps.stage(t))
         aims, draws = position_at(stage.targets, t), self.target_springs
         return SpringSystem(
             body,
             pins=Pins(self.pinned, position_at(stage.pins, t)),
-            targets=PointTargets(draws.particles, aims, draws.stiffness, draws.damping),
+            targets=Targets(draws.particles, aims, draws.stiffness, draws.damping),
             gravity=self.gravity,
             drag=drag,
         )
 
     def without_springs(self, gone: BoolArray) -> SpringSystem:
-        """Return the same particles without some of their springs ``(S,)``."""
+        """Return the system without some springs ``(S,)``."""
         left = copy(self)
         left.body = replace(self.body, springs=self.body.springs.select(~gone))
         left._staged = None
@@ -349,7 +348,7 @@ class SpringSystem(SecondOrder):
         return left
 
     def starting_at(self, positions: ArrayLike) -> SpringSystem:
-        """Return the same springs that begin elsewhere, at rest.
+        """Return the system starting at rest in other positions.
 
         Args:
             positions: ``(N, 3)`` [m].
@@ -363,12 +362,12 @@ class SpringSystem(SecondOrder):
     def energy(self, t: float, state: FloatArray) -> Energy:
         """Return the energy of springs, gravity and motion.
 
-        Moved pins and targets and wind may bring in about what all particles have at
-        their speed.
+        Moving pins, targets and wind may supply about the kinetic energy of all
+        particles at their speed.
         """
         x, v = state
         masses = self.free_masses
-        # What float64 does not hold is an infinite energy.
+        # Overflow gives an infinite energy.
         with np.errstate(over="ignore", invalid="ignore"):
             return self._energy_of(t, x, v, masses)
 
@@ -389,12 +388,12 @@ class SpringSystem(SecondOrder):
 
     @cached_property
     def _driven(self) -> tuple[float, float, float]:
-        """The mass that moves, what wind and ways bring it, and the speed of those."""
+        """Moving mass, squared speed supplied by wind and paths, and path speed."""
         mass = float(self.body.masses[~self.fixed].sum())
         wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
         speed, travel = map(max, zip(*map(reach_of, self._paths), strict=True))
         pull = float(np.linalg.norm(self.gravity))
-        # What is put elsewhere brings no speed.
+        # Teleports supply no speed.
         return mass, wind**2 + pull * travel, min(speed, self.speed_limit)
 
     def wind(self, t: float) -> FloatArray:
@@ -402,20 +401,20 @@ class SpringSystem(SecondOrder):
         return position_at(self._wind_path, t)
 
     def stretch(self, t: float, state: FloatArray) -> float | None:
-        """Return the largest length of a spring over its length at rest [1]."""
+        """Return the largest ratio of spring length to rest length [1]."""
         points = np.ascontiguousarray(state[0])
         network = self.network(self.jumps.stage(t))
         longest = _kernels.spring_energy(network, points)[1]
         return longest if (self.body.springs.rest > 0).any() else None
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
-        """Return bounds of the fastest motions ``(M, 2)``, wherever particles are."""
+        """Return bounds of the fastest modes ``(M, 2)``, for any positions."""
         return fastest(self.loads)
 
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return the state after a step: pins where they are to be, and contacts."""
+        """Return the state after a step with pins and contacts applied."""
         if not self.settles:
             return after
         moved = after.copy()
@@ -439,7 +438,7 @@ class SpringSystem(SecondOrder):
         return moved
 
     def native(self, method: str) -> Native | None:
-        """Return what takes many steps at once, of symplectic_euler."""
+        """Return a native stepper of symplectic_euler, or None."""
         if method != "symplectic_euler" or self._collides or len(self.jumps):
             return None
 
@@ -455,14 +454,14 @@ class SpringSystem(SecondOrder):
         return steps
 
     def notices(self) -> list[Fault]:
-        """Return warnings of the start, and of what is put elsewhere at once."""
+        """Return warnings about the start and teleports."""
         notices = start_notices(self.body) + self.colliders.notices()
         if self.self_contact is not None:
             notices += tangle_notices(self.body.positions, self.body.triangles)
         return notices + self.jumps.notices()
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
-        """Return which spring is stretched most."""
+        """Return which spring has the largest strain."""
         springs = self.body.springs
         if not len(springs.rest):
             return ""

@@ -1,4 +1,4 @@
-"""What a rope, strands, cloth or a volume shows of springs in steps."""
+"""Frames, surfaces and diagnostics of one spring entry."""
 
 from __future__ import annotations
 
@@ -31,43 +31,43 @@ from animtool.systems.springs.simulation import SpringSimulation
 
 @dataclass
 class SpringView:
-    """What a rope, strands, cloth or a volume shows."""
+    """Shows one entry of a spring simulation."""
 
     simulation: SpringSimulation
     member: Member  # its entry
-    rows: IntArray  # its particles in the simulation ``(N,)``
+    rows: IntArray  # its particle indices in the simulation ``(N,)``
     springs: slice  # its springs there
-    member_notices: Sequence[Fault]  # what is odd about it alone
-    first: bool  # whether it speaks for all that it is joined to
+    member_notices: Sequence[Fault]  # warnings about this entry alone
+    first: bool  # whether it reports for all joined entries
     _torn_mesh: Tearing | FaceShape | None = None
-    # How many springs are torn, and the faces that are whole then.
+    # Number of torn springs, and the intact faces at that number.
     _intact: tuple[int, IntArray, IntArray] | None = None
     _crossings: SelfCrossings | None = None
-    # What of a surface is measured where it touches anything, and the worst of it.
+    # Measured sides and peaks of a surface in contact.
     _sides: Sides | None = None
     _meter: ContactMeter = field(default_factory=lambda: ContactMeter(seconds=True))
 
     @property
     def body(self) -> Any:
-        """Its particles and springs, and what is drawn of them."""
+        """Its particles, springs and drawn shape."""
         return self.member.record.body
 
     @property
     def tears(self) -> bool:
-        """Whether it is a surface that may part."""
+        """Whether it is a surface that can tear."""
         return isinstance(self.body.shape, FaceShape) and self.body.shape.tears
 
     def torn(self, state: SpringState) -> BoolArray:
-        """Return which of its springs are torn ``(S,)``."""
+        """Return torn flags of its springs ``(S,)``."""
         return self.simulation.system.torn(state.torn)[self.springs]
 
     def part(self, last: SpringState) -> None:
-        """Draw it so that it can part where springs are torn in a later state."""
+        """Prepare the split topology for the torn springs of the final state."""
         shape = cast(FaceShape, self.body.shape)
         self._torn_mesh = shape.torn_shape(self.torn(last), self.body.body.positions)
 
     def frame(self, state: SpringState, t: float) -> Frame:
-        """Return what is drawn of it."""
+        """Return its frame."""
         self.simulation.measure(state, t)
         points, velocities = state.motion[:, self.rows]
         self._look(points, t)
@@ -77,7 +77,7 @@ class SpringView:
         return frame
 
     def _look(self, points: FloatArray, t: float) -> None:
-        """Count what of a surface goes through it, where nothing keeps it apart."""
+        """Count self-intersections of a surface without self-contact."""
         simulation, shape = self.simulation, self.body.shape
         if simulation.system.self_contact is not None or not isinstance(
             shape, FaceShape
@@ -89,7 +89,7 @@ class SpringView:
         self._crossings.look(t, points)
 
     def _measure(self, points: FloatArray, t: float, state: SpringState) -> None:
-        """Note how deep a surface is in what it touches, through it, and strained."""
+        """Measure depth, piercing and strain of a surface in contact."""
         system, body, shape = self.simulation.system, self.body.body, self.body.shape
         colliders, touches = system.colliders, system.self_contact is not None
         if not isinstance(shape, FaceShape) or not (colliders.active or touches):
@@ -103,7 +103,7 @@ class SpringView:
         self._meter.look(t, points, sides, solids, depths)
 
     def _crossing_notices(self) -> list[Fault]:
-        """Return warnings of what went through it, or may have (SIM194, SIM195)."""
+        """Return warnings: self-intersection and thin colliders (SIM194, SIM195)."""
         simulation, body, name = self.simulation, self.body, self.member.name
         notices = self._crossings.notices(name) if self._crossings is not None else []
         met = simulation.system.faces_of(self.rows)
@@ -123,11 +123,11 @@ class SpringView:
 
     @property
     def closed(self) -> bool:
-        """Whether only its outside is run into."""
+        """Whether others collide with its outside only."""
         return getattr(self.body.shape, "closed", False)
 
     def surface(self, state: SpringState, t: float) -> MeshFrame:
-        """Return those of its faces that are not torn."""
+        """Return its intact faces."""
         self.simulation.measure(state, t)
         shape, torn = cast(FaceShape, self.body.shape), self.torn(state)
         gone = int(torn.sum())
@@ -138,7 +138,7 @@ class SpringView:
         return MeshFrame(points, velocities, *self._intact[1:], self.closed)
 
     def diagnostics(self, state: SpringState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return what became of it, and what is odd so far."""
+        """Return result values and warnings collected so far."""
         simulation, body, name = self.simulation, self.body.body, self.member.name
         values: dict[str, Any] = {
             "kind": self.member.kind,
@@ -198,9 +198,9 @@ def _sides_of(
     touches: bool,
     torn: BoolArray | None = None,
 ) -> Sides:
-    """Return what of a surface is measured, without springs that are torn ``(S,)``.
+    """Return the sides to measure, without torn springs ``(S,)``.
 
-    Its triangles where they keep apart from each other.
+    Triangles are included only with self-contact.
     """
     side_springs = shape.side_springs
     kept = (body.springs.rest[side_springs] > 0) & ~fixed[
