@@ -27,13 +27,13 @@ std::size_t strand_of(std::size_t bundle, std::size_t lane, std::size_t strands)
 
 // Rows of strands (S, count) side by side by bundles, room for `width` in each.
 std::vector<double> side_by_side(In<double, 2> rows, std::size_t strands, std::size_t width) {
-  std::vector<double> made(bundles_of(strands) * WIDE * width);
+  std::vector<double> built(bundles_of(strands) * WIDE * width);
   for (std::size_t b = 0; b < bundles_of(strands); ++b)
     for (std::size_t l = 0; l < WIDE; ++l)
       for (std::size_t k = 0; k < rows.shape(1); ++k)
-        made[(b * width + k) * WIDE + l] =
+        built[(b * width + k) * WIDE + l] =
             rows.data()[strand_of(b, l, strands) * rows.shape(1) + k];
-  return made;
+  return built;
 }
 
 // Colliders of all steps of a frame, and what loops over bundles read of them.
@@ -56,7 +56,7 @@ class FrameColliders {
       thicknesses_.push_back(rows_[c].thickness(colliders.radius()));
       is_rod_.push_back(rows_[c].is_rod);
     }
-    look_ahead();
+    fill_lookahead();
   }
 
   void put_into(StrandSteps& plan) const {
@@ -65,19 +65,19 @@ class FrameColliders {
     plan.is_rod = is_rod_.data();
     plan.thicknesses = thicknesses_.data();
     plan.drifts = drifts_.data();
-    plan.ahead = ahead_.data();
+    plan.remaining = lookahead_.data();
     plan.others = {this, &FrameColliders::sample, &FrameColliders::sweep};
     plan.tolerance = colliders_.tolerance();
   }
 
  private:
-  void look_ahead() {
+  void fill_lookahead() {
     const std::size_t count = colliders_.size();
-    ahead_.assign(rows_.size() + count, 0.0);
+    lookahead_.assign(rows_.size() + count, 0.0);
     for (std::size_t row = rows_.size(); row-- > 0;) {
       const Vec drift = load(&drifts_[3 * (row / count)]);
-      ahead_[row] = ahead_[row + count];
-      if (rows_[row].is_rod) ahead_[row] += rows_[row].travel(drift);
+      lookahead_[row] = lookahead_[row + count];
+      if (rows_[row].is_rod) lookahead_[row] += rows_[row].travel(drift);
     }
   }
 
@@ -86,17 +86,17 @@ class FrameColliders {
     const auto& self = *static_cast<const FrameColliders*>(all);
     const StepCollider& one = self.rows_[row];
     const double radius = self.colliders_.radius();
-    const auto found = end ? one.after(load(point), radius) : one.before(load(point), radius);
-    answer[0] = found.distance;
-    store(found.normal, answer + 1);
+    const auto hit = end ? one.after(load(point), radius) : one.before(load(point), radius);
+    answer[0] = hit.distance;
+    store(hit.normal, answer + 1);
   }
 
   static bool sweep(const void* all, std::size_t row, const double* from, double* to) {
     const auto& self = *static_cast<const FrameColliders*>(all);
-    Vec place = load(to);
+    Vec location = load(to);
     const double radius = self.colliders_.radius();
-    if (!self.rows_[row].sweep(self.h_, radius, load(from), place, nullptr)) return false;
-    store(place, to);
+    if (!self.rows_[row].sweep(self.h_, radius, load(from), location, nullptr)) return false;
+    store(location, to);
     return true;
   }
 
@@ -104,7 +104,7 @@ class FrameColliders {
   double h_;
   std::vector<StepCollider> rows_;  // (steps, C)
   std::vector<collide::Rod> rods_;
-  std::vector<double> drifts_, ahead_, thicknesses_;
+  std::vector<double> drifts_, lookahead_, thicknesses_;
   std::vector<unsigned char> is_rod_;
 };
 
@@ -144,33 +144,33 @@ class Bundles {
   std::size_t particles() const { return strands_.strands() * plan_.points; }
 
   StrandBundle begun(std::size_t index) {
-    StrandBundle made{};
-    made.x = rows_.data();
-    made.v = made.x + width();
-    made.before = made.v + width();
-    made.along = made.before + width();
-    made.matrix = made.along + width();
-    made.still = made.matrix + width();
-    made.rests = strands_.rests(index);
-    made.folds = strands_.folds(index);
-    made.way = meetings_.data();
-    made.due = made.way + plan_.points;
-    made.dues = made.due + plan_.points;
-    made.near = near_.data();
-    made.touched = touched_.data();
-    made.next_depths = particles();
+    StrandBundle built{};
+    built.x = rows_.data();
+    built.v = built.x + width();
+    built.before = built.v + width();
+    built.along = built.before + width();
+    built.matrix = built.along + width();
+    built.unmoved = built.matrix + width();
+    built.rests = strands_.rests(index);
+    built.folds = strands_.folds(index);
+    built.shift = meetings_.data();
+    built.due = built.shift + plan_.points;
+    built.dues = built.due + plan_.points;
+    built.near = near_.data();
+    built.touched = touched_.data();
+    built.next_depths = particles();
     for (std::size_t l = 0; l < WIDE; ++l) {
-      if (index * WIDE + l < strands_.strands()) made.counted |= 1u << l;
+      if (index * WIDE + l < strands_.strands()) built.counted |= 1u << l;
       if (!colliders_.depths()) continue;
       const std::size_t strand = strand_of(index, l, strands_.strands());
-      made.depths[l] = colliders_.depths() + strand * plan_.points;
+      built.depths[l] = colliders_.depths() + strand * plan_.points;
     }
-    take(index, state_, made.x);
-    take(index, state_ + 3 * particles(), made.v);
+    take(index, state_, built.x);
+    take(index, state_ + 3 * particles(), built.v);
     for (std::size_t k = 0; k <= plan_.cells; ++k)
       take(index, targets_ + k * 3 * particles(), goals_.data() + k * width());
-    made.goals = goals_.data();
-    return made;
+    built.goals = goals_.data();
+    return built;
   }
 
   // Rows of all particles (N, 3) to those of a bundle, side by side, and back.
@@ -257,22 +257,22 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
 }
 
 StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double span) const {
-  StrandSteps made{};
-  made.points = points_;
-  made.cells = cells;
-  made.substeps = substeps;
+  StrandSteps built{};
+  built.points = points_;
+  built.cells = cells;
+  built.substeps = substeps;
   const double h = span / static_cast<double>(cells * substeps);
-  made.h = h;
-  for (std::size_t k = 0; k < 3; ++k) made.fall[k] = h * gravity_[k];
-  made.slowed = 1 / (1 + h * drag_);
-  made.fold = give(fold_, 0, 2, h);
-  made.root_fold = give(fold_, 0, 1, h);
-  made.draw = give(draw_, draw_damping_, 1, h);
-  made.draw_change =
+  built.h = h;
+  for (std::size_t k = 0; k < 3; ++k) built.fall[k] = h * gravity_[k];
+  built.slowed = 1 / (1 + h * drag_);
+  built.fold = give(fold_, 0, 2, h);
+  built.root_fold = give(fold_, 0, 1, h);
+  built.draw = give(draw_, draw_damping_, 1, h);
+  built.draw_change =
       draw_damping_ * h / ((draw_ * h * h + draw_damping_ * h) + 1);
-  made.soft = 1 / (stiffness_ * h * h);
-  made.longest = 1 + stretch_;
-  return made;
+  built.soft = 1 / (stiffness_ * h * h);
+  built.longest = 1 + stretch_;
+  return built;
 }
 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,

@@ -36,7 +36,7 @@ def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
     Identity if either has no length; 180° about a perpendicular axis if they are
     opposite.
 
-    >>> least_turns(np.array([[1.0, 0, 0]]), np.array([[2.0, 0, 0]])).tolist()
+    >>> shortest_rotations(np.array([[1.0, 0, 0]]), np.array([[2.0, 0, 0]])).tolist()
     [[0.0, 0.0, 0.0, 1.0]]
     """
     lengths = [np.linalg.norm(part, axis=-1, keepdims=True) for part in (before, after)]

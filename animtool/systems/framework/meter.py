@@ -189,7 +189,7 @@ def depths_in(solid: ClosedSurface, points: FloatArray) -> FloatArray:
     >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     >>> faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     >>> points = np.array([[0.1, 0.2, 0.2], [2.0, 0.0, 0.0]])
-    >>> depths_in(Solid(corners, faces), points).round(3).tolist()
+    >>> depths_in(ClosedSurface(corners, faces), points).round(3).tolist()
     [0.1, 0.0]
     """
     low, high = solid.points.min(axis=0), solid.points.max(axis=0)

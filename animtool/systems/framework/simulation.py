@@ -107,9 +107,10 @@ class Simulation(Protocol[State]):
     """A system in a scene: pure steps from state to state.
 
     With an attribute ``checked``, True, its steps raise if numbers are not finite
-    (SIM102), and frames are not checked for that. Optional protocols: `ManySteps`, `Joined`, `NeedsFinalState`, `Resumed`,
-    `Tried` and, as a collider of others, `RigidSystem` or `Skinned`. An attribute
-    ``step_length`` [s] overrides the step.
+    (SIM102), and frames are not checked for that. Optional protocols:
+    `ManySteps`, `Joined`, `NeedsFinalState`, `Resumed`, `Tried` and, as a collider of
+    others, `RigidSystem` or `Skinned`. An attribute ``step_length`` [s] overrides the
+    step.
     """
 
     def initial(self) -> State:
