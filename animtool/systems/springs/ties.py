@@ -132,18 +132,18 @@ class TiedCell:
             dynamic = carriers[k].system.shared.dynamic
             for number, body in enumerate(dynamic.tolist()):
                 ties = self._ties.ties
-                carried = [
+                tie_numbers = [
                     i for i, t in enumerate(ties) if (t.carrier, t.body) == (k, body)
                 ]
-                if not carried or not step.free[number]:
+                if not tie_numbers or not step.free[number]:
                     continue
                 centre, ease = (rows[number] for rows in step.inertias)
-                points = np.concatenate([self._positions[i] for i in carried])
+                points = np.concatenate([self._positions[i] for i in tie_numbers])
                 reach = float(np.linalg.norm(points - centre, axis=1).max())
                 mass = float(carriers[k].masses[number])
                 inertia = np.linalg.pinv(ease, hermitian=True)
                 reach = max(reach, self._ties.size)
-                yield _Unknown(k, number, carried, mass, inertia, ease, reach)
+                yield _Unknown(k, number, tie_numbers, mass, inertia, ease, reach)
 
     @property
     def _scale(self) -> FloatArray:
