@@ -16,9 +16,10 @@ from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
-from animtool.sim.colliders import Colliders
+from animtool.sim.colliders import Colliders, Sheet
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.attach.bodies import AttachedBody
+from animtool.systems.attach.layers import ClothMotion, cloth_sheet
 from animtool.systems.attach.network import Network, lost_links, typical_edge
 from animtool.systems.attach.poses import LocalPose, PosePath, pose_path
 from animtool.systems.attach.settings import AttachSettings
@@ -81,8 +82,12 @@ class Actor:
         pose: LocalPose,
         skins: Sequence[SkinSurface] = (),
         world: Colliders | None = None,
+        layers: Sequence[Sheet] = (),
     ) -> None:
-        """Start at rest in a pose, at its scale; a frame lasts ``span`` [s]."""
+        """Start at rest in a pose, at its scale; a frame lasts ``span`` [s].
+
+        ``layers`` is cloth that was simulated before.
+        """
         self.body, self.settings = body, settings
         self._rig = rig
         first = pose_path(rig, pose, pose, 1)
@@ -123,7 +128,9 @@ class Actor:
             settings.radius,
             settings.options.friction,
             world,
+            layers,
         )
+        self._layers = [one.motion for one in layers]
         self._world, self._time = first.world, 0.0
         self.lost = lost_links(network, self.target)
         self.tangles = (
@@ -132,6 +139,25 @@ class Actor:
             else []
         )
         self.state = AttachState(self.target, np.zeros_like(self.target))
+        # Cloth with self-contact, as a collider of attachments that come later.
+        self.sheet: Sheet | None = None
+        if self._stepper.thickness:
+            self.sheet = cloth_sheet(
+                body.name,
+                self.target,
+                network.triangles,
+                self._stepper.thickness,
+                settings.options.friction,
+                DEPENETRATION,
+            )
+
+    def _move_sheet(self, times: tuple[float, float], begin: FloatArray) -> None:
+        """Set the motion of the collider over a frame, from points at its begin."""
+        if self.sheet is not None:
+            motion = self.sheet.motion
+            assert isinstance(motion, ClothMotion)
+            motion.begin, motion.end = begin, self.state.positions
+            motion.times = times
 
     def rush(self, speed: FloatArray) -> None:
         """Add a velocity ``(3,)`` [m/s] to all particles."""
@@ -154,12 +180,14 @@ class Actor:
         length, first = self._span / self._cells, frame * self._cells
         cells = Cells(0.0, length, first, self._cells)
         met = self._contacts.over(motion.world, cells, surfaces)
+        begun = self.state
         self.state = self._stepper.cross(
-            self.state, targets, met, self._span, self._substeps
+            begun, targets, met, self._span, self._substeps
         )
         self.target = targets[-1]
         self._world = motion.world
         self._time = (frame + 1) * self._span
+        self._move_sheet((frame * self._span, self._time), begun.positions)
         self.seconds += time.perf_counter() - began
 
     def measure(self, frame: float) -> None:
@@ -167,12 +195,17 @@ class Actor:
         points = self.state.positions
         depths = self._contacts.depths(self._world, points, self._time)
         solids = [*self._solids, *self._contacts.solids(self._time)]
-        self.meter.look(frame, points, self._sides, solids, depths)
+        layers = [
+            ClosedSurface(one.points(self._time), one.triangles(self._time))
+            for one in self._layers
+        ]
+        self.meter.look(frame, points, self._sides, solids, depths, layers)
 
     def follow(self, paths: PosePaths) -> None:
         """Follow the animation for a frame without simulation."""
         self.target = self.body.targets(paths.of(1))[-1]
         self.state = AttachState(self.target, np.zeros_like(self.target))
+        self._move_sheet((0.0, 0.0), self.state.positions)
 
     def set_target(self, pose: LocalPose) -> None:
         """Set the animated target from a pose; the state stays."""
@@ -187,6 +220,7 @@ class Actor:
         pinned = self.body.network.pinned
         state.positions[pinned] = self.target[pinned]
         self.state = state
+        self._move_sheet((0.0, 0.0), state.positions)
         self.jumps += 1
 
     def speed(self, paths: PosePaths) -> float:

@@ -84,7 +84,8 @@ class SimulateOptions:
     radius: str | float = "5mm"  # distance kept from all, a number in [m] or ``5mm``
     # On them, and between layers, Coulomb's coefficient [1].
     friction: Annotated[float, within(0.0, "SIM004")] = 0.2
-    self_contact: bool = True  # cloth does not go through itself
+    # Cloth does not go through itself, nor what is named after it through the cloth.
+    self_contact: bool = True
     # Distance that it keeps from itself, as ``radius`` is written. None is that, or a
     # third of its edges where these are short.
     thickness: str | float | None = None

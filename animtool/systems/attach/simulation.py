@@ -161,8 +161,11 @@ class AttachSimulation:
         begin = pose
         if travels:
             begin = extrapolated(self.rig, pose, following, leading)
-        self.actors = [
-            Actor(
+        self.actors = []
+        for body in self.bodies:
+            # Cloth collides with cloth that is named before it.
+            sheets = [one.sheet for one in self.actors if one.sheet is not None]
+            actor = Actor(
                 self.rig,
                 body,
                 settings_for(options, body.kind),
@@ -170,9 +173,9 @@ class AttachSimulation:
                 begin,
                 self.skins,
                 self._world,
+                () if body.network.strands else sheets,
             )
-            for body in self.bodies
-        ]
+            self.actors.append(actor)
         if self.resumed is not None:
             return
         static = self._paths(begin, begin)

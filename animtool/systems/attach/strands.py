@@ -12,7 +12,7 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, bind_world
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.sim.colliders import Capsule, Collider, Colliders
+from animtool.sim.colliders import Capsule, Collider, Colliders, Sheet
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.framework.meter import ClosedSurface, closed_surfaces, depths_of
 from animtool.systems.springs.contacts import (
@@ -165,11 +165,13 @@ class CharacterColliders:
         radius: float,
         friction: float,
         world: Colliders | None = None,
+        layers: Sequence[Sheet] = (),
     ) -> None:
         """Set up the constants of all frames.
 
         Radii ``(C,)`` [m] have the scale of the character. Depths, at most 0, are the
         allowed signed distances from capsules ``(C, N)`` and each skin ``(N,)`` [m].
+        Layers are other cloth.
         """
         self._capsules, self._radius = capsules, radius
         self._world = world = Colliders(()) if world is None else world
@@ -177,7 +179,7 @@ class CharacterColliders:
             Capsule(1.0, 0.0), friction=friction, depenetration=DEPENETRATION
         )
         every = [*world, *([like] * len(capsules))]
-        self._colliders = Colliders(every, world.sheets, world.bodies)
+        self._colliders = Colliders(every, [*world.sheets, *layers], world.bodies)
         first = len(world)
         self._sizes = self._colliders.arrays(0.0, 0.0)[1][first : len(every)].copy()
         self._sizes[:, 6] = radii

@@ -253,7 +253,8 @@ def simulate(
     """Simulate attachments of a rig through a take, block by block.
 
     Chains rotate their joints. Cloth and strands get points, which are written as point
-    caches. Attachments of one call do not collide with each other.
+    caches. Cloth collides with cloth that is named before it and has self-contact;
+    that cloth does not feel it.
 
     Args:
         stream: The take.

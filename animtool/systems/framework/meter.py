@@ -79,6 +79,7 @@ class ContactMeter:
         sides: Sides,
         solids: Sequence[ClosedSurface] = (),
         depths: FloatArray | None = None,
+        layers: Sequence[ClosedSurface] = (),
     ) -> None:
         """Measure a frame.
 
@@ -88,6 +89,7 @@ class ContactMeter:
             sides: Sides and triangles to measure.
             solids: Closed surfaces to stay outside of.
             depths: Depths in other colliders ``(N,)`` [m], below 0 outside.
+            layers: Other open surfaces, for piercing alone.
         """
         deep = np.zeros(len(points)) if depths is None else depths.copy()
         free = sides.free
@@ -98,7 +100,7 @@ class ContactMeter:
             depth = float(deep[worst])
             self.depth = self._worse(self.depth, depth, frame, points, worst)
         if len(sides.triangles):
-            pairs = pierced_pairs(points, sides.triangles, solids)
+            pairs = pierced_pairs(points, sides.triangles, [*solids, *layers])
             first = int(sides.triangles[0, 0])
             count = float(pairs)
             self.pierced = self._worse(self.pierced, count, frame, points, first)
