@@ -34,7 +34,9 @@ struct StrandSteps {
   double longest;  // that springs along the strand may be, over their length at rest
   std::size_t colliders;
   const collide::Rod* rods;   // (steps, C)
-  const unsigned char* is_rod;  // (C,)
+  // Which are rods, and of which it is known how far their surfaces move (C,).
+  const unsigned char *is_rod, *is_bounded;
+  std::size_t depth_rows;  // the first colliders, which have allowed depths
   const double* thicknesses;  // (C,)
   // How all go on in each step, (steps, 3), and how far the surfaces of rods go beside that
   // from each step on, to the end of the frame, (steps + 1, C).
@@ -372,7 +374,7 @@ class BundleCrossing {
     const auto hit = sample(row, c, true, to);
     const double remaining = plan_.remaining[row + plan_.colliders];
     const double nearest = smallest(hit.distance);
-    due = plan_.is_rod[c] && nearest > remaining ? shift + (nearest - remaining) : shift;
+    due = plan_.is_bounded[c] && nearest > remaining ? shift + (nearest - remaining) : shift;
     if (!(nearest < -collide::TOUCH)) return 0;
     const N depth = depths(p, c);
     if (!(smallest(hit.distance - depth) < -collide::TOUCH)) return 0;
@@ -390,7 +392,7 @@ class BundleCrossing {
   }
 
   N depths(std::size_t p, std::size_t c) const {
-    if (!b_.depths[0]) return N(0.0);
+    if (!b_.depths[0] || c >= plan_.depth_rows) return N(0.0);
     double hit[WIDE];
     for (std::size_t l = 0; l < WIDE; ++l) hit[l] = b_.depths[l][c * b_.next_depths + p];
     return N::of(hit);

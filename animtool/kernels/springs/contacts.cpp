@@ -75,6 +75,11 @@ Sample sampled(const StepCollider& c, const Rod::Axis& axis, const Pose& pose, V
 }  // namespace
 
 Sample StepCollider::before(Vec point, double radius) const {
+  if (surface >= 0) {
+    Collider begun_mesh = collider;
+    begun_mesh.mesh.fraction = begun;
+    return sample(begun_mesh, begin, point, radius, collide::FAR);
+  }
   return sampled(*this, rod.begin, begin, point, radius);
 }
 
@@ -96,13 +101,15 @@ double StepCollider::thickness(double radius) const {
 }
 
 bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) const {
-  if (!(length(to - from) > thickness(radius))) return false;
+  // A moving mesh is tested at the end of the step, in a frame that moves with it.
+  const Vec carried = surface >= 0 ? load(rod.travel) : Vec{}, start = from + carried;
+  if (!(length(to - start) > thickness(radius))) return false;
   // Particles that start inside are moved out at the depenetration speed.
   if (before(from, radius).distance < -collide::INSIDE) return false;
-  const Vec speed = (to - from) * (1 / h);
+  const Vec speed = (to - start) * (1 / h);
   collide::Particle last{to, speed};
   collide::Settling settling(&collider, 1, h, radius);
-  if (settling.settle({from, speed}, last).collider < 0) return false;
+  if (settling.settle({start, speed}, last).collider < 0) return false;
   to = last.position;
   if (v) store(last.velocity, v);
   return true;

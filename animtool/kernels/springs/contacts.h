@@ -28,8 +28,8 @@ struct StepCollider {
   // Of a capsule or a ball with particles outside, all of it; of others, how it moves.
   collide::Rod rod;
   bool is_rod;
-  // Of a mesh whose points move, which one, the share of its knot that is gone as the step
-  // begins, the share that the step is, and how far it goes.
+  // Of a mesh whose points move: its index, the elapsed fraction of its knot as the step
+  // begins, the fraction that the step takes, and the largest displacement of a point.
   std::int32_t surface = -1;
   double begun = 0, lasts = 0, shift = 0;
 
@@ -63,6 +63,7 @@ class MovingColliders {
   // Allowed depths (C, N); null if none may be inside.
   const double* depths() const { return depths_; }
   // How deep a particle may be in one of them, or of the surfaces after these.
+  std::size_t depth_rows() const { return depth_rows_; }
   double depth(std::size_t c, std::size_t n) const {
     return c < depth_rows_ ? depths_[c * particles_ + n] : 0.0;
   }

@@ -39,30 +39,50 @@ std::vector<double> side_by_side(In<double, 2> rows, std::size_t strands, std::s
 // Colliders of all steps of a frame, and what loops over bundles read of them.
 class FrameColliders {
  public:
-  // Of the first particle it is known where it is as each cell begins and ends: with it all
-  // drift, more or less.
-  FrameColliders(const MovingColliders& colliders, std::size_t cells, int substeps, double h,
-                 const double* targets, std::size_t particles)
-      : colliders_(colliders), h_(h) {
+  // All particles drift about as the first one does, whose path is known.
+  FrameColliders(const MovingColliders& colliders,
+                 const std::optional<SpringColliders>& arrays, std::size_t cells,
+                 int substeps, double h, const double* targets, std::size_t particles)
+      : colliders_(colliders), h_(h), count_(colliders.size()) {
+    const auto surfaces = arrays ? std::get<5>(*arrays).size() : 0;
+    count_ += surfaces;
+    moving_.reserve(surfaces * cells);
+    std::vector<StepCollider> rigid;
     for (std::size_t cell = 0; cell < cells; ++cell) {
-      colliders.steps(static_cast<std::int64_t>(cell), substeps, h, rows_);
       const double* now = targets + 3 * particles * cell;
-      for (int j = 0; j < substeps; ++j)
-        for (std::size_t k = 0; k < 3; ++k)
-          drifts_.push_back((now[3 * particles + k] - now[k]) / substeps);
+      double drift[3];
+      for (std::size_t k = 0; k < 3; ++k)
+        drift[k] = (now[3 * particles + k] - now[k]) / substeps;
+      rigid.clear();
+      colliders.steps(static_cast<std::int64_t>(cell), substeps, h, rigid);
+      for (std::size_t s = 0; s < surfaces; ++s) {
+        moving_.emplace_back(std::get<5>(*arrays)[s], static_cast<std::int64_t>(cells));
+        moving_.back().enter(static_cast<std::int64_t>(cell), h * substeps);
+      }
+      for (int j = 0; j < substeps; ++j) {
+        const auto first = rigid.begin() + j * static_cast<std::ptrdiff_t>(colliders.size());
+        rows_.insert(rows_.end(), first, first + static_cast<std::ptrdiff_t>(colliders.size()));
+        for (std::size_t s = 0; s < surfaces; ++s)
+          rows_.push_back(step_of(moving_[moving_.size() - surfaces + s],
+                                  static_cast<std::int32_t>(s), j, substeps, load(drift)));
+        drifts_.insert(drifts_.end(), drift, drift + 3);
+      }
     }
     for (const StepCollider& one : rows_) rods_.push_back(one.rod);
-    for (std::size_t c = 0; c < colliders.size(); ++c) {
+    for (std::size_t c = 0; c < count_; ++c) {
       thicknesses_.push_back(rows_[c].thickness(colliders.radius()));
       is_rod_.push_back(rows_[c].is_rod);
+      is_bounded_.push_back(rows_[c].is_rod || rows_[c].surface >= 0);
     }
     fill_lookahead();
   }
 
   void put_into(StrandSteps& plan) const {
-    plan.colliders = colliders_.size();
+    plan.colliders = count_;
     plan.rods = rods_.data();
     plan.is_rod = is_rod_.data();
+    plan.is_bounded = is_bounded_.data();
+    plan.depth_rows = colliders_.depth_rows();
     plan.thicknesses = thicknesses_.data();
     plan.drifts = drifts_.data();
     plan.remaining = lookahead_.data();
@@ -71,13 +91,30 @@ class FrameColliders {
   }
 
  private:
+  // A step of a moving mesh, whose friction is that of a surface that drifts along.
+  StepCollider step_of(const MovingSurface& mesh, std::int32_t index, int step, int substeps,
+                       Vec drift) const {
+    StepCollider built{};
+    built.surface = index;
+    built.begun = mesh.gone(double(step) / substeps);
+    const double ended = mesh.gone(double(step + 1) / substeps);
+    built.lasts = ended - built.begun;
+    built.collider = mesh.collider(ended);
+    built.shift = mesh.travel_beside(drift, built.lasts);
+    built.rod.friction = built.collider.friction;
+    built.rod.rise = built.collider.depenetration * h_;
+    store(drift, built.rod.travel);
+    return built;
+  }
+
   void fill_lookahead() {
-    const std::size_t count = colliders_.size();
+    const std::size_t count = count_;
     lookahead_.assign(rows_.size() + count, 0.0);
     for (std::size_t row = rows_.size(); row-- > 0;) {
       const Vec drift = load(&drifts_[3 * (row / count)]);
       lookahead_[row] = lookahead_[row + count];
       if (rows_[row].is_rod) lookahead_[row] += rows_[row].travel(drift);
+      if (rows_[row].surface >= 0) lookahead_[row] += rows_[row].shift;
     }
   }
 
@@ -102,10 +139,12 @@ class FrameColliders {
 
   const MovingColliders& colliders_;
   double h_;
+  std::size_t count_;  // colliders and moving meshes
+  std::vector<MovingSurface> moving_;  // (cells, S)
   std::vector<StepCollider> rows_;  // (steps, C)
   std::vector<collide::Rod> rods_;
   std::vector<double> drifts_, lookahead_, thicknesses_;
-  std::vector<unsigned char> is_rod_;
+  std::vector<unsigned char> is_rod_, is_bounded_;
 };
 
 // Room for one bundle after the other, and the frame's arrays that they are of.
@@ -285,8 +324,6 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
   if (targets.shape(0) < 2) check::refuse("targets", "there is no cell between two of them");
   check::finite("targets", targets);
   if (threads < 1) check::refuse("threads", "0 is none");
-  if (colliders && !std::get<5>(*colliders).empty())
-    check::refuse("colliders", "strands meet no mesh whose points move");
   const std::size_t cells = targets.shape(0) - 1;
   check::positive("span", span);
   check_cells({0, 0, span / static_cast<double>(cells), static_cast<std::int64_t>(cells)},
@@ -296,7 +333,8 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
   std::int64_t touched = 0, inside = 0;
   double stretch = 0;
   StrandSteps plan = strands.plan(cells, static_cast<std::size_t>(substeps), span);
-  const FrameColliders frame(moving, cells, substeps, plan.h, targets.data(), count);
+  const FrameColliders frame(moving, colliders, cells, substeps, plan.h, targets.data(),
+                             count);
   frame.put_into(plan);
   const std::size_t bundles = bundles_of(strands.strands());
   const std::size_t most = std::max<std::size_t>(1, bundles / FEWEST_BUNDLES);

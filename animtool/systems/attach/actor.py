@@ -108,7 +108,7 @@ class Actor:
             self._sides = replace(self._sides, triangles=network.triangles[:0])
         self._solids: list[ClosedSurface] = []  # skins as the last frame ended
         self._skins = SkinContacts(
-            [] if network.strands else list(skins),
+            list(skins),
             settings.options.friction,
             margin_for(typical_edge(network), settings.radius),
             DEPENETRATION,

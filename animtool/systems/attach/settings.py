@@ -72,9 +72,9 @@ class SimulateOptions:
     # Velocity of the air ``[x, y, z]`` [m/s].
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     capsules: bool = True  # keep out of the rig's capsules
-    # Keep cloth out of the skins of the rig, which are met in the place of the
-    # capsules of their joints.
-    skin: bool = True
+    # Keep out of the skins of the rig, instead of the capsules of their joints. None is
+    # for cloth alone: strands have many points, and take several times as long.
+    skin: bool | None = None
     # What else is met, as systems have it: shapes in the axes of the rig, characters
     # of other files, systems of the scene, and meshes of USD files.
     colliders: ColliderEntries = ()

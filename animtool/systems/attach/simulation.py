@@ -17,6 +17,7 @@ from animtool.core.units import parse_length
 from animtool.maths import so3
 from animtool.motion.keyed import weights_at
 from animtool.motion.motion import Channel, Motion
+from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import Actor, PosePaths, rigidly_moved, upwards
@@ -104,7 +105,7 @@ class AttachSimulation:
         self.resumed = resumed  # states to resume from
         self.closing: Closing | None = None  # result of a cycle
         self.skins: list[SkinSurface] = []  # collision meshes of the character
-        if options.skin and any(isinstance(body, SurfaceBody) for body in bodies):
+        if any(self._meets_skins(body) for body in bodies):
             self.skins = skins_of(rig)
         self.swung: dict[str, float] = {}  # largest rotation of last joints [rad]
         self._rate, self._start, self._step = rate, start, step
@@ -116,6 +117,12 @@ class AttachSimulation:
         self._before: LocalPose | None = None
         self._done = 0
         self._signs: dict[int, FloatArray] = {}
+
+    def _meets_skins(self, body: AttachedBody) -> bool:
+        """Return whether an attachment collides with the skins of the rig."""
+        if self.options.skin is None:
+            return body.kind == AttachKind.CLOTH
+        return self.options.skin and isinstance(body, SurfaceBody)
 
     def blocks(self, motions: Iterator[Motion]) -> Iterator[Motion]:
         """Yield motions with simulated attachments."""
@@ -163,7 +170,8 @@ class AttachSimulation:
             begin = extrapolated(self.rig, pose, following, leading)
         self.actors = []
         for body in self.bodies:
-            # Cloth collides with cloth that is named before it.
+            # Skinned points collide with cloth that is named before them.
+            skinned = isinstance(body, SurfaceBody)
             sheets = [one.sheet for one in self.actors if one.sheet is not None]
             actor = Actor(
                 self.rig,
@@ -171,9 +179,9 @@ class AttachSimulation:
                 settings_for(options, body.kind),
                 1 / rate,
                 begin,
-                self.skins,
+                self.skins if self._meets_skins(body) else (),
                 self._world,
-                () if body.network.strands else sheets,
+                sheets if skinned else (),
             )
             self.actors.append(actor)
         if self.resumed is not None:

@@ -253,8 +253,8 @@ def simulate(
     """Simulate attachments of a rig through a take, block by block.
 
     Chains rotate their joints. Cloth and strands get points, which are written as point
-    caches. Cloth collides with cloth that is named before it and has self-contact;
-    that cloth does not feel it.
+    caches. Cloth and strands collide with cloth that is named before them and has
+    self-contact; that cloth does not feel them.
 
     Args:
         stream: The take.
