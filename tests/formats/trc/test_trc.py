@@ -205,3 +205,33 @@ def test_opensim_reads_what_is_written(tmp_path: Path) -> None:
         ]
     ).reshape(9, 3, 3)
     np.testing.assert_allclose(read_there, 1000 * positions, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "rows", "message"),
+    [
+        (
+            ("\t2\t2\tm", "\t9\t2\tm"),
+            ROWS,
+            "the header states 9 frames",
+        ),
+        (
+            ("\t2\t2\tm", "\t2\t5\tm"),
+            ROWS,
+            "the header states 5 markers",
+        ),
+        (("\tB\t", "\t\t"), ROWS, "1 of 2 markers has no name, the first in column 6"),
+        (("\tm\n", "\t\n"), ROWS, "the file states no unit; using mm"),
+        (("", ""), ROWS[:-5], "the last row is truncated (7 of 8 values)"),
+        (
+            ("", ""),
+            f"{ROWS}8\t.07\t1\t2\t3\t4\t5\t6\n",
+            "5 missing frames (0.05 s) before line 9; markers are missing there",
+        ),
+    ],
+)
+def test_warnings_say_what_the_header_and_the_rows_have(
+    tmp_path: Path, change: tuple[str, str], rows: str, message: str
+) -> None:
+    markers = read(tmp_path, HEAD.replace(*change) + rows)
+    assert [one for one in markers.notices if one.message.startswith(message)]
