@@ -8,6 +8,7 @@ from typing import Any
 from animtool.core.errors import Severity, excerpt, listed
 from animtool.core.files.signatures import expects
 from animtool.core.record import dataclass
+from animtool.formats.characters.nodes import Node, SkinEntry, roots
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import Accessors
 from animtool.formats.gltf.animations import POINTER, Animation, read_animations
@@ -17,18 +18,11 @@ from animtool.formats.gltf.meshes import (
     QUANTIZATION,
     MeshEntry,
     Primitive,
-    SkinEntry,
     read_meshes,
     read_skins,
     skin_weights,
 )
-from animtool.formats.gltf.nodes import (
-    VISIBILITY,
-    Node,
-    read_nodes,
-    read_scenes,
-    roots,
-)
+from animtool.formats.gltf.nodes import VISIBILITY, read_nodes, read_scenes
 from animtool.formats.gltf.unused import unused_parts
 
 # Extensions that a file may require.
