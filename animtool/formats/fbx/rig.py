@@ -24,7 +24,7 @@ from animtool.formats.fbx.geometry import FbxGeometry, ShapeChannel, skin_table
 from animtool.formats.fbx.layers import ROTATION, SCALING, TRANSLATION
 from animtool.formats.fbx.poses import NodeTransforms, Row, RowKind, even_rows, rows_of
 from animtool.formats.fbx.scene import FbxScene
-from animtool.rig.parts import HeldArray, Inbetween, Mesh, Shape, Skin, Subdivision
+from animtool.rig.parts import Inbetween, LoadedArray, Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Joint, Rig
 
 MAX_NAMED = 6
@@ -239,11 +239,11 @@ def _full(channel: ShapeChannel) -> float:
 def _shape(name: str, mesh: str, channel: ShapeChannel, geometric: FloatArray) -> Shape:
     back, full = geometric[:3, :3].T, _full(channel)
     between = [
-        Inbetween(at / full, HeldArray(offsets @ back))
+        Inbetween(at / full, LoadedArray(offsets @ back))
         for at, offsets in channel.targets[:-1]
     ]
     between.sort(key=lambda one: one.at)
-    full_offsets = HeldArray(channel.targets[-1][1] @ back)
+    full_offsets = LoadedArray(channel.targets[-1][1] @ back)
     return Shape(name, mesh, full_offsets, None, tuple(between))
 
 
@@ -254,8 +254,8 @@ def _mesh(scene: FbxScene, node: int, name: str, binder: Binder) -> Mesh:
     bind = tuple(geometry.ravel().tolist())
     return Mesh(
         name,
-        HeldArray(points),
-        HeldArray(mesh.faces.astype(np.float64)),
+        LoadedArray(points),
+        LoadedArray(mesh.faces.astype(np.float64)),
         None,
         None if (geometry == np.eye(4)).all() else bind,
         skin,
@@ -280,8 +280,8 @@ def _skin(
     skin = Skin(
         mesh.method if index >= 0 else "linear",
         tuple(names[joint] for joint in joints),
-        HeldArray(indices.astype(np.float64)),
-        HeldArray(weights),
+        LoadedArray(indices.astype(np.float64)),
+        LoadedArray(weights),
     )
     return skin, geometry
 

@@ -1,4 +1,4 @@
-"""The kinds of systems of scenes; each is imported when a scene has one."""
+"""Table of system kinds; each is imported when a scene uses it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ class SystemKind:
 
     spec: str  # the model of its keys
     build: str  # from the spec and a `SimContext` to a `Simulation`
-    description: str  # what it is, for the schema
-    example: dict[str, Any]  # an entry of it
-    surface: bool = False  # whether it has faces, which others may run into
-    rigid: bool = False  # whether it is of rigid bodies, which others may push
-    weldable: bool = False  # whether particles of it can be one with those of others
+    description: str  # description for the schema
+    example: dict[str, Any]  # example entry
+    surface: bool = False  # whether it has faces that others can collide with
+    rigid: bool = False  # whether it has rigid bodies that others can push
+    weldable: bool = False  # whether its particles can be merged with those of others
 
     def __post_init__(self) -> None:
-        """Note that rigid bodies have surfaces."""
+        """Set `surface` for rigid kinds."""
         object.__setattr__(self, "surface", self.surface or self.rigid)
 
 
@@ -40,13 +40,13 @@ def _springs(
 SYSTEM_KINDS: dict[str, SystemKind] = {
     "particles": SystemKind(
         "animtool.systems.particles.spec:ParticlesModel",
-        "animtool.systems.particles.spec:build",
+        "animtool.systems.particles.simulation:build",
         "Particles that are emitted, moved, stopped and removed.",
         {"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]},
     ),
     "crowds": SystemKind(
         "animtool.systems.crowds.spec:CrowdsModel",
-        "animtool.systems.crowds.crowd:Crowd",
+        "animtool.systems.crowds.building:build",
         "Crowds: agents that walk to goals, around obstacles and each other.",
         {
             "name": "visitors",
@@ -56,13 +56,13 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     ),
     "flocks": SystemKind(
         "animtool.systems.flocks.spec:FlocksModel",
-        "animtool.systems.flocks.flock:Flock",
+        "animtool.systems.flocks.flock:build",
         "Flocks that attract, align and repel: birds, fish, and predators.",
         {"name": "birds", "species": [{"name": "starling", "count": 200}]},
     ),
     "fluid": SystemKind(
         "animtool.systems.fluid.spec:FluidModel",
-        "animtool.systems.fluid.fluid:Fluid",
+        "animtool.systems.fluid.fluid:build",
         "Fluids that flow, splash and carry bodies.",
         {
             "name": "water",
@@ -81,7 +81,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     ),
     "molecules": SystemKind(
         "animtool.systems.molecules.spec:MoleculesModel",
-        "animtool.systems.molecules.molecules:Molecules",
+        "animtool.systems.molecules.molecules:build",
         "Atoms that attract, repel and have charges, in a periodic box.",
         {
             "name": "argon",
@@ -92,7 +92,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     ),
     "nbody": SystemKind(
         "animtool.systems.nbody.spec:NbodyModel",
-        "animtool.systems.nbody.nbody:Nbody",
+        "animtool.systems.nbody.nbody:build",
         "Bodies that attract each other: planets, star clusters, galaxies.",
         {
             "name": "stars",
@@ -103,7 +103,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     ),
     "rigid": SystemKind(
         "animtool.systems.rigid.spec:RigidModel",
-        "animtool.systems.rigid.simulation:RigidSimulation.of",
+        "animtool.systems.rigid.simulation:build",
         "Rigid bodies: they fall, tumble, collide, stack and are connected by joints.",
         {
             "name": "crates",
