@@ -18,9 +18,9 @@ from animtool.documents.fields import (
     key,
 )
 from animtool.systems.framework.fields import (
+    EmitterShapeEntry,
     Integrator,
     PlacedModel,
-    EmitterShapeEntry,
     Seed,
     Shows,
     StartPoints,

@@ -12,10 +12,10 @@ from pydantic import Field
 from animtool.core.errors import Fault, OptionError
 from animtool.documents.fields import Real, key, with_fields
 from animtool.systems.framework.fields import (
+    EmitterShapeEntry,
     Integrator,
     MaxParticles,
     PlacedModel,
-    EmitterShapeEntry,
     PrimName,
     RecordModel,
     SystemColliderModel,
