@@ -62,14 +62,14 @@ def test_rows_at_once_do_not_show(
 def test_empty_cells_and_nan_are_not_seen(tmp_path: Path, end: str) -> None:
     rows = "1\t0.0\t1\t2\t3\t\t\t\n2\t0.01\tnan\tNaN\tnan\t4\t5\t6\n"
     markers = read(tmp_path, (HEAD + rows).replace("\n", end))
-    assert markers.seen.tolist() == [[True, False], [False, True]]
+    assert markers.visible.tolist() == [[True, False], [False, True]]
     assert markers.positions[1, 1].tolist() == [4.0, 5.0, 6.0]
     assert not [n for n in markers.notices if n.code != "MKR103"]
 
 
 def test_a_short_row_ends_in_empty_cells(tmp_path: Path) -> None:
     markers = read(tmp_path, HEAD + "1\t0\t1\t2\t3\n2\t.01\t1\t2\t3\n")
-    assert markers.seen.tolist() == [[True, False]] * 2
+    assert markers.visible.tolist() == [[True, False]] * 2
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_rows_that_are_cut_short(
     tmp_path: Path, rows: str, frames: int, seen: int, said: list[str]
 ) -> None:
     markers = read(tmp_path, HEAD + rows)
-    assert (len(markers), int(markers.seen.sum())) == (frames, seen)
+    assert (len(markers), int(markers.visible.sum())) == (frames, seen)
     assert codes(markers) == said
 
 
