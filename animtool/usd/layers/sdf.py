@@ -29,7 +29,7 @@ from animtool.core.files.reading import (
     too_large,
     unreadable,
 )
-from animtool.core.names import KINDS
+from animtool.core.files.signatures import expects
 from animtool.core.process.supervisor import note_said, reading
 from animtool.core.rates import rate_from_float
 from animtool.core.readers import PACKAGE
@@ -49,9 +49,8 @@ from animtool.usd.layers.finite import (
 from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.package import unpacked
 
-# The first key of a text file, in its first bytes.
-MAX_HEAD = 4096
-_TEXT_FILE = re.compile(rb"^(%s): *[\"']?animtool/" % "|".join(KINDS).encode(), re.M)
+# Of files whose name is right, which are therefore not the one that is meant.
+AS_USD = "name a USD file; animtool convert writes one of a rig, a clip or a capture"
 # USD maps binary layers into memory, and reads text layers completely.
 MAX_LAYER_BYTES = 1_000_000_000_000
 MAX_TEXT_LAYER_BYTES = 4_000_000_000
@@ -165,6 +164,7 @@ def asset_path(file: Path, folder: Path) -> str:
     return f"./{name}"
 
 
+@expects("USD001", "a USD file", AS_USD)
 def find_layer(path: Path) -> Any:
     """Open a layer by its path."""
     state = layer_state(path, recorded=True)
@@ -176,7 +176,7 @@ def find_layer(path: Path) -> Any:
     if FileState.of(path) != state:
         raise changed_error(path)
     if layer is None:
-        raise FormatError(_not_usd(path, "is not a USD layer"))
+        raise FormatError(Fault("USD001", "is not a USD layer", str(path)))
     return layer
 
 
@@ -214,32 +214,12 @@ def usd_errors(path: Path) -> Iterator[None]:
         try:
             yield
         except Tf.ErrorException as error:
-            raise FormatError(_not_usd(path, usd_reason(error))) from error
+            raise FormatError(Fault("USD001", usd_reason(error), str(path))) from error
         except UnicodeEncodeError as error:
             raise unreadable(path, NO_TEXT) from error
         except UnicodeDecodeError as error:
             message = "contains text that is not UTF-8"
             raise FormatError(Fault("USD001", message, str(path))) from error
-
-
-def _not_usd(path: Path, reason: str) -> Fault:
-    """Return the fault of a file that USD cannot read; text files of ours by kind."""
-    try:
-        with path.open("rb") as file:
-            first_key = _TEXT_FILE.search(file.read(MAX_HEAD))
-    except OSError:
-        first_key = None
-    if first_key is None:
-        return Fault("USD001", reason, str(path))
-    kind = first_key[1].decode()
-    hint = "name a USD file here"
-    if kind in {"rig", "clip"}:
-        name = path.name.partition(".")[0]
-        named = f"{name}.{kind}.yaml"
-        hint = f"write it as USD first: animtool convert {named} {name}.usdc"
-        if path.name != named:
-            hint = f"rename it to {named}, and {hint}"
-    return Fault("USD001", f"is a {kind} file, not USD", str(path), hint=hint)
 
 
 def usd_reason(error: Tf.ErrorException) -> str:
