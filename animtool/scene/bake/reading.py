@@ -113,11 +113,9 @@ class Reading:
             placement=options.placement,
         )
         stream = open_source(path, own, progress=shown)
-        if stream.details.get("format") == "BVH" and own.up is None:
-            from animtool.retarget.standing import with_lying_notice
+        from animtool.retarget.standing import with_source_warnings
 
-            stream = with_lying_notice(path, stream)
-        return stream
+        return with_source_warnings(path, stream, own.up)
 
 
 def with_takes(reading: Reading, options: BakeOptions) -> Reading:
