@@ -24,9 +24,9 @@ from animtool.maths.filters import (
     NOISE_ORDER,
     best_cutoff,
     lowpass,
-    lowpass_turns,
+    lowpass_rotations,
     noise_level,
-    noise_of_turns,
+    rotation_noise,
 )
 from animtool.motion.motion import Channel
 from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
@@ -90,13 +90,13 @@ class _Cleaner:
             bad = _spikes(signal, self.options.spikes, least, rotation=rotation)
             if bad.any():
                 signal = bridged(signal, ~bad, rotation=rotation)
-            noise = (noise_of_turns if rotation else noise_level)(signal)
+            noise = (rotation_noise if rotation else noise_level)(signal)
             # Half an angle is in a quaternion.
             tolerance = noise / 2 if rotation else noise
             shakes = tolerance > NO_NOISE * least
             cutoff = self._cutoff(signal, rotation=rotation) if shakes else None
             if cutoff is not None:
-                run = lowpass_turns if rotation else lowpass
+                run = lowpass_rotations if rotation else lowpass
                 signal = run(signal, cutoff, self.rate)
             values[:, i] = signal
             frames = tuple(np.flatnonzero(bad).tolist())
@@ -123,7 +123,7 @@ def bridged(signal: FloatArray, known: BoolArray, *, rotation: bool) -> FloatArr
         aligned = signal.copy()
         aligned[known] = so3.align_signs(signal[known], signal[known][0])
         signal = aligned
-    run = lowpass_turns if rotation else lowpass
+    run = lowpass_rotations if rotation else lowpass
     across = run(signal, ACROSS, 1.0, order=3, known=known)
     return np.where(known[:, None], signal, across)
 
@@ -318,7 +318,9 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
                 ScoreUnit.ANGLE,
                 TYPICAL_NOISE,
             ),
-            Score("frames with spikes", lost / max(frames, 1), ScoreUnit.SHARE, 0.01),
+            Score(
+                "frames with spikes", lost / max(frames, 1), ScoreUnit.FRACTION, 0.01
+            ),
         ),
         {what: joints for what, joints in names.items() if joints},
     )

@@ -133,7 +133,7 @@ def _as_channel(value: object) -> Channel | None:
 
 
 def _neutral(like: Channel, value: float) -> Channel:
-    return Channel.still(np.full(like.rest.shape, value), len(like.values))
+    return Channel.static(np.full(like.rest.shape, value), len(like.values))
 
 
 def _joined(

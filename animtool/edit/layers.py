@@ -27,7 +27,7 @@ from animtool.edit.combine import (
 )
 from animtool.edit.frames import check_count, exact, frame_index
 from animtool.edit.tree import joints_matching
-from animtool.motion.keyed import Interpolation, Weight, chosen, weights_at
+from animtool.motion.keyed import KeyInterpolation, Weight, chosen, weights_at
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     MOTION_PARTS,
@@ -54,7 +54,7 @@ class BlendOptions:
 
     take: Path | None = None
     weight: float | tuple[tuple[float, float], ...] = 0.5
-    interpolation: Interpolation = Interpolation.LINEAR
+    interpolation: KeyInterpolation = KeyInterpolation.LINEAR
     delay: float = 0.0
 
 
@@ -63,7 +63,7 @@ def blend(
     other: Take,
     *,
     weight: Weight = 0.5,
-    interpolation: Interpolation | str = Interpolation.LINEAR,
+    interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
     delay: float = 0.0,
 ) -> Take:
     """Return the weighted mean of two takes, on the clock of the first.
@@ -166,7 +166,7 @@ def difference(
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
     """Return a one-frame take of a rig at rest, on the rate of a clock."""
-    constant = Channel.still
+    constant = Channel.static
     motion = Motion(constant(rig.rest_translations), constant(rig.rest_rotations))
     return Take(rig, replace(clock, count=1), motion)
 
@@ -249,7 +249,7 @@ class LayerOptions:
     take: Path | None = None
     mode: LayerMode = LayerMode.OVERRIDE
     weight: float | tuple[tuple[float, float], ...] = 1.0
-    interpolation: Interpolation = Interpolation.LINEAR
+    interpolation: KeyInterpolation = KeyInterpolation.LINEAR
     joints: tuple[str, ...] = ()
     children: bool = False
     delay: float = 0.0
@@ -261,7 +261,7 @@ def layer(
     *,
     mode: LayerMode | str = LayerMode.OVERRIDE,
     weight: Weight = 1.0,
-    interpolation: Interpolation | str = Interpolation.LINEAR,
+    interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
     joints: str | Sequence[str] = (),
     children: bool = False,
     delay: float = 0.0,
@@ -294,7 +294,7 @@ def layer(
         other,
         chosen(LayerMode, mode, "mode"),
         weight,
-        chosen(Interpolation, interpolation, "interpolation"),
+        chosen(KeyInterpolation, interpolation, "interpolation"),
         _limited(take.rig, joints, children),
         delay,
     )
@@ -310,7 +310,7 @@ class _Plan:
     other: Take
     mode: LayerMode
     weight: Weight
-    interpolation: Interpolation
+    interpolation: KeyInterpolation
     joints: list[int] | None
     delay: float
 
@@ -348,7 +348,7 @@ def _layered(
         context.take(options.take),
         chosen(LayerMode, options.mode, "mode"),
         options.weight,
-        chosen(Interpolation, options.interpolation, "interpolation"),
+        chosen(KeyInterpolation, options.interpolation, "interpolation"),
         _limited(stream.rig, options.joints, options.children),
         options.delay,
     )

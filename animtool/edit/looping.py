@@ -174,7 +174,7 @@ def mapped_numbers(
             numbers(values) if attribute.width else values
             for attribute, values in zip(track.attributes, known.values, strict=True)
         ),
-        known.held,
+        known.clamped,
     )
 
 
@@ -198,8 +198,8 @@ def gridded(track: Track, known: Transforms) -> Track:
             mapped.values[i] if attribute.width else known.values[i][positions.frames]
             for i, attribute in enumerate(track.attributes)
         )
-        static = None if known.held is None else known.held[positions.frames]
-        return replace(mapped, values=values, held=static)
+        static = None if known.clamped is None else known.clamped[positions.frames]
+        return replace(mapped, values=values, clamped=static)
 
     return replace(track, sample=sample)
 
@@ -317,9 +317,9 @@ def _looped_track(
         translations=looped_motion.translations.dense()[:, 0],
         rotations=looped_motion.rotations.dense()[:, 0],
         values=looped_values,
-        held=None
-        if known.held is None
-        else np.tile(seam.cycle(known.held)[:-1], repeats),
+        clamped=None
+        if known.clamped is None
+        else np.tile(seam.cycle(known.clamped)[:-1], repeats),
     )
     return gridded(track, looped)
 

@@ -28,7 +28,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.controls import Control, evaluate_controls
 from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.kinematics import rest_size, rest_world
-from animtool.rig.sides import SidePairs, pair_sides, stray_sides
+from animtool.rig.sides import SidePairs, pair_sides, unpaired_sides
 from animtool.rig.skeleton import Rig
 
 # Test change of a control, as a fraction of its range [1].
@@ -258,7 +258,7 @@ def _strays(
         return
     shown = listed([repr(names[i]) for i in sorted(alone)])
     message = f"mirror: {kind} of one side have no partner: {shown}"
-    meant = stray_sides(names, pairs)
+    meant = unpaired_sides(names, pairs)
     if kind != "joints":
         hint = (
             "each keeps its values; give both sides the same name except for the side"

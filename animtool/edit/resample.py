@@ -256,7 +256,7 @@ def lowpassed(motion: Motion, cutoff: float, rate: float) -> Motion:
 
     def slow(channel: Channel) -> Channel:
         turning = channel is motion.rotations
-        run = filters.lowpass_turns if turning else filters.lowpass
+        run = filters.lowpass_rotations if turning else filters.lowpass
         values = run(channel.values, cutoff, rate, order=FILTER_ORDER)
         return replace(channel, values=values)
 

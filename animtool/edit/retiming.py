@@ -18,7 +18,7 @@ from animtool.edit.combine import continuous
 from animtool.edit.frames import check_count, check_range, exact, frame_refusal
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import FramePositions, even_positions, nearby_positions
-from animtool.motion.keyed import Interpolation, Keys, key_arrays, keyed
+from animtool.motion.keyed import KeyInterpolation, Keys, key_arrays, keyed
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     RETIMED_PARTS,
@@ -257,13 +257,13 @@ class TimeWarpOptions:
     """
 
     curve: tuple[tuple[float, float], ...] = ()
-    interpolation: Interpolation = Interpolation.LINEAR
+    interpolation: KeyInterpolation = KeyInterpolation.LINEAR
 
 
 def time_warp(
     take: Take,
     curve: Keys,
-    interpolation: Interpolation | str = Interpolation.LINEAR,
+    interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
 ) -> Take:
     """Return the take retimed, from the curve's first frame to its last.
 

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.maths.filters import noise_of_turns
+from animtool.maths.filters import rotation_noise
 from animtool.maths.runs import runs
 from animtool.motion.contacts import find_contacts, smoothed
 from animtool.motion.take import Take
@@ -105,7 +105,7 @@ def _noise(take: Take) -> tuple[float, str]:
     """Return the noise of the noisiest joint's rotation [rad], and the joint's name."""
     channel = take.motion.rotations
     levels = [
-        noise_of_turns(channel.values[:, k]) for k in range(len(channel.animated))
+        rotation_noise(channel.values[:, k]) for k in range(len(channel.animated))
     ]
     if not levels:
         return 0.0, ""

@@ -301,7 +301,7 @@ class Retargeting:
     def _channel(self, values: FloatArray, first: FloatArray) -> Channel:
         """Return a channel with all joints animated if any source joint moves."""
         if not self._moves:
-            return Channel.still(first, len(values))
+            return Channel.static(first, len(values))
         return Channel(first, np.arange(values.shape[1]), values)
 
     def _with_legs(

@@ -13,7 +13,7 @@ from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.motion.contacts import smoothed, without_short
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.transforms import Track, Transforms, turned_track
+from animtool.motion.transforms import Track, Transforms, rotated_track
 from animtool.retarget.transfer import Transfer
 
 # A hand grips a prop in whose frame it moves by less than this fraction of an arm a
@@ -80,7 +80,7 @@ class Props:
         motions = []
         for i, track in enumerate(self.tracks):
             if track.placed and track.moves:
-                turned = turned_track(track, transfer.upright).at(times[:, i])
+                turned = rotated_track(track, transfer.upright).at(times[:, i])
                 motions.append(PropMotion(i, turned.translations, turned.rotations))
         return motions
 
@@ -95,7 +95,7 @@ class Props:
             lift: Offset of the target's ground ``(3,)`` [m].
         """
         return tuple(
-            _scaled(turned_track(track, transfer.upright), transfer.scale, lift)
+            _scaled(rotated_track(track, transfer.upright), transfer.scale, lift)
             if i in gripped
             else track
             for i, track in enumerate(self.tracks)

@@ -318,7 +318,7 @@ class FitMeter:
 
 def scores_of(report: RetargetReport) -> PassScores:
     """Return the scores by which takes are compared, and the joints they concern."""
-    length, fraction = ScoreUnit.LENGTH, ScoreUnit.SHARE
+    length, fraction = ScoreUnit.LENGTH, ScoreUnit.FRACTION
     lost, stopped = len(report.unmapped_source), report.held_mean
     values = (
         ("drift", report.drift_max, length, MAX_DRIFT, 0.0),

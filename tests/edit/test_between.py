@@ -229,7 +229,7 @@ def test_a_curve_that_the_samples_are_not_of_is_left_alone(tmp_path: Path) -> No
     take = sampled(tmp_path, "ease", "pin")
     shifted = replace(take, clock=replace(take.clock, start=Fraction(3)))
     assert not Between.of(shifted).curved["translations"][0]
-    other = replace(take.motion, translations=Channel.still(np.zeros((2, 3)), 13))
+    other = replace(take.motion, translations=Channel.static(np.zeros((2, 3)), 13))
     strange = replace(take, curve=lambda _: other)
     assert "translations" not in Between.of(strange).curved
 

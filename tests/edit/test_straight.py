@@ -71,7 +71,7 @@ def test_it_is_not_said_on_frames_nor_where_nobody_sees_it() -> None:
         motion=replace(
             slow.motion,
             translations=replace(moves, values=moves.values * 1e-3),
-            rotations=Channel.still(RIG.rest_rotations, 2001),
+            rotations=Channel.static(RIG.rest_rotations, 2001),
         ),
     )
     for shown in (resampled(slow, 50), resampled(take, 50, smooth=True)):

@@ -359,6 +359,6 @@ class _TriangulationRun:
             reports,
             *self.tallies.errors(),
             self._view_count,
-            int(markers.seen.sum()),
+            int(markers.visible.sum()),
             tuple(notices),
         )

@@ -138,13 +138,13 @@ def _filled_markers(
     labelled = [not name.startswith("*") for name in markers.names]
     if not options.keep_gaps:
         skeleton = None
-        if subject is not None and not markers.seen[:, labelled].all():
+        if subject is not None and not markers.visible[:, labelled].all():
             from animtool.capture.markers.skeleton import skeleton_markers
 
             skeleton = skeleton_markers(markers, subject)
             notices += skeleton.notices
         positions, gaps = _filled(markers, options.longest, skeleton)
-    measured = markers.seen
+    measured = markers.visible
     now = np.asarray(np.isfinite(positions).all(axis=-1))
     filled = now & ~measured
     if markers.filled is not None:

@@ -239,7 +239,7 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
 
 def _template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
     """Return names and mean positions ``(M, 3)`` of the markers of a trial at rest."""
-    known = np.flatnonzero(static.seen.any(axis=0))
+    known = np.flatnonzero(static.visible.any(axis=0))
     known = np.array([i for i in known.tolist() if not static.names[i].startswith("*")])
     if len(known) < 4:
         message = f"the trial has {len(known)} labelled markers; labelling needs 4"
@@ -301,7 +301,7 @@ def _doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
     doubts = []
     for exchange in exchanges:
         markers = list(exchange.markers)
-        visible = np.flatnonzero(labelled.seen[:, markers].all(axis=1))
+        visible = np.flatnonzero(labelled.visible[:, markers].all(axis=1))
         if len(visible):
             names = tuple(labelled.names[marker] for marker in markers)
             score = round(exchange.score, 3)

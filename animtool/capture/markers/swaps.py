@@ -66,7 +66,7 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
     """
     swaps: list[Swap] = []
     count = len(markers.names)
-    if count < 2 or not markers.seen.any():
+    if count < 2 or not markers.visible.any():
         return markers, swaps
     rate = float(markers.clock.rate)
     positions = markers.positions.copy()

@@ -165,7 +165,7 @@ def solve_scores(solve: MarkerSolve) -> PassScores:
     outliers = float(np.mean([each.outliers for each in score.markers]))
     scores = (
         Score("marker", score.total, ScoreUnit.LENGTH, TYPICAL_MISS),
-        Score("outliers", outliers, ScoreUnit.SHARE, TYPICAL_OUTLIERS),
+        Score("outliers", outliers, ScoreUnit.FRACTION, TYPICAL_OUTLIERS),
     )
     return PassScores(scores, pass_name="solve")
 

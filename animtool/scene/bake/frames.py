@@ -36,7 +36,7 @@ from animtool.scene.sources.away import no_frames
 if TYPE_CHECKING:
     from animtool.scene.systems.character_motion import CharacterWatch
     from animtool.usd.props.writer import PropSamples
-    from animtool.usd.rigs.target import JointMap
+    from animtool.usd.rigs.target import RigJointMap
 
 TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]  # time codes and motions
 
@@ -48,7 +48,7 @@ class TakePlan:
     source: Path
     name: str  # of a library's take, legal and distinct; else empty
     stream: TakeStream  # opened, with the joints in the order written
-    mapping: JointMap | None  # from the take's joints to those of a rig layer
+    mapping: RigJointMap | None  # from the take's joints to those of a rig layer
     options: BakeOptions  # those of takes after the first have no rest frame
     fps: Fraction  # time codes a second of the output
     start: Fraction  # time code of the first frame
