@@ -26,7 +26,7 @@ from animtool.capture.solve.sampling import (
 from animtool.capture.templates.match import MarkerMatch, match_markers
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
@@ -238,7 +238,7 @@ def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
     """Return a warning about markers ``(F, E, 3)`` that never move (SOL108)."""
     if len(positions) < MIN_MOVING_FRAMES:
         return []
-    known = np.isfinite(positions).all(axis=2)
+    known: BoolArray = np.asarray(np.isfinite(positions).all(axis=2))
     low, high = (
         np.where(known[..., None], positions, fill) for fill in (np.inf, -np.inf)
     )

@@ -117,7 +117,7 @@ def convert_with_passes(
     contexts: list[PassContext] = []
     with sparing_inputs(outline.files):
         stream = open_source(source, reading, progress=progress)
-        stream = with_source_warnings(source, stream, reading and reading.up)
+        stream = with_source_warnings(source, stream, reading.up if reading else None)
         for pass_, options in passes:
             context = PassContext(_taken, source.parent)
             contexts.append(context)

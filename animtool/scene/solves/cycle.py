@@ -64,7 +64,7 @@ def loop_source(
     for check in PASS.checks(options).values():
         check()
     stream = open_source(source, reading, progress=progress)
-    stream = with_source_warnings(source, stream, reading and reading.up)
+    stream = with_source_warnings(source, stream, reading.up if reading else None)
     take = stream.collect()
     with naming(source):
         if options.find:
