@@ -1,1 +1,1 @@
-"""Readers and writers, one a format: text and bytes to takes and back."""
+"""Readers and writers of file formats: bytes to takes, and takes to bytes."""

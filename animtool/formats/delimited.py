@@ -1,4 +1,4 @@
-"""Delimited text: lines of cells between tabs, semicolons, commas or blanks."""
+"""Delimited text: lines of cells separated by tabs, semicolons, commas or blanks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SMALL_TABLE = 5_000_000
 
 
 def read_lines(path: Path) -> list[bytes]:
-    """Return the lines of a file in UTF-8, whatever ends them, without its mark."""
+    """Return the lines of a UTF-8 file without BOM; any line ending."""
     data = read_input(path, MAX_INPUT_BYTES)
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         # As spreadsheets save "Unicode text".
@@ -39,45 +39,45 @@ def read_lines(path: Path) -> list[bytes]:
 
 
 def decoded(text: bytes) -> str:
-    """Return text of UTF-8, or of Latin-1 where it is none."""
+    """Return bytes decoded as UTF-8, else Latin-1."""
     try:
         return text.decode()
     except UnicodeDecodeError:
         return text.decode("latin-1")
 
 
-def separator_of(line: bytes, usual: bytes = b" ") -> bytes:
+def separator_of(line: bytes, default: bytes = b" ") -> bytes:
     """Return what separates the cells of a line: the usual, else the first that it has.
 
     >>> separator_of(b"a;b c"), separator_of(b"a b,c", b","), separator_of(b"a b")
     (b';', b',', b' ')
     """
-    if usual != b" " and usual in line:
-        return usual
+    if default != b" " and default in line:
+        return default
     return next((each for each in SEPARATORS if each in line), b" ")
 
 
-def row_separator(line: bytes, usual: bytes) -> bytes:
+def row_separator(line: bytes, default: bytes) -> bytes:
     """Return what separates the numbers of a row, in which commas may be decimal.
 
     >>> row_separator(b"1 0,5 2,5", b" "), row_separator(b"1, 0.5, 2.5", b" ")
     (b' ', b',')
     """
-    found = separator_of(line, usual)
-    if found == b"," and usual != b",":
+    separator = separator_of(line, default)
+    if separator == b"," and default != b",":
         cells = [cell.strip() for cell in line.strip().split(b",")]
         return b" " if any(b" " in cell for cell in cells) else b","
-    return found
+    return separator
 
 
 def split_cells(line: bytes, separator: bytes) -> list[str]:
-    """Return the cells of a line, without blanks and quotes around them."""
+    """Return the cells of a line, stripped of blanks and quotes."""
     cells = line.split() if separator == b" " else line.split(separator)
     return [decoded(cell).strip().strip('"').strip() for cell in cells]
 
 
 def number_of(text: str | None) -> float | None:
-    """Return a finite number, its decimal mark a point or a comma; else None.
+    """Return a finite number with decimal point or comma; else None.
 
     >>> number_of("59,94"), number_of("1e3"), number_of("x")
     (59.94, 1000.0, None)
@@ -91,7 +91,7 @@ def number_of(text: str | None) -> float | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class TextRows:
     """Rows of numbers as text.
 
     Attributes:
@@ -109,7 +109,7 @@ class Rows:
     cells: IntArray
     decimal_commas: bool = False
 
-    def without_last(self) -> Rows:
+    def without_last(self) -> TextRows:
         """Return all rows but the last."""
         return replace(
             self, texts=self.texts[:-1], lines=self.lines[:-1],
@@ -117,7 +117,7 @@ class Rows:
         )  # fmt: skip
 
     def decimals(self, column: int) -> int:
-        """Return the most places after the point in a column; 15 with an exponent."""
+        """Return the most decimals in a column; 15 for exponents."""
         most = 0
         for text in self.texts:
             begin = text[: MAX_CELL * (column + 1)]
@@ -129,7 +129,7 @@ class Rows:
     def values(
         self, width: int, error: Callable[[str, int], AnimtoolError]
     ) -> FloatArray:
-        """Return the numbers ``(R, width)``, NaN where a row ends before.
+        """Parse the numbers ``(R, width)``; NaN where a row is too short.
 
         error: From a message and the number of a line to what is raised where a cell
             is no number, or a row has more than ``width``.
@@ -145,11 +145,11 @@ class Rows:
             for row in np.flatnonzero(filled < width).tolist():
                 texts[row] += b" nan" * (width - int(filled[row]))
             text = b"\n".join(texts) + b"\n"
-            block, _, _, _, _, found, token = _kernels.parse_bvh_rows(
+            block, _, _, _, _, count, token = _kernels.parse_bvh_rows(
                 text, width, len(texts), True
             )
             if len(block) < len(texts):
-                message = f"has {found} values instead of {width}"
+                message = f"has {count} values instead of {width}"
                 if token:
                     message = f"{excerpt(decoded(token))} is not a number"
                 raise error(message, int(self.lines[begin + len(block)]))
@@ -157,8 +157,8 @@ class Rows:
         return blocks[1] if len(blocks) == 2 else np.concatenate(blocks)
 
 
-def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> Rows:
-    """Return the lines from one on as rows of numbers.
+def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> TextRows:
+    """Collect the lines from one on as rows of numbers.
 
     A line without the separator is read as one between blanks. Commas are decimal
     where they are not the separator and there is no point anywhere.
@@ -171,9 +171,9 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> Rows:
             if not line.strip(BLANK):
                 continue
             line = line.strip()
-            given = used = len(line.split())
+            cell_count = used = len(line.split())
         else:
-            given = used = line.count(separator) + 1
+            cell_count = used = line.count(separator) + 1
             if b" " in line:
                 line = separator.join([c.strip() for c in line.split(separator)])
             if line[-1:] == separator:
@@ -181,9 +181,9 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> Rows:
                 if not line:
                     continue
                 used = line.count(separator) + 1
-            held = len(line)
+            length = len(line)
             line = line.replace(twice, empty)
-            if len(line) > held:
+            if len(line) > length:
                 # Once more for the second of three separators.
                 line = line.replace(twice, empty)
             if line[:1] == separator:
@@ -193,10 +193,10 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> Rows:
         texts.append(line)
         numbers.append(i + 1)
         filled.append(used)
-        cells.append(given)
+        cells.append(cell_count)
     commas = separator != b"," and any(b"," in text for text in texts[:COMMA_ROWS])
     commas = commas and not any(b"." in text for text in texts)
     if commas:
         texts = [text.replace(b",", b".") for text in texts]
-    places, counts = np.array(numbers, np.int64), np.array(filled, np.int64)
-    return Rows(texts, places, counts, np.array(cells, np.int64), commas)
+    decimals, counts = np.array(numbers, np.int64), np.array(filled, np.int64)
+    return TextRows(texts, decimals, counts, np.array(cells, np.int64), commas)

@@ -1,4 +1,4 @@
-"""Marker trajectories in npz files: what others write with numpy, and our own."""
+"""Marker trajectories in .npz files, written by numpy or animtool."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from animtool.motion.markers import Markers
 
 _UNIT = re.compile(r"_(mm|cm|m|in)")
 # What the array of positions is called that is read where none is named.
-USUAL = "markers"
+DEFAULT_PREFIX = "markers"
 
 
 def read_markers(
@@ -34,7 +34,7 @@ def read_markers(
     fps: FractionLike | None = None,
     subject: str | None = None,
 ) -> Markers:
-    """Return the markers of an npz file.
+    """Return the markers of an .npz file.
 
     It holds the texts ``marker_names``, the number ``fs`` (frames a second), and
     positions ``(F, M, 3)`` in an array whose name ends in its unit: ``_mm``, ``_cm``,
@@ -58,7 +58,7 @@ def read_markers(
     path = Path(text)
     array = array or named or None
     file = MarkerFile(str(path))
-    # What is no file, or may not be read, is said as of every file.
+    # A missing or unreadable file gets the error of every file.
     open_input(path, None).close()
     try:
         with Archives() as archives:
@@ -68,7 +68,7 @@ def read_markers(
 
 
 def _without_name(message: str, path: Path) -> str:
-    """Return the message of an archive, which stands behind its name already."""
+    """Return an archive's message without the leading file name."""
     return message.removeprefix(path.name).lstrip("# ")
 
 
@@ -101,7 +101,7 @@ def _read(
         return float(archives.stored(path, name).ravel()[0]) if name in known else None
 
     def of_points(name: str) -> npt.NDArray[Any] | None:
-        if name not in known or key.partition("_")[0] != USUAL:
+        if name not in known or key.partition("_")[0] != DEFAULT_PREFIX:
             return None
         return archives.stored(path, name)
 
@@ -134,19 +134,19 @@ def _array(
 ) -> str:
     """Return the name of the array of positions."""
     if array is not None:
-        # What there is none of is said by the archive, with those that there are.
+        # The archive reports a missing array and lists those it has.
         archives.header(path, array)
         return array
-    usual = [key for key in known if key.partition("_")[0] == USUAL]
-    if not usual:
+    candidates = [key for key in known if key.partition("_")[0] == DEFAULT_PREFIX]
+    if not candidates:
         suited = [key for key in known if _UNIT.search(key)]
-        message = f"has no array of positions whose name starts with {USUAL!r}"
+        message = f"has no array of positions whose name starts with {DEFAULT_PREFIX!r}"
         hint = f"name one: {path.name}#{suited[0]}" if suited else None
         raise file.error("MKR012", f"{message}; its arrays are {listed(known)}", hint)
-    if len(usual) > 1:
+    if len(candidates) > 1:
         # Such as the names of the markers, which begin alike.
-        usual = [key for key in usual if _UNIT.search(key)] or usual
-    return usual[0]
+        candidates = [key for key in candidates if _UNIT.search(key)] or candidates
+    return candidates[0]
 
 
 def _start(stated: float | None) -> Fraction:
@@ -158,7 +158,7 @@ def _start(stated: float | None) -> Fraction:
 def write_marker_arrays(
     markers: Markers, path: Path | str, *, overwrite: bool = False
 ) -> list[Fault]:
-    """Write markers as arrays in an npz file, nothing lost.
+    """Write markers losslessly as arrays in an .npz file.
 
     Args:
         markers: What to write.

@@ -1,4 +1,4 @@
-"""Marker files by their suffix: opened through the table of readers, and written."""
+"""Marker files by suffix: reading through the table of readers, and writing."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.motion.markers import Markers
 
 
 def is_marker_file(path: Path) -> bool:
-    """Return whether a path is that of a file of markers and of nothing else.
+    """Return whether a path is a file of markers only.
 
     >>> is_marker_file(Path("take.npz#unlabelled_mm")), is_marker_file(Path("a.bvh"))
     (True, False)
@@ -31,7 +31,7 @@ def is_marker_file(path: Path) -> bool:
 
 
 def file_of(path: Path) -> Path:
-    """Return the file of a path that may name an array of it too."""
+    """Return the file of a path that may end in ``#array``."""
     return Path(split_reference(str(path), "")[0])
 
 
@@ -43,7 +43,7 @@ def open_markers(
     fps: FractionLike | None = None,
     subject: str | None = None,
 ) -> Markers:
-    """Return the markers of a file; ``take.npz#array`` names an array of it.
+    """Return the markers of a file; ``take.npz#array`` selects an array.
 
     Args:
         path: The file.
@@ -65,7 +65,7 @@ def open_markers(
 def write_markers(
     markers: Markers, output: Path | str, *, overwrite: bool = False
 ) -> list[Fault]:
-    """Write markers in the format of a suffix; return what it cannot hold.
+    """Write markers in the format of a suffix; return notices about lost data.
 
     Raises:
         OptionError: The suffix is none of a file of markers (OUT004), the file exists

@@ -1,4 +1,4 @@
-"""The rate of rows that stand at times, and the frame of each."""
+"""Frame rate of timed rows, and the frame of each row."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ GAP_STEPS = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
-    """Times as frames of one length.
+class TimeSteps:
+    """Times as frames of constant length.
 
     Attributes:
         step: Length of a frame [s].
@@ -49,29 +49,29 @@ class Steps:
 
 
 def rounding_of(decimals: int) -> float:
-    """Return how far a number printed with some places may be off."""
+    """Return the rounding error of a number with some decimals."""
     return float(0.5 * 10.0**-decimals)
 
 
-def fit_frames(times: FloatArray, frames: IntArray, rounding: float) -> Steps:
-    """Return times ``(R,)`` [s] as the frames that rows are said to have.
+def fit_frames(times: FloatArray, frames: IntArray, rounding: float) -> TimeSteps:
+    """Return times ``(R,)`` [s] fitted to stated frame numbers.
 
     >>> fit_frames(np.array([0.0, 0.1, 0.3]), np.array([0, 1, 3]), 0.05).even
     True
     """
     step = float(times[-1] - times[0]) / int(frames[-1])
     off = float(np.abs(times - (times[0] + step * frames)).max())
-    return Steps(step, frames, off, off <= EVEN * step + 3 * rounding)
+    return TimeSteps(step, frames, off, off <= EVEN * step + 3 * rounding)
 
 
-def usual_step(times: FloatArray) -> float:
-    """Return the median time between rows [s], the lower one of two."""
+def median_step(times: FloatArray) -> float:
+    """Return the lower median of the times between rows [s]."""
     steps = np.sort(np.diff(times))
     return float(steps[(len(steps) - 1) // 2])
 
 
-def fit_gaps(times: FloatArray, step: float, rounding: float) -> Steps | None:
-    """Return times as frames of about a step, of which some have no row.
+def fit_gaps(times: FloatArray, step: float, rounding: float) -> TimeSteps | None:
+    """Return times fitted to frames of about a step, some without a row.
 
     None where two rows are in one frame, or frames are too many to count.
 
@@ -88,17 +88,17 @@ def fit_gaps(times: FloatArray, step: float, rounding: float) -> Steps | None:
 
 
 def rate_of_step(step: float, rounding: float, frames: int) -> Fraction | None:
-    """Return the rate of a step [s] between times that are rounded; None beyond all.
+    """Return the rate of a step [s] within rounding; None if out of range.
 
     frames: How many steps there are between the two times that it was measured by.
     """
     rate = 1.0 / step if step > 0 else np.inf
     if not float(LOWEST_WRITTEN_RATE) <= rate <= float(HIGHEST_WRITTEN_RATE):
         return None
-    # The nearest whole rate that the printed times leave open.
-    whole = round(rate)
-    if whole and abs(1.0 / whole - step) <= 2 * rounding / frames:
-        return Fraction(whole)
+    # The nearest integer rate within the rounding of the printed times.
+    rounded = round(rate)
+    if rounded and abs(1.0 / rounded - step) <= 2 * rounding / frames:
+        return Fraction(rounded)
     return rate_from_float(rate)
 
 
@@ -107,43 +107,45 @@ def find_steps(
     counted_frames: IntArray | None,
     stated: float | None,
     rounding: float,
-) -> Steps:
-    """Return times as frames: given ones, else of a stated rate, else by their step."""
+) -> TimeSteps:
+    """Return times as frames: by counted frames, a stated rate, or their step."""
     row_frames = np.arange(len(times))
-    given = [row_frames] if counted_frames is None else [counted_frames, row_frames]
-    fits = [fit_frames(times, frames, rounding) for frames in given]
+    candidates = (
+        [row_frames] if counted_frames is None else [counted_frames, row_frames]
+    )
+    fits = [fit_frames(times, frames, rounding) for frames in candidates]
     fits = [steps for steps in fits if steps.even]
     rates = [1.0 / stated] if stated is not None and stated > 0 else []
     if stated is not None and rates:
         meant = [steps for steps in fits if is_rate_of(stated, steps, rounding)]
-        # Times of few places may be even at some other rate too.
+        # Times with few decimals may also fit another rate.
         gaps = fit_gaps(times, rates[0], rounding)
         if gaps is not None and gaps.even and _has_few_gaps(gaps.frames):
             meant.append(gaps)
         fits = [*meant, *fits]
     if fits:
         return fits[0]
-    usual = usual_step(times)
+    median = median_step(times)
     between = np.diff(times)
-    mean = float(between[between <= GAP_STEPS * usual].mean())
-    found = fit_gaps(times, mean, rounding)
-    if found is not None and found.even:
-        return found
-    line = times[0] + usual * row_frames
+    mean = float(between[between <= GAP_STEPS * median].mean())
+    fit = fit_gaps(times, mean, rounding)
+    if fit is not None and fit.even:
+        return fit
+    line = times[0] + median * row_frames
     near = [step for step in rates if abs(step - mean) <= NEAR_RATE * mean]
-    step = near[0] if near else usual
-    found = fit_gaps(times, step, rounding)
-    off = found.off if found is not None else float(np.abs(times - line).max())
-    return Steps(step, row_frames, off, False)
+    step = near[0] if near else median
+    fit = fit_gaps(times, step, rounding)
+    off = fit.off if fit is not None else float(np.abs(times - line).max())
+    return TimeSteps(step, row_frames, off, False)
 
 
 def _has_few_gaps(frames: IntArray) -> bool:
-    """Return whether most rows are one frame apart."""
+    """Return whether most rows are one frame after the previous row."""
     return int((np.diff(frames) > 1).sum()) <= max(1, len(frames) // MIN_ROWS_A_GAP)
 
 
-def is_rate_of(stated: float, steps: Steps, rounding: float) -> bool:
-    """Return whether a stated rate is that of times, within what they leave open."""
+def is_rate_of(stated: float, steps: TimeSteps, rounding: float) -> bool:
+    """Return whether a stated rate fits times within their rounding."""
     if not stated > 0:
         return False
     count = int(steps.frames[-1]) if steps.even else 1
@@ -155,14 +157,14 @@ def is_rate_of(stated: float, steps: Steps, rounding: float) -> bool:
 
 
 def has_room(at: FloatArray | IntArray, markers: int) -> bool:
-    """Return whether rows at frames ``(R,)`` leave few enough frames without one."""
+    """Return whether rows at frames ``(R,)`` leave few enough frames empty."""
     frames = (float(at[-1]) + 1) * markers
     return frames <= max(MAX_ABSENT, MAX_FRAMES_EACH * len(at) * markers)
 
 
 @dataclass(frozen=True, slots=True)
 class RowFrames:
-    """The frames of rows.
+    """Frame positions of rows.
 
     Attributes:
         rate: Frames a second.
@@ -177,28 +179,28 @@ class RowFrames:
     begin: float | None
 
     def placed(self, positions: FloatArray) -> FloatArray:
-        """Return positions of frames ``(F, M, 3)`` of those of rows ``(R, M, 3)``.
+        """Resample positions ``(R, M, 3)`` at rows to frames ``(F, M, 3)``.
 
         NaN where no row is near; between rows at uneven times, straight lines.
         """
         count = int(self.at[-1] + EVEN) + 1
-        whole = np.rint(self.at)
-        if np.array_equal(whole, self.at):
+        rounded = np.rint(self.at)
+        if np.array_equal(rounded, self.at):
             if count == len(positions):
                 return positions
             placed = np.full((count, *positions.shape[1:]), np.nan)
-            placed[whole.astype(np.int64)] = positions
+            placed[rounded.astype(np.int64)] = positions
             return placed
         frames = np.arange(count)
         low = np.searchsorted(self.at, frames + EVEN, side="right") - 1
         low = np.clip(low, 0, len(self.at) - 2)
         width = self.at[low + 1] - self.at[low]
-        share = np.clip((frames - self.at[low]) / width, 0.0, 1.0)
+        fraction = np.clip((frames - self.at[low]) / width, 0.0, 1.0)
         near = EVEN / width
-        apart = (width > GAP_STEPS) & (share > near) & (share < 1.0 - near)
-        weight = share[:, None, None]
+        in_gap = (width > GAP_STEPS) & (fraction > near) & (fraction < 1.0 - near)
+        weight = fraction[:, None, None]
         placed = positions[low] * (1.0 - weight) + positions[low + 1] * weight
-        placed[share <= near] = positions[low][share <= near]
-        placed[share >= 1.0 - near] = positions[low + 1][share >= 1.0 - near]
-        placed[apart] = np.nan
+        placed[fraction <= near] = positions[low][fraction <= near]
+        placed[fraction >= 1.0 - near] = positions[low + 1][fraction >= 1.0 - near]
+        placed[in_gap] = np.nan
         return placed

@@ -1,4 +1,4 @@
-"""A take as a file of text: its head, and rows that are made as they are written."""
+"""A take as text: a header, and rows formatted while they are written."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROWS_AT_ONCE = 4096
 
 @dataclass(frozen=True, slots=True)
 class TakeText:
-    """The parts of a file."""
+    """Header and row parts of a file."""
 
     head: Iterable[str]  # lines above the rows
     rows: Iterator[bytes]  # made as they are taken
@@ -26,19 +26,19 @@ class TakeText:
 
     @property
     def parts(self) -> Iterator[bytes]:
-        """Bytes to write one after another; to be asked for once."""
+        """Byte chunks to write in order; can be iterated once."""
         yield "".join(f"{line}\n" for line in self.head).encode()
         yield from self.rows
 
 
 def number_rows(
-    values: FloatArray, places: Sequence[int], *, tabs: bool = False
+    values: FloatArray, decimals: Sequence[int], *, tabs: bool = False
 ) -> Iterator[bytes]:
-    """Yield rows of numbers ``(F, C)``, some at once, between blanks or tabs.
+    """Yield formatted rows ``(F, C)`` in chunks, separated by blanks or tabs.
 
-    places: most digits behind the point of each column.
+    decimals: most digits behind the point of each column.
     """
-    digits = np.array(places, np.int64)
+    digits = np.array(decimals, np.int64)
     for begin in range(0, len(values), ROWS_AT_ONCE):
         block = np.ascontiguousarray(values[begin : begin + ROWS_AT_ONCE])
         text = _kernels.format_bvh_rows(block, digits)
@@ -52,11 +52,11 @@ def write_text(
     *,
     overwrite: bool,
 ) -> list[Fault]:
-    """Write a take as a file of text; return what the format cannot hold."""
+    """Write a take as a text file; return notices about lost data."""
     from animtool.core.files.output import check_outputs, write_parts
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
-    made = text(take)
-    write_parts(path, made.parts)
-    return made.notices
+    parts = text(take)
+    write_parts(path, parts.parts)
+    return parts.notices

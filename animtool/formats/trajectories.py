@@ -1,4 +1,4 @@
-"""What readers of marker files share: names, units, rates and missing positions."""
+"""Common parts of marker readers: names, units, rates and missing positions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from animtool.core.record import dataclass
 from animtool.core.similar import distinct
 from animtool.core.units import LengthUnit, UpAxis
 
-# How systems call points without a label, beside an empty name.
+# Names of unlabelled points, besides an empty name.
 _UNLABELLED = re.compile(
     r"\*\d*|uname\*\d*|unlabell?ed[\W_]*\d*|unidentified[\W_]*\d*|unknown[\W_]*\d*",
     re.IGNORECASE | re.ASCII,
@@ -40,19 +40,19 @@ _UNITS = {
 
 @dataclass(slots=True)
 class MarkerFile:
-    """A marker file that is being read, and the warnings about it so far."""
+    """A marker file that is being read, with its warnings so far."""
 
     path: str
     notices: list[Fault] = field(default_factory=list)
 
     def error(self, code: str, message: str, hint: str | None = None) -> FormatError:
-        """Return the error of a file that cannot be read."""
+        """Return an error about the file."""
         return FormatError(Fault(code, message, self.path, (), hint))
 
     def warn(
         self, code: str, message: str, hint: str | None = None, line: int | None = None
     ) -> None:
-        """Add a warning, of a line where there is one."""
+        """Add a warning, with a line if known."""
         warning, lines = Severity.WARNING, () if line is None else (line,)
         self.notices.append(Fault(code, message, self.path, lines, hint, warning))
 
@@ -61,7 +61,7 @@ class MarkerFile:
         self.notices.append(Fault(code, message, self.path, (), hint, Severity.NOTE))
 
     def rate(self, stated: float | None, fps: FractionLike | None) -> Fraction:
-        """Return the frame rate: the option, else what the file states.
+        """Return the frame rate: the option, else the stated one.
 
         Raises:
             FormatError: There is neither (MKR010).
@@ -79,23 +79,23 @@ class MarkerFile:
         return rate_from_float(stated)
 
     def unit(
-        self, stated: str | None, given: LengthUnit | None, usual: LengthUnit
+        self, stated: str | None, option: LengthUnit | None, default: LengthUnit
     ) -> LengthUnit:
-        """Return the unit of lengths: the option, else the file's, else the usual one.
+        """Return the length unit: the option, else the stated one, else the default.
 
         Raises:
             FormatError: The file states a unit that is none (MKR011).
         """
-        if given is not None:
-            return LengthUnit(given)
+        if option is not None:
+            return LengthUnit(option)
         if stated is None or not stated.strip():
-            message = f"states no unit; {usual} is assumed"
+            message = f"states no unit; {default} is assumed"
             self.note(
                 "MKR104",
                 message,
                 f"set the unit with {argument('source.unit')}",
             )
-            return usual
+            return default
         unit = _unit(stated.strip().lower().rstrip("s."))
         if unit is None:
             message = f"states the unit {excerpt(stated)}"
@@ -103,10 +103,10 @@ class MarkerFile:
             raise self.error("MKR011", message, hint)
         return unit
 
-    def up(self, stated: UpAxis | None, given: UpAxis | None) -> UpAxis:
-        """Return the up axis: the option, else what the file states, else Y."""
-        if given is not None:
-            return UpAxis(given)
+    def up(self, stated: UpAxis | None, option: UpAxis | None) -> UpAxis:
+        """Return the up axis: the option, else the stated one, else Y."""
+        if option is not None:
+            return UpAxis(option)
         if stated is None:
             message = "states no up axis; Y is assumed"
             self.note("MKR103", message, f"set Z up with {argument('source.up', 'Z')}")
@@ -114,7 +114,7 @@ class MarkerFile:
         return stated
 
     def names(self, labels: Sequence[str], subject: str | None) -> tuple[str, ...]:
-        """Return unique names of markers; a point without label begins with ``*``.
+        """Return unique marker names; unlabelled ones begin with ``*``.
 
         The prefix of a subject, as in ``Anna:LFHD``, is left out where all labels have
         the same one, or where the subject is the one that is asked for. Of names that
@@ -142,7 +142,7 @@ class MarkerFile:
         return tuple(unique)
 
     def cleaned(self, positions: FloatArray, meters: float) -> FloatArray:
-        """Return positions [m] in which what is not a position is NaN.
+        """Return positions [m] with NaN for invalid ones.
 
         That is every point with an infinity or a number beyond float32 (MKR102), and
         every point at exactly the origin, as many systems write missing points.
@@ -166,7 +166,7 @@ class MarkerFile:
 
 
 def _unit(text: str) -> LengthUnit | None:
-    """Return the unit that a text names; some writers have room for its beginning."""
+    """Return the unit of a text; some writers truncate it."""
     if text in _UNITS or len(text) < 4:
         return _UNITS.get(text)
     begun = {unit for name, unit in _UNITS.items() if name.startswith(text)}
@@ -180,7 +180,7 @@ MAX_POSITIONS = 200_000_000
 
 
 def is_unlabelled(name: str) -> bool:
-    """Return whether a name is that of a point without label.
+    """Return whether a name is that of an unlabelled point.
 
     >>> is_unlabelled("*12"), is_unlabelled(""), is_unlabelled("LFHD")
     (True, True, False)

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.formats.fbx.curves import Outside
-from animtool.formats.fbx.poses import State
+from animtool.formats.fbx.poses import NodeTransforms
 from animtool.formats.fbx.rig import FbxRig, build_rig
-from animtool.formats.fbx.sampling import Sampler
+from animtool.formats.fbx.sampling import FbxSampler
 from animtool.formats.fbx.scene import FbxScene, open_fbx
 from animtool.formats.fbx.settings import TICKS
 from animtool.formats.fbx.takes import AnimTake
@@ -42,7 +42,7 @@ class FbxCharacter:
     scene: FbxScene
     made: FbxRig
     meshes: dict[str, CharacterMesh]
-    _samplers: dict[int, Sampler] = field(default_factory=dict)
+    _samplers: dict[int, FbxSampler] = field(default_factory=dict)
 
     @classmethod
     def of(cls, path: Path) -> FbxCharacter:
@@ -60,7 +60,7 @@ class FbxCharacter:
     def pose(self, take: AnimTake | None, seconds: float) -> Posed:
         """Return the state at a time of a take; of None as it was saved."""
         if id(take) not in self._samplers:
-            self._samplers[id(take)] = Sampler(self.scene, self.made, take)
+            self._samplers[id(take)] = FbxSampler(self.scene, self.made, take)
         ticks = np.array([round(seconds * TICKS)], np.int64)
         motion = self._samplers[id(take)].at(ticks)
         return Posed(motion, forward(self.made.rig, *motion.dense()))
@@ -287,6 +287,6 @@ def _with_node(
     if scene.nodes[node].skin < 0:
         return own
     ticks = np.array([round(seconds * TICKS)], np.int64)
-    world = State(scene, take, ticks).world(node)[0]
+    world = NodeTransforms(scene, take, ticks).world(node)[0]
     step = world @ np.linalg.inv(scene.bind[scene.nodes[node].skin])
     return np.asarray(own @ step[:3, :3].T + step[:3, 3])

@@ -1,4 +1,4 @@
-"""Biovision Hierarchy files (BVH): a skeleton, and a row of channels a frame."""
+"""Biovision Hierarchy (BVH): a skeleton, and a row of channel values per frame."""
 
 from animtool.formats.bvh.read import read_bvh
 from animtool.formats.bvh.write import write_bvh

@@ -27,7 +27,7 @@ _WORDS = re.compile(r"[{}]|[^\s{}]+")
 
 @dataclass(slots=True)
 class BvhJoint:
-    """A joint as the file has it, in file units."""
+    """A joint as the file states it, in file units."""
 
     name: str
     parent: int
@@ -39,7 +39,7 @@ class BvhJoint:
 
 @dataclass(slots=True)
 class BvhHeader:
-    """Everything before the rows of numbers."""
+    """Hierarchy, frame count and frame time: everything above the rows."""
 
     joints: list[BvhJoint]  # in file order, parents first
     declared_frames: int = 0  # what ``Frames:`` says
@@ -49,8 +49,8 @@ class BvhHeader:
 
 
 @dataclass(slots=True)
-class _Block:
-    """An open brace: of a joint, or of an End Site (its parent's index)."""
+class _OpenBrace:
+    """An unclosed brace of a joint, or of an End Site (with its parent's index)."""
 
     joint: int
     is_end: bool
@@ -60,12 +60,12 @@ class _Block:
 
 
 class _Hierarchy:
-    """The statements of a HIERARCHY block, applied one by one."""
+    """Parser state: applies the statements of a HIERARCHY block one by one."""
 
     def __init__(self, lines: HeaderLines) -> None:
         self.lines = lines
         self.joints: list[BvhJoint] = []
-        self.stack: list[_Block] = []
+        self.stack: list[_OpenBrace] = []
 
     def read(self) -> None:
         """Read up to and including the line MOTION."""
@@ -91,8 +91,8 @@ class _Hierarchy:
             continue
         word, _, rest = (line or "").strip().partition(" ")
         if word.upper() != "HIERARCHY":
-            found = f", not {excerpt(line.strip())}" if line else ""
-            self.lines.fail("BVH001", f"a BVH file starts with HIERARCHY{found}")
+            excess = f", not {excerpt(line.strip())}" if line else ""
+            self.lines.fail("BVH001", f"a BVH file starts with HIERARCHY{excess}")
         return rest
 
     def _statement(self, keyword: str, words: list[str]) -> None:
@@ -124,7 +124,7 @@ class _Hierarchy:
                     "expected ROOT, JOINT, End Site, OFFSET, CHANNELS, MOTION, { or }",
                 )
 
-    def _open(self, block: _Block | None) -> None:
+    def _open(self, block: _OpenBrace | None) -> None:
         if block is None or block.opened:
             self.lines.fail("BVH004", "'{' without a joint")
         block.opened = True
@@ -138,12 +138,12 @@ class _Hierarchy:
         if not block.is_end and not block.has_offset:
             self.lines.fail("BVH006", f"{self._name(block)} has no OFFSET")
 
-    def _joint(self, keyword: str, words: list[str], block: _Block | None) -> None:
+    def _joint(self, keyword: str, words: list[str], block: _OpenBrace | None) -> None:
         if (keyword == "ROOT") != (block is None):
             allowed = "JOINT" if block else "ROOT"
-            place = "inside a joint" if block else "outside every joint"
+            context = "inside a joint" if block else "outside every joint"
             self.lines.fail(
-                "BVH003", f"unexpected {keyword} {place}", f"expected {allowed}"
+                "BVH003", f"unexpected {keyword} {context}", f"expected {allowed}"
             )
         if block is not None and block.is_end:
             self.lines.fail("BVH003", "unexpected JOINT inside an End Site")
@@ -155,23 +155,23 @@ class _Hierarchy:
             self.lines.fail("BVH003", f"{keyword} has no name")
         parent = block.joint if block else -1
         self.joints.append(BvhJoint(name, parent, self.lines.number))
-        self.stack.append(_Block(len(self.joints) - 1, False, self.lines.number))
+        self.stack.append(_OpenBrace(len(self.joints) - 1, False, self.lines.number))
 
-    def _end_site(self, words: list[str], block: _Block | None) -> None:
+    def _end_site(self, words: list[str], block: _OpenBrace | None) -> None:
         if block is None or block.is_end:
             self.lines.fail("BVH003", "unexpected End Site outside a joint")
         self._take_name(words)
-        self.stack.append(_Block(block.joint, True, self.lines.number))
+        self.stack.append(_OpenBrace(block.joint, True, self.lines.number))
 
     @staticmethod
     def _take_name(words: list[str]) -> str:
-        """Take the words up to a brace: names may hold spaces."""
+        """Consume a name up to its brace; names may contain spaces."""
         name = []
         while words and words[0] not in {"{", "}"}:
             name.append(words.pop(0))
         return " ".join(name)
 
-    def _offset(self, words: list[str], block: _Block | None) -> None:
+    def _offset(self, words: list[str], block: _OpenBrace | None) -> None:
         if block is None:
             self.lines.fail("BVH003", "unexpected OFFSET outside a joint")
         texts = [words.pop(0) for _ in range(3) if words and words[0] not in "{}"]
@@ -197,7 +197,7 @@ class _Hierarchy:
             self.lines.fail("BVH006", f"OFFSET {text} is not a finite float32")
         return value
 
-    def _channels(self, words: list[str], block: _Block | None) -> None:
+    def _channels(self, words: list[str], block: _OpenBrace | None) -> None:
         if block is None or block.is_end:
             self.lines.fail("BVH003", "unexpected CHANNELS outside a joint")
         joint = self.joints[block.joint]
@@ -236,7 +236,7 @@ class _Hierarchy:
         if not any(joint.channels for joint in self.joints):
             self.lines.fail("BVH007", "no joint has a channel")
 
-    def _name(self, block: _Block) -> str:
+    def _name(self, block: _OpenBrace) -> str:
         kind = "End Site of" if block.is_end else "joint"
         name = excerpt(self.joints[block.joint].name)
         return f"{kind} {name}, line {block.line}"
@@ -249,7 +249,7 @@ class _Hierarchy:
 
 
 def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
-    """Read everything before the rows of numbers."""
+    """Read everything above the rows of numbers."""
     hierarchy = _Hierarchy(lines)
     hierarchy.read()
     header = BvhHeader(hierarchy.joints)
@@ -298,15 +298,15 @@ def _duplicate_names(joints: list[BvhJoint], path: str) -> list[Fault]:
     return [
         Fault(
             "BVH103",
-            f"joint name {excerpt(name)} appears {len(found)} times, on lines "
-            + listed(found, 10),
+            f"joint name {excerpt(name)} appears {len(numbers)} times, on lines "
+            + listed(numbers, 10),
             path,
-            tuple(found),
+            tuple(numbers),
             "a number is appended to the later ones",
             Severity.WARNING,
         )
-        for name, found in lines.items()
-        if len(found) > 1
+        for name, numbers in lines.items()
+        if len(numbers) > 1
     ]
 
 

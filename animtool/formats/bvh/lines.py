@@ -25,19 +25,19 @@ from animtool.core.files.reading import (
 from animtool.core.record import dataclass
 
 CHUNK_BYTES = 1 << 19
-# A header line names one joint or its channels; a longer one is not a BVH's.
+# A header line names one joint or its channels; BVH files have no longer lines.
 LONGEST_LINE_BYTES = 1 << 16
 # A joint has five or six of them.
 MAX_LINES = 1_000_000
 # A quarter of a megabyte of float64 a block: it stays in the processor's cache from
 # the parser to the writer.
 BLOCK_VALUES = 1 << 15
-# No number is printed with more characters than this, blanks included.
+# The longest number in characters, blanks included.
 LONGEST_NUMBER_BYTES = 1024
 # A channel may lose this many samples, or this share of them, before filling them
 # in would be inventing motion.
 MAX_FILLED_SAMPLES = 10
-MAX_FILLED_SHARE = 0.1
+MAX_FILLED_FRACTION = 0.1
 MAX_NAMED = 20
 FLOAT32_MAX = 3.4028234663852886e38
 
@@ -45,7 +45,7 @@ _LINE_END = re.compile(rb"\r\n?|\n")
 
 
 class HeaderLines:
-    """Lines of a file with their numbers; CR, LF and CR LF each end one.
+    """Header lines with their numbers; CR, LF and CR LF all end a line.
 
     Attributes:
         number: 1-based number of the line last returned.
@@ -124,7 +124,7 @@ class HeaderLines:
 
 @dataclass(slots=True)
 class RowSource:
-    """Where the rows come from."""
+    """File, byte offset and channel names that rows are read from."""
 
     path: Path  # the file
     state: FileState  # what it was when its header was read
@@ -138,7 +138,7 @@ class RowSource:
 
 
 class RowReader:
-    """Blocks of rows ``(F, C)``, every value finite and within float32.
+    """Reader of blocks of rows ``(F, C)``, all values finite and within float32.
 
     Attributes:
         notices: What was repaired or does not fit, complete after the last block.
@@ -157,26 +157,26 @@ class RowReader:
 
     def blocks(self) -> Iterator[FloatArray]:
         """Yield the rows of the file."""
-        held: list[FloatArray] = []
+        pending: list[FloatArray] = []
         for rows, lines in self._parsed():
             self._note_count(lines)
             block = rows
             if not (rows.min() >= -FLOAT32_MAX and rows.max() <= FLOAT32_MAX):
                 self._note_unusable(rows, lines)
                 block = np.clip(rows, -FLOAT32_MAX, FLOAT32_MAX)
-            if held or np.isnan(block).any():
-                held.append(block)
-                # A gap that is still open at the end waits for what follows it.
+            if pending or np.isnan(block).any():
+                pending.append(block)
+                # A gap that reaches the block's end waits for the next block.
                 if np.isnan(block[-1]).any():
                     continue
-                block = np.concatenate(held)
-                held.clear()
+                block = np.concatenate(pending)
+                pending.clear()
                 self._fill(block)
             self._last = block[-1].copy()
             yield block
         self._check()
-        if held:
-            block = np.concatenate(held)
+        if pending:
+            block = np.concatenate(pending)
             self._fill(block)
             yield block
         self._report()
@@ -206,7 +206,7 @@ class RowReader:
                 text += chunk
                 if self.source.progress:
                     self.source.progress(file.tell() / size)
-            rows, row_lines, consumed, lines, fault, found, token = (
+            rows, row_lines, consumed, lines, fault, column, token = (
                 _kernels.parse_bvh_rows(text, self._width, limit, final)
             )
             if len(rows):
@@ -215,7 +215,7 @@ class RowReader:
             text = text[consumed:]
             if fault:
                 last = final and len(text.splitlines()) <= 1
-                raise FormatError(self._row_fault(fault, line, found, token, last))
+                raise FormatError(self._row_fault(fault, line, column, token, last))
             if final and not text:
                 return
             if len(text) > longest and not consumed:
@@ -224,24 +224,24 @@ class RowReader:
             starved = len(rows) < limit
 
     def _row_fault(
-        self, fault: int, line: int, found: int, token: bytes, last: bool
+        self, fault: int, line: int, column: int, token: bytes, last: bool
     ) -> Fault:
         path = self._path
         if fault == 2:
             word = token.decode("utf-8", "replace")
             name = (
-                self.source.channels[found] if found < self._width else "another word"
+                self.source.channels[column] if column < self._width else "another word"
             )
             hint = "write decimals with a point" if "," in word else None
             message = f"{excerpt(word)} is not a number ({excerpt(name)})"
             return Fault("BVH011", message, path, (line,), hint)
         hint = "each frame must be one line; are these rows wrapped?"
-        if found > self._width:
+        if column > self._width:
             hint = "does the HIERARCHY name every channel?"
         elif last:
             hint = "this is the last line of the file: is it truncated?"
         message = (
-            f"the row has {counted(found, 'number')}, but the channels need "
+            f"the row has {counted(column, 'number')}, but the channels need "
             f"{self._width}"
         )
         return Fault("BVH010", message, path, (line,), hint)
@@ -254,18 +254,23 @@ class RowReader:
     def _note_unusable(self, rows: FloatArray, lines: IntArray) -> None:
         with np.errstate(invalid="ignore"):
             beyond = np.abs(rows) > FLOAT32_MAX
-        for found, where in ((self._missing, np.isnan(rows)), (self._beyond, beyond)):
-            self._collect(found, where, lines)
+        for fault_lines, mask in (
+            (self._missing, np.isnan(rows)),
+            (self._beyond, beyond),
+        ):
+            self._collect(fault_lines, mask, lines)
 
     @staticmethod
     def _collect(
-        found: dict[int, list[int]], where: BoolArray, lines: IntArray
+        fault_lines: dict[int, list[int]], mask: BoolArray, lines: IntArray
     ) -> None:
-        for column in np.flatnonzero(where.any(axis=0)):
-            found.setdefault(int(column), []).extend(lines[where[:, column]].tolist())
+        for column in np.flatnonzero(mask.any(axis=0)):
+            fault_lines.setdefault(int(column), []).extend(
+                lines[mask[:, column]].tolist()
+            )
 
     def _fill(self, block: FloatArray) -> None:
-        """Fill NaN by interpolation between finite neighbours, nearest at the ends."""
+        """Fill NaN: linear between finite neighbours, nearest value at both ends."""
         for column in np.flatnonzero(np.isnan(block).any(axis=0)):
             values = block[:, column]
             if self._last is not None:
@@ -280,7 +285,7 @@ class RowReader:
             block[:, column] = filled[-len(block) :]
 
     def _check(self) -> None:
-        """Refuse a file without rows, or a channel that lost too much."""
+        """Raise for a file without rows, or a channel with too many lost values."""
         path = self._path
         if not self._count:
             line = self.source.line
@@ -290,7 +295,7 @@ class RowReader:
         for column, lines in sorted(self._missing.items()):
             lost = len(lines)
             too_many = (
-                lost > MAX_FILLED_SAMPLES and lost > MAX_FILLED_SHARE * self._count
+                lost > MAX_FILLED_SAMPLES and lost > MAX_FILLED_FRACTION * self._count
             )
             if too_many or lost == self._count:
                 name = self.source.channels[column]
@@ -301,12 +306,12 @@ class RowReader:
             raise FormatError(faults[:MAX_NAMED])
 
     def _report(self) -> None:
-        declared, found, path = self.source.declared, self._count, self._path
-        if declared != found:
+        declared, count, path = self.source.declared, self._count, self._path
+        if declared != count:
             line = self._extra_line or self.source.declared_line
-            message = f"Frames states {declared}, but there are {found} rows"
+            message = f"Frames states {declared}, but there are {count} rows"
             hint = "all rows are read"
-            if declared > found:
+            if declared > count:
                 hint += "; is the file truncated?"
             self.notices.append(
                 Fault("BVH101", message, path, (line,), hint, Severity.WARNING)
@@ -322,13 +327,13 @@ class RowReader:
         )
 
     def _name_all(
-        self, code: str, found: dict[int, list[int]], what: str, hint: str
+        self, code: str, fault_lines: dict[int, list[int]], what: str, hint: str
     ) -> None:
-        for column, lines in sorted(found.items())[:MAX_NAMED]:
-            places = listed(lines, 10)
+        for column, lines in sorted(fault_lines.items())[:MAX_NAMED]:
+            numbers = listed(lines, 10)
             name = self.source.channels[column]
             values = "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
-            message = f"{name}: {values} {what}, on line {places}"
+            message = f"{name}: {values} {what}, on line {numbers}"
             self.notices.append(
                 Fault(
                     code,
@@ -339,8 +344,8 @@ class RowReader:
                     Severity.WARNING,
                 )
             )
-        if len(found) > MAX_NAMED:
-            message = f"{len(found) - MAX_NAMED} more channels have values {what}"
+        if len(fault_lines) > MAX_NAMED:
+            message = f"{len(fault_lines) - MAX_NAMED} more channels have values {what}"
             self.notices.append(
                 Fault(code, message, self._path, (), hint, Severity.WARNING)
             )

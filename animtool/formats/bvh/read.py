@@ -28,7 +28,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 # A character spans between these at rest; the skeleton of a person between those.
 LIKELY_METERS = (0.3, 6.0)
 PERSON_METERS = (1.0, 2.6)
-# Fewer joints are a prop as likely as a character.
+# Fewer joints may as well be a prop.
 MIN_JOINTS = 8
 MAX_NAMED = 4
 # Shares of their OFFSETs that bones keep at most that have no length [1].
@@ -44,7 +44,7 @@ def read_bvh(
     positions: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TakeStream:
-    """Open a BVH file; its rows are read as the blocks are taken.
+    """Open a BVH file as a stream; rows are parsed as blocks are taken.
 
     Position channels replace the OFFSET on their axes. Rotations multiply left to
     right in the order of the CHANNELS line, in front of them the translation,
@@ -120,7 +120,7 @@ def read_bvh(
 
 
 def read_bvh_rig(path: Path) -> Rig:
-    """Return the skeleton of a BVH file, in centimetres; its rows are not read."""
+    """Return the skeleton of a BVH file in centimetres, without reading its rows."""
     return read_bvh(path).rig
 
 
@@ -128,7 +128,7 @@ _RATE_CODES = {"BVH105", "BVH106", "BVH107"}
 
 
 def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
-    """Return a note about a skeleton whose size fits another unit better."""
+    """Return a note about a skeleton whose size suggests another unit."""
     size = rest_size(rig)
     low, high = LIKELY_METERS
     if len(rig.joints) < MIN_JOINTS or low <= size <= high:
@@ -156,9 +156,9 @@ def _rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
     joints = []
     names = distinct(joint.name for joint in header.joints)
     for joint, unique in zip(header.joints, names, strict=True):
-        made = _joint(joint, unit.meters)
+        converted = _joint(joint, unit.meters)
         source_name = joint.name if unique != joint.name else ""
-        joints.append(replace(made, name=unique, source_name=source_name))
+        joints.append(replace(converted, name=unique, source_name=source_name))
     return Rig(name, tuple(joints), unit.meters, up)
 
 
@@ -196,19 +196,19 @@ def _axis(letter: str) -> tuple[float, float, float]:
 
 
 class _Layout:
-    """Which column of a row goes where."""
+    """Column indices of each joint's position and rotation channels."""
 
     def __init__(self, header: BvhHeader, *, offsets: bool = False) -> None:
-        """Take those of a hierarchy; ``offsets``: these hold below roots."""
+        """Assign the columns of a hierarchy; ``offsets`` apply below roots."""
         self.moving: list[int] = []
         self.turning: list[int] = []
         slots: list[int] = []
         columns: list[int] = []
-        turn_columns: list[list[int]] = []
-        turn_axes: list[list[int]] = []
+        rotation_columns: list[list[int]] = []
+        rotation_axes: list[list[int]] = []
         column = 0
         for j, joint in enumerate(header.joints):
-            turns: list[tuple[int, int]] = []
+            rotations: list[tuple[int, int]] = []
             moves = False
             for name in joint.channels or ():
                 axis = "XYZ".index(name[0])
@@ -219,19 +219,19 @@ class _Layout:
                     columns.append(column)
                     moves = True
                 else:
-                    turns.append((column, axis))
+                    rotations.append((column, axis))
                 column += 1
             if moves:
                 self.moving.append(j)
-            if turns:
+            if rotations:
                 self.turning.append(j)
-                turns += [(-1, 0)] * (3 - len(turns))
-                turn_columns.append([c for c, _ in turns])
-                turn_axes.append([a for _, a in turns])
+                rotations += [(-1, 0)] * (3 - len(rotations))
+                rotation_columns.append([c for c, _ in rotations])
+                rotation_axes.append([a for _, a in rotations])
         self.slots = np.array(slots, np.int64)
         self.columns = np.array(columns, np.int64)
-        self.turn_columns = np.array(turn_columns, np.int32).reshape(-1, 3)
-        self.turn_axes = np.array(turn_axes, np.int32).reshape(-1, 3)
+        self.rotation_columns = np.array(rotation_columns, np.int32).reshape(-1, 3)
+        self.rotation_axes = np.array(rotation_axes, np.int32).reshape(-1, 3)
 
 
 def _blocks(
@@ -248,7 +248,7 @@ def _blocks(
         farthest = np.maximum(farthest, np.abs(rows[:, layout.columns]).max(axis=0))
         translations[:, layout.slots] = rows[:, layout.columns] * rig.meters_per_unit
         rotations = _kernels.euler_to_quaternion(
-            rows, layout.turn_columns, layout.turn_axes, previous
+            rows, layout.rotation_columns, layout.rotation_axes, previous
         )
         previous = rotations[-1].copy()
         yield Motion(
@@ -271,7 +271,7 @@ def _blocks(
 def _without_length(
     rig: Rig, moving: IntArray, reaches: FloatArray, named: BoolArray, path: str
 ) -> list[Fault]:
-    """Return a warning of joints that position channels of 0 put at their parents.
+    """Return a warning about joints whose zero position channels collapse bones.
 
     Args:
         rig: The skeleton.

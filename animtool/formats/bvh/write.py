@@ -21,8 +21,8 @@ from animtool.rig.skeleton import Joint, Rig
 
 # Degrees to 7 places are 1e-9 rad, lengths to 9 places 1e-9 of a unit: both far
 # below what float32 holds.
-ANGLE_PLACES = 7
-LENGTH_PLACES = 9
+ANGLE_DECIMALS = 7
+LENGTH_DECIMALS = 9
 # A float32 quaternion is off by up to 1e-5 degrees about axes that do not turn.
 UNUSED_AXIS_TOLERANCE = 1e-4
 # The same for lengths, relative to the largest offset.
@@ -51,7 +51,7 @@ def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
 
 
 def bvh_text(take: Take) -> TakeText:
-    """Return a take as BVH, in the unit of its rig, which has joints (else RIG044).
+    """Return a take as BVH text in its rig's unit (RIG044 without joints).
 
     Joints keep the channels and names that they were read with where these can hold the
     motion; others get ``Zrotation Xrotation Yrotation``, roots and joints that move
@@ -72,51 +72,53 @@ def bvh_text(take: Take) -> TakeText:
     size = float(np.abs(offsets).max(initial=0.0))
 
     columns: list[FloatArray] = []
-    places: list[int] = []
+    decimals: list[int] = []
     layouts: dict[int, tuple[str, ...]] = {}
     rotations = motion.rotations.dense()
-    # Values stand in the order in which the hierarchy names the joints.
+    # Columns follow the joints' order in the hierarchy.
     for j in _depth_first(take.rig, children):
         joint = take.rig.joints[j]
         tolerance = UNUSED_LENGTH_TOLERANCE * size
         positions = _positions(joint, translations[:, j], offsets[j], tolerance)
-        turns, angles = _rotations(joint, rotations[:, j])
-        order = _ordered(joint, positions, turns)
+        rotation_names, angles = _rotations(joint, rotations[:, j])
+        order = _ordered(joint, positions, rotation_names)
         layouts[j] = order
         for name in order:
             if name in positions:
                 columns.append(translations[:, j, "XYZ".index(name[0])])
-                places.append(LENGTH_PLACES)
+                decimals.append(LENGTH_DECIMALS)
             else:
-                columns.append(angles[:, turns.index(name)])
-                places.append(ANGLE_PLACES)
+                columns.append(angles[:, rotation_names.index(name)])
+                decimals.append(ANGLE_DECIMALS)
     rows = np.stack(columns, axis=1) if columns else np.zeros((motion.frames, 0))
     return TakeText(
         _header(take, offsets, children, layouts),
-        number_rows(rows, places),
+        number_rows(rows, decimals),
         _scale_notices(take) + _unit_notices(take.rig),
     )
 
 
 def _depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
-    """Return the joints, each followed by all that is below it."""
-    found, pending = [], rig.roots[::-1]
+    """Return joint indices depth-first: each joint, then everything below it."""
+    order, pending = [], rig.roots[::-1]
     while pending:
         j = pending.pop()
-        found.append(j)
+        order.append(j)
         pending += children[j][::-1]
-    return found
+    return order
 
 
 def _positions(
     joint: Joint, values: FloatArray, offset: FloatArray, tolerance: float
 ) -> tuple[str, ...]:
     """Return the position channels that a joint needs."""
-    own = tuple(name for name in joint.channels or () if name.endswith("position"))
+    declared = tuple(name for name in joint.channels or () if name.endswith("position"))
     off_rest = np.abs(values - offset).max(axis=0) > tolerance
-    covered = all(not off_rest[axis] or _POSITIONS[axis] in own for axis in range(3))
+    covered = all(
+        not off_rest[axis] or _POSITIONS[axis] in declared for axis in range(3)
+    )
     if joint.channels is not None and covered:
-        return own
+        return declared
     if joint.parent < 0 or off_rest.any():
         return _POSITIONS
     return ()
@@ -124,30 +126,30 @@ def _positions(
 
 def _rotations(joint: Joint, values: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
     """Return the rotation channels that a joint needs and their angles."""
-    own = tuple(name for name in joint.channels or () if name.endswith("rotation"))
-    given = own if joint.channels is not None else _DEFAULT_ROTATIONS
-    order = "".join(name[0] for name in given)
+    declared = tuple(name for name in joint.channels or () if name.endswith("rotation"))
+    names = declared if joint.channels is not None else _DEFAULT_ROTATIONS
+    order = "".join(name[0] for name in names)
     order += "".join(letter for letter in "XYZ" if letter not in order)
     axes = np.array([axes_of(order)], np.int32)
     angles = _kernels.quaternion_to_euler(np.ascontiguousarray(values[:, None]), axes)[
         :, 0
     ]
-    used = len(given)
+    used = len(names)
     unused = np.abs(angles[:, used:]).max(initial=0.0)
     if used == 3 or unused <= UNUSED_AXIS_TOLERANCE:
-        return given, angles[:, :used]
+        return names, angles[:, :used]
     return tuple(f"{letter}rotation" for letter in order), angles
 
 
 def _ordered(
-    joint: Joint, positions: tuple[str, ...], turns: tuple[str, ...]
+    joint: Joint, positions: tuple[str, ...], rotations: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the channels in the joint's own order where it has one."""
-    own = joint.channels or ()
-    wanted = set(positions) | set(turns)
-    if wanted == set(own):
-        return own
-    return positions + turns
+    """Return the channels in the order the joint declares, if it does."""
+    declared = joint.channels or ()
+    needed = set(positions) | set(rotations)
+    if needed == set(declared):
+        return declared
+    return positions + rotations
 
 
 def _header(
@@ -186,7 +188,7 @@ def _header(
 
 
 def _tips(joint: Joint, children: list[int]) -> tuple[tuple[float, float, float], ...]:
-    """Return the End Sites: a leaf gets one where its source had no say in it."""
+    """Return End Sites: leaf joints get one unless their source decided."""
     if joint.tips or children or joint.channels is not None:
         return joint.tips
     return ((0.0, 0.0, 0.0),)
@@ -194,19 +196,19 @@ def _tips(joint: Joint, children: list[int]) -> tuple[tuple[float, float, float]
 
 def _vector(values: FloatArray) -> str:
     row = np.ascontiguousarray(values, np.float64)[None]
-    places = np.full(3, LENGTH_PLACES, np.int64)
-    return _kernels.format_bvh_rows(row, places).decode().strip()
+    decimals = np.full(3, LENGTH_DECIMALS, np.int64)
+    return _kernels.format_bvh_rows(row, decimals).decode().strip()
 
 
 def frame_time(rate: Fraction) -> str:
-    """Return the shortest frame time [s], 6 decimals or more, that reads as the rate.
+    """Return the shortest frame time [s], 6 decimals or more, equal to the rate.
 
     >>> frame_time(Fraction(30)), frame_time(Fraction(24000, 1001))
     ('0.033333', '0.041708')
     """
     text = ""
-    for places in range(6, 18):
-        text = f"{float(1 / rate):.{places}f}"
+    for decimals in range(6, 18):
+        text = f"{float(1 / rate):.{decimals}f}"
         if float(text) > 0:
             choice = rate_from_frame_time(text)
             if choice.fps == rate and not choice.rivals:
@@ -215,7 +217,7 @@ def frame_time(rate: Fraction) -> str:
 
 
 def _unit_notices(rig: Rig) -> list[Fault]:
-    """Say what a BVH cannot, where a reader would take it for something else."""
+    """Return notices about unit and up axis, which BVH cannot store."""
     unit = unit_name(rig.meters_per_unit)
     if (unit, rig.up) == (LengthUnit.CM.value, UpAxis.Y):
         return []

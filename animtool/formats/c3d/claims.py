@@ -1,4 +1,4 @@
-"""What header and parameters of a C3D file state about where its points are."""
+"""Layout claims: what header and parameters of a C3D state about its points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WORD = 65536
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A value that a field of the file states.
+    """A value of a layout quantity, stated by one field of the file.
 
     Attributes:
         source: The field, as a message names it.
@@ -33,7 +33,7 @@ class Claim:
     wraps: bool = False
 
     def cost(self, value: int) -> float:
-        """Return what it costs to read another value than this claim's."""
+        """Return the cost of reading a value other than this claim's."""
         if value == self.value or (self.full and value > self.value):
             return 0.0
         if self.wraps and value >= WORD and value % WORD == self.value % WORD:
@@ -43,7 +43,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Claims:
-    """All that is stated, by quantity.
+    """All stated values, by quantity.
 
     Attributes:
         begin: Byte of the first frame.
@@ -65,7 +65,7 @@ class Claims:
 
 
 def claims_of(sections: Sections) -> Claims:
-    """Return what a file states about its layout."""
+    """Return the layout values that a file states."""
     analog, others = _analog(sections)
     return Claims(
         tuple(_begin(sections)),
@@ -79,7 +79,7 @@ def claims_of(sections: Sections) -> Claims:
 
 
 def word_of(sections: Sections, group: str, name: str) -> int | None:
-    """Return an unsigned 16-bit number, or a larger one that is stored as a float."""
+    """Return an unsigned 16-bit number, or a larger one stored as float."""
     stated = sections.number(group, name)
     if stated is None or not math.isfinite(stated):
         return None
@@ -87,7 +87,7 @@ def word_of(sections: Sections, group: str, name: str) -> int | None:
 
 
 def trial_fields(sections: Sections) -> tuple[int | None, int | None]:
-    """Return the numbers of the first and the last frame of the trial."""
+    """Return the first and last frame numbers of the trial."""
     start, end = (
         _long(sections.numbers("TRIAL", f"ACTUAL_{name}_FIELD"))
         for name in ("START", "END")
@@ -96,7 +96,7 @@ def trial_fields(sections: Sections) -> tuple[int | None, int | None]:
 
 
 def _long(words: list[float]) -> int | None:
-    """Return a number that is stored as two 16-bit words, the low one first."""
+    """Return a number stored as two 16-bit words, low word first."""
     if not words or not all(map(math.isfinite, words)):
         return None
     low, high = ([*words, 0.0])[:2]
@@ -139,7 +139,7 @@ def _points(sections: Sections) -> Iterable[Claim]:
 
 
 def _analog(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ...]]:
-    """Return claims about analogue numbers of a frame, and what else is tried."""
+    """Return claims about analogue values per frame, and other candidates."""
     stated, samples = sections.header.analog, sections.header.samples
     claims = [Claim("header word 3", stated, 1.0)]
     used = word_of(sections, "ANALOG", "USED")
@@ -161,12 +161,14 @@ def _analog(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ...]]:
 
 
 def _ratio(analog: float | None, point: float | None) -> int | None:
-    """Return analogue samples a frame by the rates, where that is a whole number."""
+    """Return analogue samples per frame from the rates, if that is an integer."""
     if not analog or not point or not math.isfinite(analog) or not point > 0:
         return None
     ratio = analog / point
-    whole = math.isfinite(ratio) and 0.5 < ratio < WORD
-    return round(ratio) if whole and abs(ratio - round(ratio)) < 1e-3 * ratio else None
+    in_range = math.isfinite(ratio) and 0.5 < ratio < WORD
+    return (
+        round(ratio) if in_range and abs(ratio - round(ratio)) < 1e-3 * ratio else None
+    )
 
 
 def _frames(sections: Sections) -> Iterable[Claim]:

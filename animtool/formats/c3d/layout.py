@@ -1,4 +1,4 @@
-"""Where the points of a C3D file are: the combination of claims that fills the file."""
+"""C3D data layout: the combination of stated counts that fits the file's size."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from animtool.formats.c3d.sections import BLOCK
 # that are padding but not zero, bytes there that are none, bytes before the first frame
 # that are not zero, a count that nothing states, a number of frames that only the size
 # of the file gives, and other counts that only it gives.
-DIRTY, REST, SKIPPED, OTHER, HELD, SOLVED = 0.75, 3.0, 1.0, 0.5, 1.0, 1.5
+DIRTY, REST, SKIPPED, OTHER, FITTED, SOLVED = 0.75, 3.0, 1.0, 0.5, 1.0, 1.5
 # Evidence of positions: fraction of odd points, and steps of smooth ones and of noise.
-MAX_ODD, SMOOTH, NOISE = 0.1, 0.25, 0.5
+MAX_OUTLIERS, SMOOTH, NOISE = 0.1, 0.25, 0.5
 # What decides for one combination against another.
 DECISIVE = 0.2
-# Combinations whose numbers are looked at.
+# Number of combinations whose values are judged.
 MAX_JUDGED = 16
 # Claims of less weight are hints.
-TOLD = 0.5
+HEAVY = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A combination of counts.
+    """Counts of points, analogue values and frames, and where the data begins.
 
     Attributes:
         begin: Byte of the first frame.
@@ -53,16 +53,16 @@ class Layout:
 
     @property
     def row(self) -> int:
-        """Numbers of a frame."""
+        """Count of numbers per frame."""
         return 4 * self.points + self.analog
 
     @property
     def end(self) -> int:
-        """Byte behind the last frame."""
+        """Byte offset after the last frame."""
         return self.begin + self.width * self.row * self.frames
 
     def __str__(self) -> str:
-        """Return the counts in words."""
+        """Return the counts as text."""
         kind = "floats" if self.width == 4 else "integers"
         return (
             f"{self.frames} frames of {self.points} points and {self.analog} "
@@ -72,24 +72,24 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """How much the numbers of a layout look like positions over frames.
+    """How plausible the numbers of a layout are as positions over frames.
 
     Attributes:
-        odd: Fraction of points that can be no positions.
+        outliers: Fraction of points that can be no positions.
         rough: Mean step from frame to frame over the spread of all positions; NaN where
             nothing moves or no two frames follow each other.
     """
 
-    odd: float
+    outliers: float
     rough: float
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """The layout, or why there is none.
+class LayoutResult:
+    """The chosen layout, or why none fits.
 
     Attributes:
-        layout: The combination that is read; None where there is none.
+        layout: The combination that is read; None if none fits.
         short: The one that contradicts least and needs more bytes than there are.
         rivals: Combinations between which nothing decides.
     """
@@ -104,8 +104,8 @@ def choose_layout(
     data: bytes,
     ends: Sequence[int],
     judge: Callable[[Layout], Evidence],
-) -> Outcome:
-    """Return the combination of claims that fills the file and contradicts least.
+) -> LayoutResult:
+    """Return the combination of claims that fits the file at the lowest cost.
 
     Args:
         claims: What the file states.
@@ -113,7 +113,7 @@ def choose_layout(
         ends: Bytes at which the points may end; the last is the size of the file.
         judge: Looks at the numbers of a combination.
     """
-    held: dict[tuple[int, ...], Layout] = {}
+    cheapest: dict[tuple[int, ...], Layout] = {}
     short: Layout | None = None
     tail = _tail(data)
     for layout in _combinations(claims, ends[-1], tail):
@@ -121,31 +121,37 @@ def choose_layout(
             if not layout.solved and (short is None or layout.cost < short.cost):
                 short = layout
             continue
-        found = min((_filled(layout, data, end) for end in ends), key=_order)
-        found = _skipping(found, claims.after, data)
-        key = (found.begin, found.width, found.points, found.analog, found.frames)
-        if key not in held or found.cost < held[key].cost:
-            held[key] = found
-    ranked = sorted(held.values(), key=_order)[:MAX_JUDGED]
-    if short is not None and short.cost < TOLD:
-        # What the file says with one voice, and has no room for, is cut short, unless
-        # something else that it says fills it.
+        candidate = min((_filled(layout, data, end) for end in ends), key=_order)
+        candidate = _skipping(candidate, claims.after, data)
+        key = (
+            candidate.begin,
+            candidate.width,
+            candidate.points,
+            candidate.analog,
+            candidate.frames,
+        )
+        if key not in cheapest or candidate.cost < cheapest[key].cost:
+            cheapest[key] = candidate
+    ranked = sorted(cheapest.values(), key=_order)[:MAX_JUDGED]
+    if short is not None and short.cost < HEAVY:
+        # Where all claims agree but the file is too small, it is truncated, unless
+        # other claims fill it.
         ranked = [each for each in ranked if each.rest == 0 and not each.solved]
     if not ranked:
-        return Outcome(None, short)
-    if ranked[0].cost < TOLD:
-        return Outcome(ranked[0])
+        return LayoutResult(None, short)
+    if ranked[0].cost < HEAVY:
+        return LayoutResult(ranked[0])
     outcome = _decide(ranked, short, judge)
     best = outcome.layout
     if best is None:
         return outcome
     if best.rest and short is not None and short.cost < best.cost - REST:
-        return Outcome(None, short)
+        return LayoutResult(None, short)
     return outcome
 
 
 def _tail(data: bytes) -> int:
-    """Return how many zeros the last block ends in, where it is a full one."""
+    """Return the number of trailing zero bytes, if the last block is full."""
     if len(data) % BLOCK:
         return 0
     last = data[-BLOCK:]
@@ -153,21 +159,21 @@ def _tail(data: bytes) -> int:
 
 
 def contradicted(claims: Claims, layout: Layout) -> list[tuple[str, int, list[Claim]]]:
-    """Return what is read against what is stated: quantity, value and the claims."""
-    found = []
+    """Return quantities read against claims: name, value and those claims."""
+    contradictions = []
     for name in ("frames", "points", "analog", "width", "begin"):
         value = getattr(layout, name)
         against = [
             claim
             for claim in getattr(claims, name)
-            if claim.weight >= TOLD and claim.value != value
+            if claim.weight >= HEAVY and claim.value != value
         ]
         stated = [claim for claim in getattr(claims, name) if claim.value == value]
         # Counts that end at 16 bits contradict nothing where another states the rest.
-        against = [c for c in against if c.cost(value) >= TOLD or not stated]
+        against = [c for c in against if c.cost(value) >= HEAVY or not stated]
         if against:
-            found.append((name, value, against))
-    return found
+            contradictions.append((name, value, against))
+    return contradictions
 
 
 def _order(layout: Layout) -> tuple[float, ...]:
@@ -178,7 +184,7 @@ def _order(layout: Layout) -> tuple[float, ...]:
 
 
 def _combinations(claims: Claims, size: int, tail: int) -> Iterable[Layout]:
-    """Yield combinations of what is stated, and of what the size gives for one.
+    """Yield combinations of stated counts, one of them solved from the size.
 
     size, tail: Of the file, and of the zeros that it ends in [byte].
     """
@@ -186,7 +192,7 @@ def _combinations(claims: Claims, size: int, tail: int) -> Iterable[Layout]:
     for (begin, by_b), (width, by_w) in itertools.product(
         _priced(claims.begin), widths
     ):
-        flipped = by_w >= TOLD and _agreed(claims.width)
+        flipped = by_w >= HEAVY and _agreed(claims.width)
         room = ((size - begin) // width, (size - begin - tail) // width)
         for p, a, f, counts, solved in _counts(claims, *room):
             cost, proof = by_b + by_w + counts, flipped or solved
@@ -196,7 +202,7 @@ def _combinations(claims: Claims, size: int, tail: int) -> Iterable[Layout]:
 def _counts(
     claims: Claims, room: int, least: int
 ) -> Iterable[tuple[int, int, int, float, bool]]:
-    """Yield points, analogue numbers and frames, what they cost, and if one is solved.
+    """Yield points, analogue values, frames, cost, and whether one is solved.
 
     room, least: Numbers for which there is room, with and without zeros at the end.
     """
@@ -207,8 +213,8 @@ def _counts(
         row, tried = 4 * p + a, a not in stated
         for f, by_f in frames:
             yield p, a, f, by_p + by_a + by_f, tried
-        held = _held(claims, -(-least // row)) if row and least > 0 else ()
-        for f, by_f, solved in held:
+        fitted = _fitted(claims, -(-least // row)) if row and least > 0 else ()
+        for f, by_f, solved in fitted:
             yield p, a, f, by_p + by_a + by_f, tried or solved
     for f, by_f in frames:
         for p, by_p in points if _open(claims.analog) else ():
@@ -226,7 +232,7 @@ def _counts(
 def _priced(
     claims: Sequence[Claim], others: Sequence[int] = ()
 ) -> list[tuple[int, float]]:
-    """Return values that are tried, each with what it contradicts."""
+    """Return candidate values, each with the cost of contradicted claims."""
     stated = {claim.value for claim in claims}
     extra = OTHER if claims else 0.0
     return [(value, _cost(claims, value)) for value in sorted(stated)] + [
@@ -239,37 +245,37 @@ def _cost(claims: Sequence[Claim], value: int) -> float:
 
 
 def _agreed(claims: Sequence[Claim]) -> bool:
-    """Return whether all that is stated with weight is one value."""
-    return len({claim.value for claim in claims if claim.weight >= TOLD}) == 1
+    """Return whether all claims with weight state one value."""
+    return len({claim.value for claim in claims if claim.weight >= HEAVY}) == 1
 
 
 def _open(claims: Sequence[Claim]) -> bool:
-    """Return whether the size may give a value: nothing settles it."""
-    told = [claim for claim in claims if claim.weight >= TOLD]
-    return len(told) < 2 or not _agreed(claims)
+    """Return whether a value may be solved from the size: no claims settle it."""
+    decisive = [claim for claim in claims if claim.weight >= HEAVY]
+    return len(decisive) < 2 or not _agreed(claims)
 
 
-def _held(claims: Claims, held: int) -> list[tuple[int, float, bool]]:
-    """Return numbers of frames by the size, what they cost, and if they are solved.
+def _fitted(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
+    """Return frame counts that fit the size, their cost, and if solved.
 
     That is where stated counts end at 16 bits, begin again at 0 there, differ, or where
     nothing is stated.
 
-    held: Frames for which there is room.
+    count: Frames for which there is room.
     """
     frames = claims.frames
-    if any(claim.value == held for claim in frames):
+    if any(claim.value == count for claim in frames):
         return []
-    cost = _cost(frames, held)
-    if not frames or any(claim.full and held > claim.value for claim in frames):
-        return [(held, cost + OTHER, False)]
-    if any(claim.wraps and claim.cost(held) < claim.weight for claim in frames):
-        return [(held, cost, False)]
-    return [] if _agreed(frames) else [(held, cost + HELD, True)]
+    cost = _cost(frames, count)
+    if not frames or any(claim.full and count > claim.value for claim in frames):
+        return [(count, cost + OTHER, False)]
+    if any(claim.wraps and claim.cost(count) < claim.weight for claim in frames):
+        return [(count, cost, False)]
+    return [] if _agreed(frames) else [(count, cost + FITTED, True)]
 
 
 def _skipping(layout: Layout, after: int, data: bytes) -> Layout:
-    """Return a layout with the cost of bytes before it that are not zero."""
+    """Return a layout with the cost of skipped bytes that are not zero."""
     gap = layout.begin - after
     if gap <= 0 or data.count(b"\0", after, layout.begin) == gap:
         return layout
@@ -277,7 +283,7 @@ def _skipping(layout: Layout, after: int, data: bytes) -> Layout:
 
 
 def _filled(layout: Layout, data: bytes, end: int) -> Layout:
-    """Return a layout with the bytes that it leaves, and what they cost."""
+    """Return a layout with its count of unused bytes, and their cost."""
     rest = end - layout.end
     if rest < 0:
         return replace(layout, rest=-rest, cost=layout.cost + REST)
@@ -297,24 +303,26 @@ def _decide(
     ranked: Sequence[Layout],
     short: Layout | None,
     judge: Callable[[Layout], Evidence],
-) -> Outcome:
-    """Return the best of several, after a look at their numbers."""
-    seen = [(layout, judge(layout)) for layout in ranked]
-    odd = min(evidence.odd for _, evidence in seen)
-    rough = min((e.rough for _, e in seen if e.rough >= 0), default=0.0)
+) -> LayoutResult:
+    """Return the best of several layouts after judging their numbers."""
+    judged = [(layout, judge(layout)) for layout in ranked]
+    outliers = min(evidence.outliers for _, evidence in judged)
+    rough = min((e.rough for _, e in judged if e.rough >= 0), default=0.0)
     scored = []
-    for layout, evidence in seen:
+    for layout, evidence in judged:
         if layout.solved and layout.rest:
             continue
-        if layout.proof and not (evidence.odd <= MAX_ODD and evidence.rough <= SMOOTH):
+        if layout.proof and not (
+            evidence.outliers <= MAX_OUTLIERS and evidence.rough <= SMOOTH
+        ):
             continue
         if layout.rest >= BLOCK and _no_positions(layout, evidence):
             continue
-        penalty = 4.0 * (evidence.odd > odd + 0.02)
+        penalty = 4.0 * (evidence.outliers > outliers + 0.02)
         penalty += 4.0 * (evidence.rough > 3.0 * rough + 0.02)
         scored.append(replace(layout, cost=layout.cost + penalty))
     if not scored:
-        return Outcome(None, short, () if short else tuple(ranked[:3]))
+        return LayoutResult(None, short, () if short else tuple(ranked[:3]))
     scored.sort(key=_order)
     best = scored[0]
     rivals = [
@@ -323,15 +331,17 @@ def _decide(
         if layout.cost < best.cost + DECISIVE and _rows(layout) != _rows(best)
     ]
     if rivals:
-        return Outcome(None, short, (best, *rivals[:2]))
-    return Outcome(best, short)
+        return LayoutResult(None, short, (best, *rivals[:2]))
+    return LayoutResult(best, short)
 
 
 def _no_positions(layout: Layout, evidence: Evidence) -> bool:
-    """Return whether numbers look like none; one static point is all noise."""
-    return evidence.odd > MAX_ODD or (layout.points > 1 and evidence.rough > NOISE)
+    """Return whether numbers look like noise; a single static point always does."""
+    return evidence.outliers > MAX_OUTLIERS or (
+        layout.points > 1 and evidence.rough > NOISE
+    )
 
 
 def _rows(layout: Layout) -> tuple[int, ...]:
-    """Return what decides which number is which coordinate."""
+    """Return the values that decide which number is which coordinate."""
     return layout.begin, layout.width, layout.points, layout.row

@@ -1,4 +1,4 @@
-"""A C3D file as marker trajectories."""
+"""C3D reader: marker trajectories of a file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from animtool.formats.c3d.claims import WORD, Claim, claims_of, trial_fields, wo
 from animtool.formats.c3d.layout import (
     Evidence,
     Layout,
-    Outcome,
+    LayoutResult,
     choose_layout,
     contradicted,
 )
@@ -40,7 +40,7 @@ from animtool.motion.markers import Markers
 _AXIS = re.compile(r"([+-]?)([XYZ])")
 # For other up axes than +Y and +Z: the axis that is up once the positions are turned,
 # and which numbers, with which signs, are x, y and z then.
-_TURNS = {
+_UP_ROTATIONS = {
     "-Y": (UpAxis.Y, (0, 1, 2), (1, -1, -1)),
     "-Z": (UpAxis.Z, (0, 1, 2), (1, -1, -1)),
     "+X": (UpAxis.Y, (1, 0, 2), (-1, 1, 1)),
@@ -50,7 +50,7 @@ _TURNS = {
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """The up axis, and how positions are turned so that it points up.
+    """The up axis, and the axis permutation that makes it up.
 
     Attributes:
         up: The up axis of the turned positions.
@@ -63,16 +63,16 @@ class Screen:
     signs: FloatArray | None = None
 
     def turned(self, positions: FloatArray) -> FloatArray:
-        """Return positions ``(..., 3)`` with `up` up."""
+        """Return positions ``(..., 3)`` rotated so that `up` is up."""
         if self.order is None or self.signs is None:
             return positions
         return positions[..., self.order] * self.signs
 
 
-def read_screen(file: MarkerFile, sections: Sections, given: UpAxis | None) -> Screen:
-    """Return the up axis that ``Y_SCREEN`` states; an option comes before it."""
-    if given is not None:
-        return Screen(UpAxis(given))
+def read_screen(file: MarkerFile, sections: Sections, option: UpAxis | None) -> Screen:
+    """Return the up axis of ``X_SCREEN`` and ``Y_SCREEN``; an option overrides it."""
+    if option is not None:
+        return Screen(UpAxis(option))
     right, up = (_axis(file, sections, f"{name}_SCREEN") for name in "XY")
     if up is None and right is not None and right[1] == "Y":
         # Y points to the side, and cannot be assumed to point up.
@@ -88,18 +88,18 @@ def read_screen(file: MarkerFile, sections: Sections, given: UpAxis | None) -> S
             f"{message}{up} is used as up",
             f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}",
         )
-    if up not in _TURNS:
+    if up not in _UP_ROTATIONS:
         return Screen(UpAxis(up[1]))
-    axis, order, signs = _TURNS[up]
+    axis, order, signs = _UP_ROTATIONS[up]
     message = f"has {up} up; positions are rotated so that {axis} is up"
     file.note("C3D106", message)
     return Screen(axis, np.array(order), np.array(signs, np.float64))
 
 
 def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
-    """Return an axis with its sign, as in ``+Z``."""
-    found = sections.texts("POINT", name)
-    text = found[0].strip() if found else ""
+    """Return a signed axis such as ``+Z``."""
+    texts = sections.texts("POINT", name)
+    text = texts[0].strip() if texts else ""
     if not text:
         return None
     match = _AXIS.fullmatch(text.upper())
@@ -116,7 +116,7 @@ def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
 
 # Whether numbers of a C3D file look like positions over frames.
 
-# Runs of consecutive frames that are looked at, and how long each one is.
+# Runs of consecutive frames that are judged, and their length.
 RUNS = 8
 RUN_FRAMES = 8
 # Positions of captures, in whichever unit: beyond are numbers of something else.
@@ -126,7 +126,7 @@ MAX_WORD = 32768.0
 
 
 def judge(layout: Layout, data: bytes, processor: Processor) -> Evidence:
-    """Return how much the numbers of a layout look like positions over frames."""
+    """Return how plausible a layout's numbers are as positions over frames."""
     if layout.points == 0:
         return Evidence(0.0, math.nan)
     length = min(RUN_FRAMES, layout.frames)
@@ -143,7 +143,7 @@ def judge(layout: Layout, data: bytes, processor: Processor) -> Evidence:
 
 
 def _evidence(runs: FloatArray, width: int) -> Evidence:
-    """Return the evidence of runs ``(R, L, M, 4)``."""
+    """Return the plausibility of runs of frames ``(R, L, M, 4)``."""
     positions, words = runs[..., :3], runs[..., 3]
     with np.errstate(invalid="ignore", over="ignore"):
         sizes = np.abs(positions)
@@ -152,14 +152,14 @@ def _evidence(runs: FloatArray, width: int) -> Evidence:
             beyond = ~(sizes < MAX_COORDINATE)
             tiny = (sizes > 0) & (sizes < MIN_COORDINATE)
             wrong |= (beyond | tiny).any(axis=-1)
-        seen = ~wrong & (words > -0.5) & (sizes > 0).any(axis=-1)
-    if not seen.any():
+        visible = ~wrong & (words > -0.5) & (sizes > 0).any(axis=-1)
+    if not visible.any():
         return Evidence(float(wrong.mean()), 1.0)
-    spread = float(np.sqrt(positions[seen].var(axis=0).sum()))
-    both = seen[:, 1:] & seen[:, :-1]
+    spread = float(np.sqrt(positions[visible].var(axis=0).sum()))
+    both = visible[:, 1:] & visible[:, :-1]
     if not both.any() or spread == 0.0:
         return Evidence(float(wrong.mean()), math.nan)
-    positions = np.where(seen[..., None], positions, 0.0)
+    positions = np.where(visible[..., None], positions, 0.0)
     steps = np.linalg.norm(np.diff(positions, axis=1), axis=-1)[both]
     return Evidence(float(wrong.mean()), float(steps.mean()) / spread)
 
@@ -167,7 +167,7 @@ def _evidence(runs: FloatArray, width: int) -> Evidence:
 # Groups of labels under which models write angles and forces as if they were points.
 MODELLED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 # The group in which `write_c3d` keeps which positions were filled.
-OWN_GROUP = "ANIMTOOL"
+ANIMTOOL_GROUP = "ANIMTOOL"
 
 
 def read_c3d(
@@ -178,7 +178,7 @@ def read_c3d(
     fps: FractionLike | None = None,
     subject: str | None = None,
 ) -> Markers:
-    """Return the markers of a C3D file.
+    """Return the marker trajectories of a C3D file.
 
     Integer and float files of Intel, DEC and SGI processors are read, and more than 255
     labels. Where header, parameters and the size of the file disagree about counts,
@@ -223,7 +223,7 @@ def read_c3d(
     positions, words = positions[:, kept], words[:, kept]
     positions[words < 0] = np.nan
     positions = screen.turned(file.cleaned(positions, length.meters))
-    seen = np.isfinite(positions[..., 0])
+    visible = np.isfinite(positions[..., 0])
     scale = abs(_scale(sections)) * length.meters
     first = _first(sections, layout.frames)
     clock = Clock(rate, Fraction(first), Fraction(1), layout.frames)
@@ -232,15 +232,15 @@ def read_c3d(
         clock,
         positions,
         screen.up,
-        _cameras(words, seen),
-        _residuals(words, seen, scale),
-        _filled(sections, words, seen, kept),
+        _cameras(words, visible),
+        _residuals(words, visible, scale),
+        _filled(sections, words, visible, kept),
         tuple(file.notices),
     )
 
 
 def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
-    """Return the layout that fills the file, and say what it contradicts."""
+    """Return the layout that fits the file; warn about contradicted claims."""
     claims = claims_of(sections)
     ends = [*_ends(sections, len(data)), len(data)]
     outcome = choose_layout(
@@ -255,12 +255,14 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     if layout.points * layout.frames > MAX_POSITIONS:
         message = f"claims {layout.points} points in {layout.frames} frames, "
         raise file.error("C3D001", message + "above the limit")
-    told = [_told(*each) for each in contradicted(claims, layout)]
-    if told:
+    contradictions = [
+        _contradiction_text(*each) for each in contradicted(claims, layout)
+    ]
+    if contradictions:
         message = (
             "its header, parameters and size disagree; what matches the file size is "
         )
-        file.warn("C3D101", f"{message}read: {'; '.join(told)}")
+        file.warn("C3D101", f"{message}read: {'; '.join(contradictions)}")
     if layout.rest >= min(BLOCK, layout.width * layout.row) or (
         layout.rest and len(data) % BLOCK
     ):
@@ -271,7 +273,7 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
 
 
 def _ends(sections: Sections, size: int) -> list[int]:
-    """Return where the points may end before the end of the file: at rotations."""
+    """Return offsets where points may end before the file does: at rotations."""
     block = word_of(sections, "ROTATION", "DATA_START")
     used = sections.number("ROTATION", "USED")
     if not block or not used or not block > 2:
@@ -279,8 +281,8 @@ def _ends(sections: Sections, size: int) -> list[int]:
     return [end for end in [BLOCK * (block - 1)] if end < size]
 
 
-def _without_layout(file: MarkerFile, outcome: Outcome, size: int) -> FormatError:
-    """Return the error of a file in which no combination of counts fits."""
+def _without_layout(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatError:
+    """Return the error of a file whose size fits no combination of counts."""
     if len(outcome.rivals) == 1:
         (alone,) = outcome.rivals
         message = f"its counts do not match its size of {size} bytes: {alone} end at "
@@ -308,13 +310,13 @@ _QUANTITIES = {
 }
 
 
-def _told(name: str, value: int, against: list[Claim]) -> str:
+def _contradiction_text(name: str, value: int, against: list[Claim]) -> str:
     others = ", ".join(f"{claim.value} ({claim.source})" for claim in against)
     return f"{value} {_QUANTITIES[name]}, not {others}"
 
 
 def _first(sections: Sections, frames: int) -> int:
-    """Return the number of the first frame; the header has no room for all of them."""
+    """Return the number of the first frame, which may not fit the header."""
     header = sections.header
     start, end = trial_fields(sections)
     if start is None or end is None or end - start + 1 != frames:
@@ -324,14 +326,14 @@ def _first(sections: Sections, frames: int) -> int:
 
 
 def _scale(sections: Sections) -> float:
-    """Return the scale of integers; below 0 numbers are floats."""
+    """Return the scale of integers; negative means floats."""
     stated = sections.number("POINT", "SCALE")
     scale = sections.header.scale if stated is None else stated
     return scale if np.isfinite(scale) and scale != 0 else -1.0
 
 
 def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
-    """Warn of integers whose scale is not stated, or stated twice."""
+    """Warn about a scale that is missing or stated twice."""
     header, stated = sections.header.scale, sections.number("POINT", "SCALE")
     if layout.width == 4:
         return
@@ -349,7 +351,7 @@ def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
 def _rate(
     file: MarkerFile, sections: Sections, fps: FractionLike | None
 ) -> float | None:
-    """Return the stated rate; that of the parameters comes before the header's."""
+    """Return the stated frame rate; parameters come before the header."""
     header, stated = sections.header.rate, sections.number("POINT", "RATE")
     if not stated or not np.isfinite(stated):
         return header
@@ -360,14 +362,14 @@ def _rate(
 
 
 def _unit(sections: Sections) -> str | None:
-    found = sections.texts("POINT", "UNITS")
-    return found[0] if found else None
+    texts = sections.texts("POINT", "UNITS")
+    return texts[0] if texts else None
 
 
 def _points(
     sections: Sections, layout: Layout, data: bytes
 ) -> tuple[FloatArray, IntArray]:
-    """Return positions ``(F, M, 3)`` in the file's unit, and the fourth words."""
+    """Return positions ``(F, M, 3)`` in file units, and the fourth words."""
     raw = data[layout.begin : layout.end]
     rows = sections.processor.rows(raw, layout.width, layout.row, 4 * layout.points)
     rows = rows.reshape(layout.frames, layout.points, 4)
@@ -376,7 +378,7 @@ def _points(
         positions *= abs(_scale(sections))
     last = rows[..., 3]
     usable = np.isfinite(last) & (np.abs(last) < 2**31)
-    # A sign in the last word alone says that a point was not seen.
+    # The sign of the last word marks a point as not visible.
     words = np.where(usable, last, np.where(last < 0, -1.0, 0.0)).astype(np.int64)
     words[last < 0] = -1
     return positions, words
@@ -385,7 +387,7 @@ def _points(
 def _names(
     file: MarkerFile, sections: Sections, points: int, subject: str | None
 ) -> tuple[tuple[str, ...], IntArray]:
-    """Return names of markers, and which points they are: models' are left out."""
+    """Return marker names and point indices, without model outputs."""
     labels = sections.texts("POINT", "LABELS")
     if len(labels) < points:
         message = f"names {len(labels)} of {counted(points, 'point')}"
@@ -404,54 +406,54 @@ def _names(
     return file.names([labels[i] for i in kept.tolist()], subject), kept
 
 
-def _cameras(words: IntArray, seen: BoolArray) -> IntArray | None:
-    """Return from how many of seven cameras each position is, where that is stated."""
-    mask = np.where(seen, (words >> 8) & 0x7F, 0)
+def _cameras(words: IntArray, visible: BoolArray) -> IntArray | None:
+    """Return the number of cameras (of seven) per position, if stated."""
+    mask = np.where(visible, (words >> 8) & 0x7F, 0)
     if not mask.any():
         return None
     return sum(((mask >> bit) & 1 for bit in range(7)), np.zeros_like(mask))
 
 
-def _residuals(words: IntArray, seen: BoolArray, scale: float) -> FloatArray | None:
-    """Return residuals [m]; one of 0 says that the position was not measured."""
+def _residuals(words: IntArray, visible: BoolArray, scale: float) -> FloatArray | None:
+    """Return residuals [m]; 0 means the position was not measured."""
     low = words & 0xFF
-    measured = seen & (low > 0)
+    measured = visible & (low > 0)
     return np.where(measured, low * scale, np.nan) if measured.any() else None
 
 
 def _filled(
-    sections: Sections, words: IntArray, seen: BoolArray, kept: IntArray
+    sections: Sections, words: IntArray, visible: BoolArray, kept: IntArray
 ) -> BoolArray | None:
-    """Return which positions were not measured.
+    """Return which positions were filled in, not measured.
 
     Our own group says it; else the format does, with a residual and cameras of 0 in
     a file that has others.
     """
-    own = sections.groups.get(OWN_GROUP)
-    if own is not None:
-        return _own_filled(sections, seen, kept)
-    if not (seen & (words > 0)).any():
+    recorded = sections.groups.get(ANIMTOOL_GROUP)
+    if recorded is not None:
+        return _recorded_filled(sections, visible, kept)
+    if not (visible & (words > 0)).any():
         return None
-    filled = seen & (words == 0)
+    filled = visible & (words == 0)
     return filled if filled.any() else None
 
 
-def _own_filled(
-    sections: Sections, seen: BoolArray, kept: IntArray
+def _recorded_filled(
+    sections: Sections, visible: BoolArray, kept: IntArray
 ) -> BoolArray | None:
-    filled = np.zeros(seen.shape, bool)
+    filled = np.zeros(visible.shape, bool)
     columns = {point: column for column, point in enumerate(kept.tolist())}
     number = 1
     while True:
         key = "FILLED" if number == 1 else f"FILLED{number}"
-        rows = np.array(sections.numbers(OWN_GROUP, key))
+        rows = np.array(sections.numbers(ANIMTOOL_GROUP, key))
         if not len(rows):
             break
         for marker, first, last in rows[: len(rows) // 3 * 3].reshape(-1, 3):
             if np.isfinite([marker, first, last]).all() and marker in columns:
-                begin = int(min(max(first, 0), len(seen)))
-                end = int(min(max(last + 1, 0), len(seen)))
+                begin = int(min(max(first, 0), len(visible)))
+                end = int(min(max(last + 1, 0), len(visible)))
                 filled[begin:end, columns[int(marker)]] = True
         number += 1
-    filled &= seen
+    filled &= visible
     return filled if filled.any() else None

@@ -1,4 +1,4 @@
-"""Header and parameters of a C3D file, read without trust in what they claim.
+"""C3D header and parameters; no count in the file is trusted.
 
 References:
     Motion Lab Systems, "The C3D File Format: A Technical User Guide", 2021.
@@ -29,11 +29,11 @@ MIN_RATE, MAX_RATE = 0.5, 1e5
 
 
 class MalformedError(ValueError):
-    """The bytes are not those of a C3D file; the text says what is wrong."""
+    """The bytes are not a C3D file; the text says why."""
 
 
 class Processor(IntEnum):
-    """How numbers are stored."""
+    """Byte order and float format of the stated processor."""
 
     INTEL = 84
     DEC = 85
@@ -41,7 +41,7 @@ class Processor(IntEnum):
 
     @property
     def order(self) -> str:
-        """Byte order of integers, as numpy calls it."""
+        """Byte order of integers as a numpy prefix."""
         return ">" if self is Processor.SGI else "<"
 
     def integers(self, data: bytes) -> npt.NDArray[Any]:
@@ -49,7 +49,7 @@ class Processor(IntEnum):
         return np.frombuffer(data, f"{self.order}i2").astype(np.int64)
 
     def floats(self, data: bytes) -> FloatArray:
-        """Return 32-bit floats as float64; DEC's are VAX F, words swapped, times 4."""
+        """Return 32-bit floats as float64; DEC's are VAX F: words swapped, times 4."""
         if self is not Processor.DEC:
             # Bytes that are no number become NaN, signalling or not.
             with np.errstate(invalid="ignore"):
@@ -76,7 +76,7 @@ class Processor(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The first block of a file."""
+    """The header block of a file."""
 
     points: int
     analog: int  # analogue numbers of a frame, all samples
@@ -103,34 +103,34 @@ class Sections:
 
     def number(self, group: str, name: str) -> float | None:
         """Return the first number of a parameter."""
-        found = self.groups.get(group, {}).get(name)
-        if isinstance(found, np.ndarray) and found.size:
-            return float(found.ravel()[0])
+        value = self.groups.get(group, {}).get(name)
+        if isinstance(value, np.ndarray) and value.size:
+            return float(value.ravel()[0])
         return None
 
     def numbers(self, group: str, name: str) -> list[float]:
         """Return all numbers of a parameter."""
-        found = self.groups.get(group, {}).get(name)
-        return found.ravel().tolist() if isinstance(found, np.ndarray) else []
+        value = self.groups.get(group, {}).get(name)
+        return value.ravel().tolist() if isinstance(value, np.ndarray) else []
 
     def texts(self, group: str, name: str) -> list[str]:
-        """Return the texts of a parameter, and of those that continue it.
+        """Return the texts of a parameter and its continuations (NAME2, NAME3).
 
         Names beyond 255 stand in ``LABELS2``, ``LABELS3`` and so on.
         """
         entries = self.groups.get(group, {})
-        found: list[str] = []
+        texts: list[str] = []
         number = 1
         key = name
         while isinstance(entries.get(key), list):
-            found += entries[key]
+            texts += entries[key]
             number += 1
             key = f"{name}{number}"
-        return found
+        return texts
 
 
 def read_sections(data: bytes) -> Sections:
-    """Return header and parameters; of parameters that are broken, those before.
+    """Return header and parameters; after a broken parameter, none are read.
 
     A file without parameters is read by its header alone.
 
@@ -140,15 +140,15 @@ def read_sections(data: bytes) -> Sections:
     if len(data) < BLOCK or data[1] != MAGIC:
         raise MalformedError("does not start like a C3D file")
     start = BLOCK * (data[0] - 1)
-    found = data[0] >= 2 and start + 4 <= len(data)
-    kind = data[start + 3] if found else 0
+    has_parameters = data[0] >= 2 and start + 4 <= len(data)
+    kind = data[start + 3] if has_parameters else 0
     known = kind in {int(p) for p in Processor}
     if known:
         processor = Processor(kind)
         sections = Sections(_header(data, processor), processor)
     else:
         sections = Sections(*_lone_header(data, kind), stated=False)
-    if found:
+    if has_parameters:
         _read_parameters(sections, data, start + 4)
     if not sections.groups:
         sections = Sections(*_lone_header(data, kind), stated=known)
@@ -166,7 +166,7 @@ def _header(data: bytes, processor: Processor) -> Header:
 
 
 def _lone_header(data: bytes, kind: int) -> tuple[Header, Processor]:
-    """Return the header of a file without parameters, and how its numbers are stored.
+    """Return the header of a file without parameters, and its processor.
 
     Raises:
         MalformedError: By no processor it is a header that can be.
@@ -179,7 +179,7 @@ def _lone_header(data: bytes, kind: int) -> tuple[Header, Processor]:
 
 
 def _possible(header: Header, size: int) -> bool:
-    """Return whether a header states what the header of a capture can."""
+    """Return whether a header's values are possible for a capture."""
     scale, rate = header.scale, header.rate
     return (
         header.points > 0
@@ -191,7 +191,7 @@ def _possible(header: Header, size: int) -> bool:
 
 
 def _read_parameters(sections: Sections, data: bytes, at: int) -> None:
-    """Follow the chain of groups and parameters to its end, or to where it breaks."""
+    """Follow the chain of groups and parameters until it ends or breaks."""
     names: dict[int, str] = {}
     waiting: list[tuple[int, str, Any]] = []
     for _ in range(MAX_PARAMETERS):
@@ -222,7 +222,7 @@ def _read_parameters(sections: Sections, data: bytes, at: int) -> None:
 
 
 def _value(processor: Processor, data: bytes, at: int) -> Any:
-    """Return the value of a parameter: an array, or texts; None where it is broken."""
+    """Return a parameter's array or texts; None if it is broken."""
     if at + 2 > len(data):
         return None
     kind, dimensions = _signed(data[at]), data[at + 1]
@@ -252,7 +252,7 @@ def _texts(raw: bytes, sizes: Sequence[int]) -> list[str]:
 
 
 def _text(raw: bytes) -> str:
-    """Return text that is UTF-8, as some write, or else Latin-1."""
+    """Return text decoded as UTF-8, else Latin-1."""
     raw = raw.partition(b"\0")[0].strip()
     try:
         return raw.decode("utf-8")

@@ -1,4 +1,4 @@
-"""Marker trajectories as a C3D file."""
+"""C3D writer: marker trajectories to a file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.core.units import LengthUnit
-from animtool.formats.c3d.read import OWN_GROUP
+from animtool.formats.c3d.read import ANIMTOOL_GROUP
 from animtool.formats.c3d.sections import BLOCK, MAGIC, Processor
 from animtool.formats.trajectories import FLOAT32_MAX
 from animtool.maths.runs import runs
@@ -93,7 +93,7 @@ def _head(markers: Markers, path: Path) -> bytes:
 
 
 def _shown(clock: Clock) -> tuple[int, int]:
-    """Return the first and the last frame as the header has room for them."""
+    """Return the first and last frame number, clamped to the header's range."""
     first, last = _fields(clock)
     if last <= MAX_COUNT:
         return first, last
@@ -107,7 +107,7 @@ def _fields(clock: Clock) -> tuple[int, int]:
 
 
 def _scale(markers: Markers) -> float:
-    """Return the scale, below 0 as for floats: a residual is so many of it [mm]."""
+    """Return the scale [mm], negative for floats: the unit of residuals."""
     residuals = markers.residuals
     if residuals is not None and np.nanmax(residuals, initial=0.0) > 0:
         return -float(np.nanmax(residuals)) * 1000.0 / RESIDUAL_STEPS
@@ -117,7 +117,7 @@ def _scale(markers: Markers) -> float:
 
 
 def _parameters(markers: Markers, data_block: int) -> bytes:
-    """Return the parameter section, without its first bytes' numbers."""
+    """Return the parameter section without its first four bytes."""
     frames, count = markers.positions.shape[:2]
     first, last = _fields(markers.clock)
     shown = min(frames, MAX_COUNT)
@@ -156,7 +156,7 @@ def _parameters(markers: Markers, data_block: int) -> bytes:
             _floats(np.array(spans[i : i + MAX_ENTRIES]))
             for i in range(0, len(spans), MAX_ENTRIES)
         ]
-        groups[OWN_GROUP] = _numbered("FILLED", rows)
+        groups[ANIMTOOL_GROUP] = _numbered("FILLED", rows)
     out = b""
     for number, (name, entries) in enumerate(groups.items(), 1):
         raw = name.encode()
@@ -169,7 +169,7 @@ def _parameters(markers: Markers, data_block: int) -> bytes:
 
 
 def _numbered(name: str, values: Sequence[bytes]) -> dict[str, bytes]:
-    """Return parameters that continue each other: NAME, NAME2, NAME3."""
+    """Return a parameter and its continuations: NAME, NAME2, NAME3."""
     return {
         name if i == 0 else f"{name}{i + 1}": value for i, value in enumerate(values)
     }
@@ -203,8 +203,8 @@ def filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
         return []
     spans = []
     for marker in np.flatnonzero(markers.filled.any(axis=0)).tolist():
-        found = runs(markers.filled[:, marker])
-        spans += [(marker, first, end - 1) for first, end in found]
+        spans_of_marker = runs(markers.filled[:, marker])
+        spans += [(marker, first, end - 1) for first, end in spans_of_marker]
     return spans
 
 
@@ -223,8 +223,8 @@ def _parts(markers: Markers, head: bytes) -> Iterator[bytes]:
 
 def _rows(markers: Markers, frames: slice) -> bytes:
     positions = markers.positions[frames] * 1000.0
-    seen = np.asarray((np.abs(positions) <= FLOAT32_MAX).all(axis=-1))
-    words = np.zeros(seen.shape, np.int64)
+    visible = np.asarray((np.abs(positions) <= FLOAT32_MAX).all(axis=-1))
+    words = np.zeros(visible.shape, np.int64)
     if markers.residuals is not None:
         steps = markers.residuals[frames] * 1000.0 / abs(_scale(markers))
         known = np.isfinite(steps)
@@ -235,13 +235,13 @@ def _rows(markers: Markers, frames: slice) -> bytes:
         words += ((1 << some) - 1) << 8
     if markers.filled is not None:
         words[markers.filled[frames]] = 0
-    words[~seen] = -1
-    values = np.where(seen[..., None], positions, 0.0)
+    words[~visible] = -1
+    values = np.where(visible[..., None], positions, 0.0)
     return np.concatenate([values, words[..., None]], -1).astype("<f4").tobytes()
 
 
 def _lost(markers: Markers, path: str) -> list[Fault]:
-    """Return what the format cannot hold."""
+    """Return warnings about data that C3D cannot hold."""
     lost = []
     if markers.cameras is not None and (markers.cameras > MAX_CAMERAS).any():
         lost.append(f"a point has more than {MAX_CAMERAS} cameras")

@@ -1,4 +1,4 @@
-"""FBX: what moves in it, and how it is read.
+"""FBX reader: skeletons, meshes, blend shapes and animation.
 
 References: Autodesk, *FBX SDK documentation*: "Computing transformation matrices",
 `FbxAnimCurve`, `FbxAnimLayer`, `FbxCluster`, `FbxBlendShapeChannel`; the layout of

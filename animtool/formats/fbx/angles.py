@@ -1,4 +1,4 @@
-"""Angles about X, Y and Z as quaternions, and back, of any order."""
+"""Euler angles about X, Y and Z to quaternions and back, for any order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Binary FBX: records of elements, with 32-bit offsets, or 64-bit ones from 7500 on."""
+"""Binary FBX records, with 32-bit offsets, or 64-bit ones from version 7500."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.formats.fbx.elements import (
     MAX_ELEMENTS,
     Element,
 )
-from animtool.formats.gltf.places import Notes
+from animtool.formats.file_notices import FileNotices
 
 MAGIC = b"Kaydara FBX Binary  \x00"
 HEADER = 27
@@ -30,13 +30,13 @@ _SCALARS = {
 }
 _ARRAYS = {"f": "<f4", "d": "<f8", "l": "<i8", "i": "<i4", "b": "u1", "c": "u1"}
 _SAME = {"I": "<i4", "F": "<f4", "D": "<f8", "L": "<i8"}
-# No deflated byte gives more bytes than this.
-MOST_INFLATED = 1032
+# The maximum ratio of deflate compression.
+MAX_INFLATION = 1032
 # Lists of single values as long as this are read at once.
 LONG = 12
 
 
-def read_binary(content: bytes, notes: Notes) -> tuple[int, Element]:
+def read_binary(content: bytes, notes: FileNotices) -> tuple[int, Element]:
     """Return the version and the root of a binary FBX.
 
     Raises:
@@ -55,14 +55,14 @@ def read_binary(content: bytes, notes: Notes) -> tuple[int, Element]:
     return version, _Records(content, version, notes).root()
 
 
-def _fail(notes: Notes, where: int, message: str) -> NoReturn:
+def _fail(notes: FileNotices, where: int, message: str) -> NoReturn:
     notes.fail("FBX002", f"byte {where}", message, "export the file again")
 
 
 class _Records:
-    """The records of a file; nothing is read that is not there."""
+    """The records of a file; lengths are checked before reading."""
 
-    def __init__(self, content: bytes, version: int, notes: Notes) -> None:
+    def __init__(self, content: bytes, version: int, notes: FileNotices) -> None:
         self.content, self.notes = content, notes
         wide = version >= 7500
         self.head = struct.Struct("<QQQB" if wide else "<IIIB")
@@ -91,7 +91,7 @@ class _Records:
         end: int,
         depth: int,
     ) -> int:
-        """Read one record; return where the next is."""
+        """Read one record; return the offset of the next."""
         stop, count, length, named = head
         first = at + self.head.size + named
         if not first <= stop <= end:
@@ -112,9 +112,9 @@ class _Records:
         return stop
 
     def _values(self, at: int, count: int, end: int) -> list[Any]:
-        whole = self._same(at, count, end)
-        if whole is not None:
-            return [whole]
+        array = self._same(at, count, end)
+        if array is not None:
+            return [array]
         values: list[Any] = []
         for _ in range(count):
             if at >= end:
@@ -141,15 +141,15 @@ class _Records:
         return values
 
     def _same(self, at: int, count: int, end: int) -> Any:
-        """Return a long list of single numbers of one type; None of others."""
+        """Return a long list of single numbers of one type; else None."""
         kind = chr(self.content[at]) if count >= LONG and at < end else ""
         if kind not in _SAME:
             return None
         rows = np.dtype([("kind", "u1"), ("value", _SAME[kind])])
         if end - at != count * rows.itemsize:
             return None
-        found = np.frombuffer(self.content, rows, count, at)
-        return found["value"].copy() if (found["kind"] == ord(kind)).all() else None
+        records = np.frombuffer(self.content, rows, count, at)
+        return records["value"].copy() if (records["kind"] == ord(kind)).all() else None
 
     def _number(self, at: int, end: int) -> int:
         if at + 4 > end:
@@ -159,32 +159,32 @@ class _Records:
     def _array(self, kind: str, at: int, end: int) -> tuple[Any, int]:
         count, how, size = (self._number(at + 1 + 4 * k, end) for k in range(3))
         first, dtype = at + 13, np.dtype(_ARRAYS[kind])
-        whole = count * dtype.itemsize
+        byte_count = count * dtype.itemsize
         if how not in {0, 1}:
             _fail(self.notes, at, f"unknown array encoding {how}")
-        stored = size if how else whole
+        stored = size if how else byte_count
         if stored > end - first:
             _fail(self.notes, at, f"an array of {stored} bytes is cut off")
-        if how and whole > size * MOST_INFLATED:
-            message = f"{size} bytes cannot hold an array of {whole} bytes"
+        if how and byte_count > size * MAX_INFLATION:
+            message = f"{size} bytes cannot hold an array of {byte_count} bytes"
             _fail(self.notes, at, message)
-        self.array_bytes += whole
+        self.array_bytes += byte_count
         if self.array_bytes > MAX_ARRAY_BYTES:
             message = f"arrays of more than {MAX_ARRAY_BYTES / 1e6:.0f} MB"
             self.notes.fail("FBX013", f"byte {at}", message)
         data: Any = memoryview(self.content)[first : first + stored]
         if how:
-            data = self._inflated(data, whole, at)
+            data = self._inflated(data, byte_count, at)
         return np.frombuffer(data, dtype, count), first + stored
 
     def _inflated(self, data: memoryview, size: int, at: int) -> bytes:
-        """Return an array inflated, never more than it states."""
+        """Return an array inflated to exactly its stated size."""
         engine = zlib.decompressobj()
         try:
-            found = engine.decompress(data, size) if size else b""
+            inflated = engine.decompress(data, size) if size else b""
         except zlib.error as error:
             _fail(self.notes, at, f"an array cannot be inflated: {error}")
-        if len(found) != size:
-            message = f"an array inflates to {len(found)} bytes, but states {size}"
+        if len(inflated) != size:
+            message = f"an array inflates to {len(inflated)} bytes, but states {size}"
             _fail(self.notes, at, message)
-        return found
+        return inflated

@@ -1,4 +1,4 @@
-"""A take of an FBX as a clip, with the keys of the file where a clip can hold them."""
+"""An FBX take as a clip: file keys where a clip can hold them, else samples."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from animtool.core.errors import Fault, Severity, counted
 from animtool.core.record import dataclass
 from animtool.formats.fbx.joined import JoinedKeys, joined_keys
 from animtool.formats.fbx.layers import (
+    OUTER_ROTATIONS,
     PIVOTS,
     ROTATION,
     SCALING,
     TRANSLATION,
-    TURNS,
-    Track,
+    PropertyTrack,
 )
 from animtool.formats.fbx.models import INHERIT, Model
 from animtool.formats.fbx.poses import RowKind
 from animtool.formats.fbx.rig import FbxRig
-from animtool.formats.fbx.sampling import ON_FRAME, Frames, Sampler
+from animtool.formats.fbx.sampling import ON_FRAME, FbxFrames, FbxSampler
 from animtool.formats.fbx.settings import TICKS
 from animtool.maths import euler, so3
 from animtool.maths.curves import Interp
@@ -35,20 +35,20 @@ SAME = 1e-12
 
 
 def clip_of_fbx(
-    name: str, made: FbxRig, moving: Sampler, frames: Frames
+    name: str, fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames
 ) -> tuple[Clip, list[Fault]]:
-    """Return a clip of a take, and how far it is off where keys could not be kept.
+    """Return a clip of a take, and notices about channels that are sampled.
 
     Translations, scales, Euler angles and shapes keep their keys where a take has one
     layer; what a clip cannot say is a key a frame, and one at each key between frames.
 
     Args:
         name: What the clip is called.
-        made: The rig.
+        fbx_rig: The rig.
         moving: The take on it.
         frames: When its frames are.
     """
-    writer = _Writer(made, moving, frames)
+    writer = _ClipBuilder(fbx_rig, moving, frames)
     channels: list[ClipChannel] = []
     for part in range(3):
         channels += writer.part(part)
@@ -60,7 +60,7 @@ def clip_of_fbx(
 
 @dataclass(slots=True, eq=False)
 class _Off:
-    """How far sampled channels are off between their keys."""
+    """Errors of sampled channels between their keys."""
 
     count: int = 0
     metres: float = 0.0
@@ -68,47 +68,47 @@ class _Off:
     scale: float = 0.0
 
 
-class _Writer:
-    """Channels of a clip, one after the other."""
+class _ClipBuilder:
+    """Builder of a clip's channels from curves or samples."""
 
-    def __init__(self, made: FbxRig, moving: Sampler, frames: Frames) -> None:
-        self.made, self.moving, self.frames = made, moving, frames
+    def __init__(self, fbx_rig: FbxRig, moving: FbxSampler, frames: FbxFrames) -> None:
+        self.fbx_rig, self.moving, self.frames = fbx_rig, moving, frames
         self.models = moving.scene.models
-        self.turn = so3.from_matrix(moving.scene.settings.basis)
+        self.axes_rotation = so3.from_matrix(moving.scene.settings.basis)
         self.off = _Off()
         self.sampled: list[set[int]] = [set(), set(), set()]
-        usual = np.ones((len(made.rig.joints), 3))
-        rig = made.rig
-        self.usual = (rig.rest_translations, rig.rest_rotations, usual)
+        defaults = np.ones((len(fbx_rig.rig.joints), 3))
+        rig = fbx_rig.rig
+        self.defaults = (rig.rest_translations, rig.rest_rotations, defaults)
 
     def part(self, part: int) -> list[ClipChannel]:
         """Return the channels of translations, rotations or scales."""
-        found: list[ClipChannel] = []
+        channels: list[ClipChannel] = []
         animated = set(self.moving.moving[part].tolist())
         rest = self.moving.rest[part]
         for j in range(len(rest)):
             if j in animated:
                 kept = self._kept(part, j)
                 if kept:
-                    found += kept
+                    channels += kept
                 else:
                     self.sampled[part].add(j)
-            elif np.abs(rest[j] - self.usual[part][j]).max() > SAME:
-                found.append(self._still(self._target(j, part), rest[j]))
-        return found + self._samples(part)
+            elif np.abs(rest[j] - self.defaults[part][j]).max() > SAME:
+                channels.append(self._static_channel(self._target(j, part), rest[j]))
+        return channels + self._samples(part)
 
     def shapes(self) -> list[ClipChannel]:
         """Return the channels of shapes."""
-        found = []
+        channels = []
         animated = set(self.moving.shapes.tolist())
-        for row, shape in enumerate(self.made.rig.shapes):
+        for row, shape in enumerate(self.fbx_rig.rig.shapes):
             target = f"shape/{shape.name}"
             if row not in animated:
                 value = self.moving.rest[3][row]
                 if value.any():
-                    found.append(self._still(target, value))
+                    channels.append(self._static_channel(target, value))
                 continue
-            channel, full = self.made.shapes[row]
+            channel, full = self.fbx_rig.shapes[row]
             track = self.moving.track(row)
             assert track is not None
             keys = joined_keys(track, np.array([channel.percent]))
@@ -116,17 +116,17 @@ class _Writer:
                 ticks = self._times()
                 values = self.moving.weight(row, ticks)[:, None]
                 self.off.count += 1
-                found.append(self._plain(target, ticks, values, Interp.LINEAR))
+                channels.append(self._plain(target, ticks, values, Interp.LINEAR))
                 continue
-            found.append(self._channel(target, keys, np.eye(1) / full, np.zeros(1)))
-        return found
+            channels.append(self._channel(target, keys, np.eye(1) / full, np.zeros(1)))
+        return channels
 
     def _target(self, j: int, part: int) -> str:
-        return f"joint/{self.made.rig.names[j]}.{_TARGETS[part]}"
+        return f"joint/{self.fbx_rig.rig.names[j]}.{_TARGETS[part]}"
 
     def _kept(self, part: int, j: int) -> list[ClipChannel]:
-        """Return the channels of a joint's part with the keys of the file, if any."""
-        model = self.models[self.made.rows[j].model]
+        """Return channels of a joint's part with the file's keys, if possible."""
+        model = self.models[self.fbx_rig.rows[j].model]
         track = self._track(model, (TRANSLATION, ROTATION, SCALING)[part])
         keys = None if track is None else joined_keys(track, model.base[part])
         if keys is None:
@@ -139,49 +139,51 @@ class _Writer:
         shift = self._shift(model)
         if shift is None:
             return []
-        factor = self.made.factors[j]
+        factor = self.fbx_rig.factors[j]
         basis = self.moving.scene.settings.basis if model.parent < 0 else np.eye(3)
         target = self._target(j, 0)
         return [self._channel(target, keys, basis * factor, basis @ shift * factor)]
 
     def _scaled(self, j: int, model: Model, keys: JoinedKeys) -> list[ClipChannel]:
         inherits = model.inherit == INHERIT or model.parent < 0
-        if not inherits or self.made.rows[j].kind is not RowKind.WHOLE:
+        if not inherits or self.fbx_rig.rows[j].kind is not RowKind.FULL:
             return []
         return [self._channel(self._target(j, 2), keys, np.eye(3), np.zeros(3))]
 
-    def _track(self, model: Model, name: str) -> Track | None:
+    def _track(self, model: Model, name: str) -> PropertyTrack | None:
         take = self.moving.take
         return None if take is None else take.tracks.get((model.object.id, name))
 
     def _shift(self, model: Model) -> FloatArray | None:
-        """Return what pivots add to translations; None where that moves."""
+        """Return the pivots' constant translation offset; None if it moves."""
         if any(self._track(model, name) is not None for name in PIVOTS):
             return None
         offset, pivot, stretch, centre = model.pivots
         if not (stretch.any() or centre.any() or pivot.any()):
             return np.asarray(offset)
-        if any(self._track(model, name) for name in (ROTATION, SCALING, *TURNS)):
+        if any(
+            self._track(model, name) for name in (ROTATION, SCALING, *OUTER_ROTATIONS)
+        ):
             return None
         ticks = np.zeros(1, np.int64)
         return np.asarray(model.local(None, ticks)[0][0] - model.base[0])
 
     def _turned(self, j: int, model: Model, keys: JoinedKeys) -> list[ClipChannel]:
-        """Return Euler angles after the rotation before them."""
-        if any(self._track(model, name) is not None for name in TURNS):
+        """Return Euler angle channels after the constant pre-rotation."""
+        if any(self._track(model, name) is not None for name in OUTER_ROTATIONS):
             return []
         if np.abs(model.post[:3]).max() > SAME:
             return []
-        inner = self.made.rows[j].kind is RowKind.INNER
-        own = model.parent < 0 and not inner
-        before = so3.multiply(self.turn, model.pre) if own else model.pre
+        inner = self.fbx_rig.rows[j].kind is RowKind.INNER
+        is_root = model.parent < 0 and not inner
+        before = so3.multiply(self.axes_rotation, model.pre) if is_root else model.pre
         before = so3.normalize(before)
-        found = []
-        if so3.angle_between(before, self.usual[1][j]) > SAME:
-            found.append(self._still(self._target(j, 1), before))
+        channels = []
+        if so3.angle_between(before, self.defaults[1][j]) > SAME:
+            channels.append(self._static_channel(self._target(j, 1), before))
         order = np.eye(3)[list(euler.axes_of(model.order))] * (np.pi / 180.0)
-        target = f"joint/{self.made.rig.names[j]}.rotation"
-        return [*found, self._channel(target, keys, order, np.zeros(3), model.order)]
+        target = f"joint/{self.fbx_rig.rig.names[j]}.rotation"
+        return [*channels, self._channel(target, keys, order, np.zeros(3), model.order)]
 
     def _channel(
         self,
@@ -191,7 +193,7 @@ class _Writer:
         shift: FloatArray,
         order: str = "",
     ) -> ClipChannel:
-        """Return keys whose values are turned and scaled, then moved."""
+        """Return keys with values transformed by a matrix and an offset."""
         per_second = float(self.frames.fps)
         handles = []
         for one in (keys.ins, keys.outs):
@@ -213,13 +215,13 @@ class _Writer:
         )
 
     def _codes(self, ticks: IntArray) -> FloatArray:
-        """Return times of keys [frames]; those within a tick of a frame are it."""
+        """Return key times [frames], snapped to a frame within a tick."""
         per_tick = float(self.frames.fps) / TICKS
         codes = ticks * per_tick
-        whole = np.round(codes)
-        return np.where(np.abs(codes - whole) <= 2.0 * per_tick, whole, codes)
+        rounded = np.round(codes)
+        return np.where(np.abs(codes - rounded) <= 2.0 * per_tick, rounded, codes)
 
-    def _still(self, target: str, value: FloatArray) -> ClipChannel:
+    def _static_channel(self, target: str, value: FloatArray) -> ClipChannel:
         interp = Interp.SLERP if len(value) == 4 else Interp.LINEAR
         ticks = self.frames.ticks(np.array([float(self.frames.first)]))
         return self._plain(target, ticks, value[None].copy(), interp)
@@ -241,7 +243,7 @@ class _Writer:
         )
 
     def _times(self) -> IntArray:
-        """Return the times of all frames, and of keys between them [ticks]."""
+        """Return the times of all frames and of keys between them [ticks]."""
         codes = np.arange(self.frames.count, dtype=np.float64) + self.frames.first
         ticks = self.frames.ticks(codes)
         take = self.moving.take
@@ -249,12 +251,12 @@ class _Writer:
         keys = keys[(keys > ticks[0]) & (keys < ticks[-1])]
         near = ticks[np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1)]
         before = ticks[np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1) - 1]
-        apart = np.minimum(np.abs(near - keys), np.abs(keys - before))
-        keys = keys[apart > ON_FRAME * TICKS / float(self.frames.fps)]
+        distance = np.minimum(np.abs(near - keys), np.abs(keys - before))
+        keys = keys[distance > ON_FRAME * TICKS / float(self.frames.fps)]
         return ticks if len(keys) > len(ticks) else np.union1d(ticks, keys)
 
     def _samples(self, part: int) -> list[ClipChannel]:
-        """Return samples of what could not be kept; note how far they are off."""
+        """Return sampled channels of a part; record their errors."""
         rows = self.sampled[part]
         if not rows:
             return []
@@ -262,26 +264,28 @@ class _Writer:
         middles = (ticks[1:] + ticks[:-1]) // 2
         columns = self.moving.moving[part].tolist()
         values, between = (self._values(part, at) for at in (ticks, middles))
-        found = []
+        channels = []
         for column, j in enumerate(columns):
             if j not in rows:
                 continue
-            own, exact = values[:, column], between[:, column]
+            samples, exact = values[:, column], between[:, column]
             self.off.count += 1
             if part == 1:
-                own = so3.align_signs(own)
-                apart = so3.angle_between(so3.slerp(own[:-1], own[1:], 0.5), exact)
-                worst = float(apart.max(initial=0.0))
+                samples = so3.align_signs(samples)
+                errors = so3.angle_between(
+                    so3.slerp(samples[:-1], samples[1:], 0.5), exact
+                )
+                worst = float(errors.max(initial=0.0))
                 self.off.radians = max(self.off.radians, worst)
             else:
-                lost = np.abs((own[:-1] + own[1:]) / 2 - exact).max(initial=0.0)
+                lost = np.abs((samples[:-1] + samples[1:]) / 2 - exact).max(initial=0.0)
                 if part == 0:
                     self.off.metres = max(self.off.metres, float(lost))
                 else:
                     self.off.scale = max(self.off.scale, float(lost))
             interp = Interp.SLERP if part == 1 else Interp.LINEAR
-            found.append(self._plain(self._target(j, part), ticks, own, interp))
-        return found
+            channels.append(self._plain(self._target(j, part), ticks, samples, interp))
+        return channels
 
     def _values(self, part: int, ticks: IntArray) -> FloatArray:
         motion = self.moving.at(ticks)
@@ -290,7 +294,7 @@ class _Writer:
         return np.asarray(channel.values)
 
     def notices(self) -> list[Fault]:
-        """Say once how many channels are sampled, and how far off they are."""
+        """Return one notice with the count and errors of sampled channels."""
         off = self.off
         if not off.count:
             return []

@@ -1,4 +1,4 @@
-"""Curves of an FBX: keys, tangents, and what lies outside of them.
+"""FBX animation curves: keys, tangents and extrapolation.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimCurve` and `FbxAnimCurveKey`.
 Between two keys a cubic segment is a Bézier curve whose handles lie at a weight of the
@@ -22,7 +22,7 @@ MAX_TICKS = 2**61
 
 @dataclass(frozen=True, slots=True)
 class Outside:
-    """What a curve does before or after its keys.
+    """Extrapolation before the first or after the last key.
 
     mode: C holds, R repeats, A repeats with offset, M mirrors, K goes on straight.
     count: How often; below 0 without end.
@@ -33,8 +33,8 @@ class Outside:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Curve:
-    """One value over time.
+class FbxCurve:
+    """Keys of one scalar over time.
 
     Attributes:
         times: Of its K keys, ascending ``(K,)`` [ticks].
@@ -58,7 +58,7 @@ class Curve:
     post: Outside = Outside()
 
     def is_static(self) -> bool:
-        """Return whether it has one value for all times."""
+        """Return whether the value never changes."""
         if (self.values != self.values[0]).any():
             return False
         cubic = self.modes[:-1] == CUBIC
@@ -69,12 +69,12 @@ class Curve:
     def at(self, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F,)`` [ticks]."""
         first, last = int(self.times[0]), int(self.times[-1])
-        found = self._inside(np.clip(ticks, first, last))
+        values = self._inside(np.clip(ticks, first, last))
         for outside, late in ((self.pre, False), (self.post, True)):
             rows = ticks > last if late else ticks < first
             if rows.any() and outside.mode != "C" and last > first:
-                found[rows] = self._outside(ticks[rows], outside, late=late)
-        return found
+                values[rows] = self._outside(ticks[rows], outside, late=late)
+        return values
 
     def _outside(self, ticks: IntArray, how: Outside, *, late: bool) -> FloatArray:
         first, last = int(self.times[0]), int(self.times[-1])
@@ -86,18 +86,18 @@ class Curve:
             return np.asarray(end + slope * (ticks - (last if late else first)) / TICKS)
         if how.count == 0:
             return np.full(len(ticks), self.values[-1 if late else 0])
-        turns, rest = np.divmod(away, span)
+        repeats, rest = np.divmod(away, span)
         if how.count > 0:
-            over = turns >= how.count
-            turns = np.where(over, how.count - 1, turns)
+            over = repeats >= how.count
+            repeats = np.where(over, how.count - 1, repeats)
             rest = np.where(over, span, rest)
         back = np.full(len(ticks), not late)
         if how.mode == "M":
-            back = (turns % 2 == 0) == late
+            back = (repeats % 2 == 0) == late
         inside = self._inside(np.where(back, last - rest, first + rest))
         if how.mode == "A":
             step = self.values[-1] - self.values[0]
-            inside = inside + (turns + 1) * (step if late else -step)
+            inside = inside + (repeats + 1) * (step if late else -step)
         return inside
 
     def _inside(self, ticks: IntArray) -> FloatArray:
@@ -106,42 +106,42 @@ class Curve:
             return np.full(len(ticks), self.values[0])
         k = np.searchsorted(self.times, ticks, "right") - 1
         k = np.clip(k, 0, len(self.times) - 1)
-        found = self.values[k].copy()
+        values = self.values[k].copy()
         between = ticks != self.times[k]
         if not between.any():
-            return found
+            return values
         rows = np.flatnonzero(between)
         k = k[rows]
         mode = self.modes[k]
         span = (self.times[k + 1] - self.times[k]).astype(np.float64)
-        share = (ticks[rows] - self.times[k]) / span
+        fraction = (ticks[rows] - self.times[k]) / span
         low, high = self.values[k], self.values[k + 1]
-        own = np.where(mode == NEXT, high, low)
-        own = np.where(mode == LINEAR, low + share * (high - low), own)
+        moved = np.where(mode == NEXT, high, low)
+        moved = np.where(mode == LINEAR, low + fraction * (high - low), moved)
         cubic = mode == CUBIC
         if cubic.any():
             k, seconds = k[cubic], span[cubic] / TICKS
             weights = self.weights[k]
-            u = bezier_parameter(share[cubic], weights)
+            u = bezier_parameter(fraction[cubic], weights)
             a = low[cubic] + self.right[k] * weights[:, 0] * seconds
             b = high[cubic] - self.left[k] * weights[:, 1] * seconds
             v = 1.0 - u
-            own[cubic] = v * v * (v * low[cubic] + 3 * u * a)
-            own[cubic] += u * u * (u * high[cubic] + 3 * v * b)
-        found[rows] = own
-        return found
+            moved[cubic] = v * v * (v * low[cubic] + 3 * u * a)
+            moved[cubic] += u * u * (u * high[cubic] + 3 * v * b)
+        values[rows] = moved
+        return values
 
 
-def bezier_parameter(share: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return where on a Bézier segment a share of its time is ``(F,)``.
+def bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the Bézier parameter ``(F,)`` of time fractions of a segment.
 
     By bisection, then Newton's method where it stays between the bounds.
     """
-    u = share.copy()
-    odd = np.flatnonzero(np.abs(weights - THIRD).max(axis=1) > 1e-9)
-    if not len(odd):
+    u = fraction.copy()
+    weighted = np.flatnonzero(np.abs(weights - THIRD).max(axis=1) > 1e-9)
+    if not len(weighted):
         return u
-    s, a, b = share[odd], weights[odd, 0], 1.0 - weights[odd, 1]
+    s, a, b = fraction[weighted], weights[weighted, 0], 1.0 - weights[weighted, 1]
     low, high = np.zeros(len(s)), np.ones(len(s))
     x = s.copy()
     for _ in range(60):
@@ -156,5 +156,5 @@ def bezier_parameter(share: FloatArray, weights: FloatArray) -> FloatArray:
         x = after
         if done:
             break
-    u[odd] = x
+    u[weighted] = x
     return u

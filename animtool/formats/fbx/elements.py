@@ -1,4 +1,4 @@
-"""The tree of elements that an FBX is, binary or text."""
+"""The element tree of an FBX, shared by binary and text files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
-from animtool.formats.gltf.places import Notes
+from animtool.formats.file_notices import FileNotices
 
 # Elements nest four deep for an object's keys; a file that goes on is no scene.
 MAX_DEPTH = 48
@@ -19,12 +19,12 @@ MAX_ELEMENTS = 3_000_000
 # What arrays of a file take, inflated [bytes].
 MAX_ARRAY_BYTES = 1_000_000_000
 # float32 as some tools write it; a number beyond is none.
-LARGEST = 3.4028234663852886e38
+FLOAT32_LIMIT = 3.4028234663852886e38
 
 
 @dataclass(slots=True, eq=False)
 class Element:
-    """A named list of values with elements below."""
+    """A named list of values with child elements."""
 
     name: str
     values: list[Any]  # int, float, str, bytes, or an array
@@ -32,62 +32,62 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def find(self, name: str) -> Element | None:
-        """Return the first element below with a name."""
+        """Return the first child element of a name."""
         return next((one for one in self.children if one.name == name), None)
 
     def all(self, name: str) -> Iterator[Element]:
-        """Yield the elements below with a name."""
+        """Yield the child elements of a name."""
         return (one for one in self.children if one.name == name)
 
     def text(self, index: int) -> str:
-        """Return a value that is text; empty where it is none."""
+        """Return a value that is text; else an empty string."""
         value = self.values[index] if index < len(self.values) else ""
         return value if isinstance(value, str) else ""
 
 
-def number(element: Element, index: int, notes: Notes) -> float:
+def number(element: Element, index: int, notes: FileNotices) -> float:
     """Return a finite number of an element."""
     value = element.values[index] if index < len(element.values) else None
     if isinstance(value, np.ndarray) and value.size:
         value = value.reshape(-1)[0].item()
-    if not isinstance(value, int | float) or not abs(value) <= LARGEST:
+    if not isinstance(value, int | float) or not abs(value) <= FLOAT32_LIMIT:
         message = f"{element.name} must be a number, not {excerpt(repr(value))}"
         notes.fail("FBX005", element.where, message)
     return float(value)
 
 
 def floats(
-    parent: Element, name: str, notes: Notes, count: int | None = None
+    parent: Element, name: str, notes: FileNotices, count: int | None = None
 ) -> FloatArray | None:
-    """Return the finite numbers of an element below; None where there is none."""
+    """Return the finite numbers of a child element; None if missing."""
     element = parent.find(name)
     if element is None:
         return None
-    found = np.asarray(_array(element, notes), np.float64)
-    if not (np.abs(found) <= LARGEST).all():
+    values = np.asarray(_array(element, notes), np.float64)
+    if not (np.abs(values) <= FLOAT32_LIMIT).all():
         notes.fail(
             "FBX005", element.where, f"{name} contains a value that is not finite"
         )
-    if count is not None and len(found) != count:
-        message = f"{name} has {len(found)} numbers instead of {count}"
+    if count is not None and len(values) != count:
+        message = f"{name} has {len(values)} numbers instead of {count}"
         notes.fail("FBX005", element.where, message)
-    return found
+    return values
 
 
-def integers(parent: Element, name: str, notes: Notes) -> IntArray | None:
-    """Return the integers of an element below; None where there is none."""
+def integers(parent: Element, name: str, notes: FileNotices) -> IntArray | None:
+    """Return the integers of a child element; None if missing."""
     element = parent.find(name)
     if element is None:
         return None
-    found = _array(element, notes)
-    if found.dtype.kind == "f":
-        whole = np.isfinite(found).all() and (np.abs(found) < 2.0**63).all()
-        if not whole or (found != np.round(found)).any():
+    values = _array(element, notes)
+    if values.dtype.kind == "f":
+        in_range = np.isfinite(values).all() and (np.abs(values) < 2.0**63).all()
+        if not in_range or (values != np.round(values)).any():
             notes.fail("FBX005", element.where, f"{name} must hold integers")
-    return np.asarray(found, np.int64)
+    return np.asarray(values, np.int64)
 
 
-def _array(element: Element, notes: Notes) -> Any:
+def _array(element: Element, notes: FileNotices) -> Any:
     """Return the numbers of an element, one array or single values."""
     values = element.values
     if len(values) == 1 and isinstance(values[0], np.ndarray):

@@ -22,7 +22,7 @@ MAX_CELLS = 100_000_000
 
 @dataclass(slots=True, eq=False)
 class Cluster:
-    """What one bone moves of a mesh.
+    """Skin weights of one bone on a mesh.
 
     Attributes:
         bone: Its node, by id.
@@ -43,7 +43,7 @@ class Cluster:
 
 @dataclass(slots=True, eq=False)
 class ShapeChannel:
-    """A blend shape, with those between.
+    """A blend shape channel with its in-between targets.
 
     Attributes:
         id: Of the channel, whose percentage is animated.
@@ -59,8 +59,8 @@ class ShapeChannel:
 
 
 @dataclass(slots=True, eq=False)
-class Geometry:
-    """A mesh, which nodes show.
+class FbxGeometry:
+    """A mesh, shown by one or several nodes.
 
     Attributes:
         name: As in the file, often empty.
@@ -79,8 +79,8 @@ class Geometry:
     shapes: list[ShapeChannel] = field(default_factory=list)
 
 
-def read_geometry(file: FbxFile) -> dict[Id, Geometry]:
-    """Return the mesh of each node that shows one, by id of the node.
+def read_geometry(file: FbxFile) -> dict[Id, FbxGeometry]:
+    """Return the mesh of each node that shows one, by node id.
 
     Raises:
         FormatError: Numbers of a mesh, skin or shape are broken (FBX005, FBX008), or it
@@ -95,18 +95,18 @@ def read_geometry(file: FbxFile) -> dict[Id, Geometry]:
         shown, holders = [], file.of_kind("Geometry", "Mesh")
     for one in holders:
         shown += [(one, model) for model in file.targets(one.id, "Model")]
-    read: dict[Id, Geometry | None] = {}
-    found: dict[Id, Geometry] = {}
+    read: dict[Id, FbxGeometry | None] = {}
+    meshes: dict[Id, FbxGeometry] = {}
     for holder, model in shown:
         if holder.id not in read:
             read[holder.id] = _geometry(file, holder, model)
         mesh = read[holder.id]
         if mesh is not None:
-            found.setdefault(model.id, mesh)
-    return found
+            meshes.setdefault(model.id, mesh)
+    return meshes
 
 
-def _geometry(file: FbxFile, of: Object, model: Object) -> Geometry | None:
+def _geometry(file: FbxFile, of: Object, model: Object) -> FbxGeometry | None:
     notes, element, name = file.notes, of.element, model.name
     flat = floats(element, "Vertices", notes)
     corners = integers(element, "PolygonVertexIndex", notes)
@@ -117,16 +117,16 @@ def _geometry(file: FbxFile, of: Object, model: Object) -> Geometry | None:
         notes.fail("FBX008", element.where, message)
     points = flat.reshape(-1, 3)
     faces = _faces(file, of, corners, len(points), name)
-    found = Geometry(of.name, points, faces)
-    _put_skin(file, of, found, name)
-    _put_shapes(file, of, found, model)
-    return found
+    geometry = FbxGeometry(of.name, points, faces)
+    _put_skin(file, of, geometry, name)
+    _put_shapes(file, of, geometry, model)
+    return geometry
 
 
 def _faces(
     file: FbxFile, of: Object, corners: IntArray | None, count: int, name: str
 ) -> IntArray:
-    """Return faces; the last corner of each is its index inverted, bit by bit."""
+    """Return faces; FBX bit-inverts the last corner index of each."""
     if corners is None or not len(corners):
         return np.zeros((0, 3), np.int64)
     ends = corners < 0
@@ -146,7 +146,7 @@ def _faces(
     return faces[sizes >= 3]
 
 
-def _put_skin(file: FbxFile, of: Object, mesh: Geometry, name: str) -> None:
+def _put_skin(file: FbxFile, of: Object, mesh: FbxGeometry, name: str) -> None:
     notes = file.notes
     deformers = file.sources(of.id, "Deformer")
     for one in deformers:
@@ -180,8 +180,8 @@ def _put_skin(file: FbxFile, of: Object, mesh: Geometry, name: str) -> None:
 
 def _has_weights(file: FbxFile, skin: Object) -> bool:
     clusters = file.sources(skin.id, "Deformer", "Cluster")
-    found = [integers(one.element, "Indexes", file.notes) for one in clusters]
-    return any(one is not None and len(one) for one in found)
+    indices = [integers(one.element, "Indexes", file.notes) for one in clusters]
+    return any(one is not None and len(one) for one in indices)
 
 
 def _cluster(file: FbxFile, of: Object, points: int, name: str) -> Cluster | None:
@@ -220,7 +220,7 @@ def _cluster(file: FbxFile, of: Object, points: int, name: str) -> Cluster | Non
 
 
 def _matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
-    """Return a matrix for column vectors; files have it for rows."""
+    """Return a column-vector matrix; files store row-vector ones."""
     flat = floats(element, name, file.notes, 16)
     if flat is None:
         return np.eye(4)
@@ -233,8 +233,8 @@ def _matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
     return matrix
 
 
-def skin_table(mesh: Geometry) -> tuple[IntArray, FloatArray]:
-    """Return cluster and weight of the influences of each point ``(V, I)``.
+def skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
+    """Return cluster indices and weights of each point ``(V, I)``.
 
     Weights are normalised. The cluster after the last is the mesh's own node, which
     points without a weight follow.
@@ -261,28 +261,28 @@ def skin_table(mesh: Geometry) -> tuple[IntArray, FloatArray]:
     return indices, table / np.where(sums <= 0, 1.0, sums)
 
 
-def has_free_points(mesh: Geometry) -> bool:
-    """Return whether a point of a skinned mesh follows no bone."""
+def has_free_points(mesh: FbxGeometry) -> bool:
+    """Return whether some point of a skinned mesh has no weights."""
     sums = np.zeros(len(mesh.points))
     for one in mesh.clusters:
         np.add.at(sums, one.indices, one.weights)
     return bool((sums <= 0).any())
 
 
-def _put_shapes(file: FbxFile, of: Object, mesh: Geometry, model: Object) -> None:
+def _put_shapes(file: FbxFile, of: Object, mesh: FbxGeometry, model: Object) -> None:
     notes = file.notes
     for shape in old_shapes(file, model) if file.version < NUMBERED else ():
         offsets = _offsets(file, shape, shape.text(0), len(mesh.points))
         percent = scalar(model, shape.text(0), 0.0, notes)
-        own = shape_id(model.id, shape.text(0))
+        channel_id = shape_id(model.id, shape.text(0))
         mesh.shapes.append(
-            ShapeChannel(own, shape.text(0), percent, [(100.0, offsets)])
+            ShapeChannel(channel_id, shape.text(0), percent, [(100.0, offsets)])
         )
     for group in file.sources(of.id, "Deformer", "BlendShape"):
         for channel in file.sources(group.id, "Deformer", "BlendShapeChannel"):
-            found = _channel(file, channel, len(mesh.points))
-            if found is not None:
-                mesh.shapes.append(found)
+            channel_ = _channel(file, channel, len(mesh.points))
+            if channel_ is not None:
+                mesh.shapes.append(channel_)
 
 
 def _channel(file: FbxFile, of: Object, points: int) -> ShapeChannel | None:
@@ -314,7 +314,7 @@ def _channel(file: FbxFile, of: Object, points: int) -> ShapeChannel | None:
 
 
 def _counts_points(file: FbxFile) -> bool:
-    """Return whether full weights are of points: Blender's are of a vertex group."""
+    """Return whether full weights are per point (Blender writes vertex groups)."""
     header = file.root.find("FBXHeaderExtension")
     creators = [one for top in (file.root, header) if top for one in top.all("Creator")]
     return any(one.text(0).lower().startswith(_BLENDER) for one in creators)
@@ -327,16 +327,16 @@ def _offsets(
     points: int,
     parts: FloatArray | None = None,
 ) -> FloatArray:
-    """Return the offsets of a shape ``(V, 3)``.
+    """Return the point offsets of a shape ``(V, 3)``.
 
     parts: How much of each offset that it states counts [%].
     """
     notes = file.notes
-    found = np.zeros((points, 3))
+    table = np.zeros((points, 3))
     indices = integers(element, "Indexes", notes)
     flat = floats(element, "Vertices", notes)
     if indices is None or flat is None or not len(indices):
-        return found
+        return table
     if len(flat) != 3 * len(indices):
         message = f"{len(indices)} indices of shape {name!r} have {len(flat)} numbers"
         notes.fail("FBX008", element.where, message)
@@ -346,5 +346,5 @@ def _offsets(
     offsets = flat.reshape(-1, 3)
     if parts is not None and len(parts) == len(offsets):
         offsets = offsets * (parts[:, None] / 100.0)
-    found[indices] = offsets
-    return found
+    table[indices] = offsets
+    return table

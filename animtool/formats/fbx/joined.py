@@ -1,4 +1,4 @@
-"""Curves of the parts of a property as keys that hold all parts."""
+"""Curves of a property's components joined to keys of all components."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.formats.fbx.curves import CONSTANT, CUBIC, NEXT, THIRD, Curve, Outside
-from animtool.formats.fbx.layers import Track
+from animtool.formats.fbx.curves import CONSTANT, CUBIC, NEXT, THIRD, FbxCurve, Outside
+from animtool.formats.fbx.layers import PropertyTrack
 from animtool.formats.fbx.settings import TICKS
 from animtool.maths.curves import Extrapolation, Interp
 
@@ -47,8 +47,8 @@ class JoinedKeys:
     post: Extrapolation
 
 
-def joined_keys(track: Track, base: FloatArray) -> JoinedKeys | None:
-    """Return the keys of a property; None where no such keys are exactly its curves.
+def joined_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
+    """Return keys of all components of a property; None if not exact.
 
     Keys of one part alone split the segments of the others, which changes no value.
 
@@ -57,11 +57,11 @@ def joined_keys(track: Track, base: FloatArray) -> JoinedKeys | None:
     if len(track.layers) != 1 or not track.layers[0].is_first:
         return None
     curves = track.layers[0].curves
-    held = [one for one in curves if one is not None]
-    outside = _outside(held)
-    if not held or outside is None:
+    keyed = [one for one in curves if one is not None]
+    outside = _outside(keyed)
+    if not keyed or outside is None:
         return None
-    ticks = np.unique(np.concatenate([one.times for one in held]))
+    ticks = np.unique(np.concatenate([one.times for one in keyed]))
     parts = [_part(one, ticks) for one in curves if one is not None]
     kinds = _kinds(parts, len(ticks) - 1)
     weights = _weights(parts)
@@ -71,10 +71,10 @@ def joined_keys(track: Track, base: FloatArray) -> JoinedKeys | None:
     count, width = len(ticks), len(curves)
     ins, outs = np.zeros((count, 1 + width)), np.zeros((count, 1 + width))
     outs[:-1, 0], ins[1:, 0] = weights[:, 0] * seconds, -weights[:, 1] * seconds
-    own = iter(parts)
+    remaining = iter(parts)
     for part, curve in enumerate(curves):
         if curve is not None:
-            one = next(own)
+            one = next(remaining)
             outs[:-1, 1 + part] = one.right * outs[:-1, 0]
             ins[1:, 1 + part] = one.left * ins[1:, 0]
     values = track.at(base, ticks)
@@ -82,27 +82,27 @@ def joined_keys(track: Track, base: FloatArray) -> JoinedKeys | None:
 
 
 def _outside(
-    curves: Sequence[Curve],
+    curves: Sequence[FbxCurve],
 ) -> tuple[Extrapolation, Extrapolation] | None:
-    """Return how all of some curves go on; None where they differ or stop."""
-    ways = []
+    """Return the common extrapolation of curves; None if they differ."""
+    sides = []
     for side in ("pre", "post"):
-        found = {_way(one, getattr(one, side)) for one in curves}
-        if len(found) != 1 or None in found:
+        kinds = {_extrapolation(one, getattr(one, side)) for one in curves}
+        if len(kinds) != 1 or None in kinds:
             return None
-        ways += [one for one in found if one is not None]
-    if ways and set(ways) != {Extrapolation.HOLD}:
+        sides += [one for one in kinds if one is not None]
+    if sides and set(sides) != {Extrapolation.HOLD}:
         first = curves[0].times
         if any(not np.array_equal(first, one.times) for one in curves):
             return None
     # Where a repeat jumps a clip has the other one of the two values.
     jumps = any(one.values[0] != one.values[-1] for one in curves)
-    if not ways or (jumps and Extrapolation.CYCLE in ways):
+    if not sides or (jumps and Extrapolation.CYCLE in sides):
         return None
-    return ways[0], ways[1]
+    return sides[0], sides[1]
 
 
-def _way(curve: Curve, outside: Outside) -> Extrapolation | None:
+def _extrapolation(curve: FbxCurve, outside: Outside) -> Extrapolation | None:
     if len(curve.times) == 1 or (outside.count == 0 and outside.mode != "K"):
         return Extrapolation.HOLD
     if outside.count > 0 and outside.mode in "RAM":
@@ -111,7 +111,7 @@ def _way(curve: Curve, outside: Outside) -> Extrapolation | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
+class _SegmentedCurve:
     """A curve over the segments between N + 1 times that hold all of its keys."""
 
     curved: BoolArray  # ``(N,)``
@@ -123,7 +123,7 @@ class _Part:
     left: FloatArray
 
 
-def _part(curve: Curve, ticks: IntArray) -> _Part:
+def _part(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
     starts, ends = ticks[:-1], ticks[1:]
     k = np.searchsorted(curve.times, starts, "right") - 1
     inside = (k >= 0) & (k < len(curve.times) - 1)
@@ -131,7 +131,9 @@ def _part(curve: Curve, ticks: IntArray) -> _Part:
     nothing = np.zeros(len(starts))
     if len(curve.times) < 2:
         yes, no = np.ones(len(starts), bool), np.zeros(len(starts), bool)
-        return _Part(no, no, yes, no, np.full((len(k), 2), THIRD), nothing, nothing)
+        return _SegmentedCurve(
+            no, no, yes, no, np.full((len(k), 2), THIRD), nothing, nothing
+        )
     low, high = curve.times[k], curve.times[k + 1]
     modes = curve.modes[k]
     curved = inside & (modes == CUBIC)
@@ -147,64 +149,68 @@ def _part(curve: Curve, ticks: IntArray) -> _Part:
     ]
     right, left = (np.where(inside & ~stepped, one, 0.0) for one in ends_of)
     # Of whole segments the slopes are those of the keys, whatever the weights.
-    whole = curved & ~split
-    right = np.where(whole, curve.right[k], right)
-    left = np.where(whole, curve.left[k], left)
+    unsplit = curved & ~split
+    right = np.where(unsplit, curve.right[k], right)
+    left = np.where(unsplit, curve.left[k], left)
     # A value that holds up to the next key, and is that of it only then.
     late = stepped & (modes == NEXT) & ~level
     if late.any():
         stepped, level = stepped & ~late, level & ~late
-        return _Part(
+        return _SegmentedCurve(
             curved | late, stepped, level, split | late, _never(k), right, left
         )
     weights = np.where(curved[:, None], curve.weights[k], THIRD)
-    return _Part(curved, stepped, level | ~inside, split, weights, right, left)
+    return _SegmentedCurve(
+        curved, stepped, level | ~inside, split, weights, right, left
+    )
 
 
 def _never(k: IntArray) -> FloatArray:
-    """Return weights that no keys have."""
+    """Return weights that no keys have, as NaN."""
     return np.full((len(k), 2), np.nan)
 
 
 def _slope_at(
-    curve: Curve, k: IntArray, share: FloatArray, span: FloatArray
+    curve: FbxCurve, k: IntArray, fraction: FloatArray, span: FloatArray
 ) -> FloatArray:
-    """Return the slopes of segments whose handles are at thirds [1/s]."""
+    """Return slopes within segments whose handles are at thirds [1/s]."""
     right, left = curve.right[k], curve.left[k]
     chord = (curve.values[k + 1] - curve.values[k]) / span
     middle = 3.0 * chord - right - left
-    v = 1.0 - share
-    return np.asarray(v * v * right + 2 * share * v * middle + share * share * left)
+    v = 1.0 - fraction
+    return np.asarray(
+        v * v * right + 2 * fraction * v * middle + fraction * fraction * left
+    )
 
 
-def _kinds(parts: Sequence[_Part], count: int) -> list[Interp] | None:
-    """Return how segments run, all parts of each; None where they differ."""
+def _kinds(parts: Sequence[_SegmentedCurve], count: int) -> list[Interp] | None:
+    """Return the interpolation of each segment; None if components differ."""
     curved = np.logical_or.reduce([one.curved & ~one.flat for one in parts])
     moving = np.logical_or.reduce([~one.flat & ~one.stepped for one in parts])
     stepped = np.logical_or.reduce([one.stepped & ~one.flat for one in parts])
     if (stepped & moving).any():
         return None
     # A step within a segment comes at the end of the curve's own.
-    held = [one.stepped & one.split & ~one.flat for one in parts]
-    if len(parts) > 1 and np.logical_or.reduce(held).any():
+    steps = [one.stepped & one.split & ~one.flat for one in parts]
+    if len(parts) > 1 and np.logical_or.reduce(steps).any():
         return None
-    found = np.where(curved, 2, np.where(stepped, 1, 0))
-    ways = (Interp.LINEAR, Interp.STEP, Interp.BEZIER)
-    return [ways[kind] for kind in found.tolist()][:count]
+    kinds = np.where(curved, 2, np.where(stepped, 1, 0))
+    interpolations = (Interp.LINEAR, Interp.STEP, Interp.BEZIER)
+    return [interpolations[kind] for kind in kinds.tolist()][:count]
 
 
-def _weights(parts: Sequence[_Part]) -> FloatArray | None:
-    """Return the weights of segments that all parts share; None where they differ."""
-    found = np.full(parts[0].weights.shape, THIRD)
-    fixed = np.zeros(len(found), bool)
+def _weights(parts: Sequence[_SegmentedCurve]) -> FloatArray | None:
+    """Return the tangent weights common to all components; else None."""
+    weights = np.full(parts[0].weights.shape, THIRD)
+    fixed = np.zeros(len(weights), bool)
     for one in parts:
         curved = one.curved & ~one.flat
         thirds = np.abs(one.weights - THIRD).max(axis=1) <= SAME_WEIGHT
         if not (thirds | ~one.split | ~curved).all():
             return None
-        off = np.abs(one.weights - found).max(axis=1) > SAME_WEIGHT
+        off = np.abs(one.weights - weights).max(axis=1) > SAME_WEIGHT
         if (fixed & curved & off).any():
             return None
-        found = np.where(curved[:, None], one.weights, found)
+        weights = np.where(curved[:, None], one.weights, weights)
         fixed |= curved
-    return None if np.isnan(found).any() else found
+    return None if np.isnan(weights).any() else weights

@@ -1,4 +1,4 @@
-"""Curves of files from version 7000 on, and what every curve is checked for."""
+"""Curves of FBX 7000 and newer, and the checks of every curve."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from animtool.formats.fbx.curves import (
     MAX_TICKS,
     NEXT,
     THIRD,
-    Curve,
+    FbxCurve,
     Outside,
 )
 from animtool.formats.fbx.elements import Element, floats, integers, number
 from animtool.formats.fbx.settings import TICKS
-from animtool.formats.fbx.tangents import CURVED, HELD, NEXT_VALUE, TCB, key_slopes
-from animtool.formats.gltf.places import Notes
+from animtool.formats.fbx.tangents import CURVED, NEXT_VALUE, STEPPED, TCB, key_slopes
+from animtool.formats.file_notices import FileNotices
 
 # What handles are counted in: 4 decimals, of which two fill 32 bits.
 WEIGHT = 1e-4
 
 
-def curve_of_object(element: Element, notes: Notes) -> Curve | None:
-    """Return the curve of an object, as files from 7000 on have it.
+def curve_of_object(element: Element, notes: FileNotices) -> FbxCurve | None:
+    """Return the curve of an AnimationCurve object (FBX 7000 and newer).
 
     Raises:
         FormatError: Its arrays do not fit together, or times descend (FBX006).
@@ -52,8 +52,8 @@ def curve_of_object(element: Element, notes: Notes) -> Curve | None:
         notes.fail("FBX006", element.where, message)
     flags = np.repeat(flags, counts)
     rows = np.repeat(raw.reshape(-1, 4), counts, axis=0)
-    held = flags & HELD != 0
-    cubic = ~held & (flags & CURVED != 0)
+    stepped = flags & STEPPED != 0
+    cubic = ~stepped & (flags & CURVED != 0)
     tcb = cubic & (flags & TCB != 0)
     stated = rows[:, :3].copy().view(np.float32).astype(np.float64)
     # The third is a bias of such tangents alone, and two weights of others.
@@ -61,31 +61,31 @@ def curve_of_object(element: Element, notes: Notes) -> Curve | None:
         notes.fail("FBX006", element.where, "a slope of a key is not finite")
     packed = rows[:, 2].astype(np.int64) & 0xFFFFFFFF
     weights = np.full((count, 2), THIRD)
-    for side, (flag, own) in enumerate(
+    for side, (flag, numbers) in enumerate(
         ((0x1000000, packed & 0xFFFF), (0x2000000, packed >> 16))
     ):
-        given = cubic & ~tcb & (flags & flag != 0)
-        weights[given, side] = np.minimum(own[given] * WEIGHT, 1.0)
-    modes = np.where(cubic, CUBIC, np.where(held, CONSTANT, LINEAR))
-    modes[held & (flags & NEXT_VALUE != 0)] = NEXT
+        weighted = cubic & ~tcb & (flags & flag != 0)
+        weights[weighted, side] = np.minimum(numbers[weighted] * WEIGHT, 1.0)
+    modes = np.where(cubic, CUBIC, np.where(stepped, CONSTANT, LINEAR))
+    modes[stepped & (flags & NEXT_VALUE != 0)] = NEXT
     right, left = key_slopes(times / TICKS, values, flags, stated, weights)
-    return checked(Curve(times, values, modes, right, left, weights), element, notes)
+    return checked(FbxCurve(times, values, modes, right, left, weights), element, notes)
 
 
-def _bits(data: Element, notes: Notes) -> Any:
-    """Return attributes as the bits of float32; text writes them as integers."""
+def _bits(data: Element, notes: FileNotices) -> Any:
+    """Return key attributes as float32 bits; text files write integers."""
     values = data.values[0] if len(data.values) == 1 else np.array(data.values)
-    found = np.asarray(values)
-    if found.dtype.kind == "f":
+    array = np.asarray(values)
+    if array.dtype.kind == "f":
         with np.errstate(all="ignore"):
-            return found.astype(np.float32).view(np.int32)
-    if found.dtype.kind != "i" or (np.abs(found) >= 2**32).any():
+            return array.astype(np.float32).view(np.int32)
+    if array.dtype.kind != "i" or (np.abs(array) >= 2**32).any():
         notes.fail("FBX006", data.where, "the attributes of keys must be numbers")
-    return found.astype(np.int64).astype(np.uint32).view(np.int32)
+    return array.astype(np.int64).astype(np.uint32).view(np.int32)
 
 
-def checked(curve: Curve, element: Element, notes: Notes) -> Curve:
-    """Return a curve with what is outside of its keys, its numbers checked."""
+def checked(curve: FbxCurve, element: Element, notes: FileNotices) -> FbxCurve:
+    """Return a curve with its extrapolation; raise for invalid numbers."""
     times = curve.times
     check_times(times, element, notes)
     for slopes in (curve.right, curve.left):
@@ -96,27 +96,27 @@ def checked(curve: Curve, element: Element, notes: Notes) -> Curve:
     if not (curve.modes == CUBIC).any() and "K" not in {pre.mode, post.mode}:
         # Nothing asks for the slopes of straight segments.
         right = left = np.zeros(len(times))
-    return Curve(
+    return FbxCurve(
         times,
         curve.values,
-        _held_once(curve.modes),
-        _held_once(right),
-        _held_once(left),
-        _held_once(curve.weights),
+        _shared_row(curve.modes),
+        _shared_row(right),
+        _shared_row(left),
+        _shared_row(curve.weights),
         pre,
         post,
     )
 
 
-def _held_once(rows: Any) -> Any:
-    """Return an array whose rows are all the same without a copy of each."""
+def _shared_row(rows: Any) -> Any:
+    """Return an array of equal rows as a view of one row."""
     if len(rows) > 1 and (rows == rows[:1]).all():
         return np.broadcast_to(rows[0].copy(), rows.shape)
     return rows
 
 
-def check_times(times: IntArray, element: Element, notes: Notes) -> None:
-    """Refuse times of keys that descend or are out of range."""
+def check_times(times: IntArray, element: Element, notes: FileNotices) -> None:
+    """Raise for key times that descend or are out of range."""
     if len(times) > MAX_KEYS:
         notes.fail("FBX013", element.where, f"{len(times)} keys in one curve")
     # The least integer has no opposite.
@@ -129,10 +129,10 @@ def check_times(times: IntArray, element: Element, notes: Notes) -> None:
 _SIDES = ("Pre", "Post")
 
 
-def _outside(element: Element, name: str, notes: Notes) -> Outside:
-    found = element.find(name)
-    kind = None if found is None else found.find("Type")
-    if found is None or kind is None or not kind.values:
+def _outside(element: Element, name: str, notes: FileNotices) -> Outside:
+    block = element.find(name)
+    kind = None if block is None else block.find("Type")
+    if block is None or kind is None or not kind.values:
         return Outside()
     mode = kind.values[0]
     if isinstance(mode, int) and 0 <= mode < 256:
@@ -140,6 +140,6 @@ def _outside(element: Element, name: str, notes: Notes) -> Outside:
     if mode not in tuple("CRAMK"):
         message = f"{name} {mode!r} is not known"
         notes.fail("FBX006", kind.where, message)
-    repeats = found.find("Repetition")
+    repeats = block.find("Repetition")
     count = -1.0 if repeats is None else number(repeats, 0, notes)
     return Outside(str(mode), int(max(-1.0, min(count, 1e9))))

@@ -1,4 +1,4 @@
-"""What the layers of a take make of a property, one over the other.
+"""Animation layers: additive and override blending of a property.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimLayer`: blend mode, rotation and
 scale accumulation mode. Rotations that accumulate by layer are composed as if of order
@@ -14,7 +14,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.fbx.angles import XYZ, principal_angles, rotations_of
-from animtool.formats.fbx.curves import Curve
+from animtool.formats.fbx.curves import FbxCurve
 from animtool.maths import so3
 
 ADDITIVE, OVERRIDE, PASSTHROUGH = range(3)
@@ -23,14 +23,14 @@ PERCENT = "DeformPercent"
 # What else of a transform moves: offset and pivot of rotations, then of scales, and
 # the rotations before and after.
 PIVOTS = ("RotationOffset", "RotationPivot", "ScalingOffset", "ScalingPivot")
-TURNS = ("PreRotation", "PostRotation")
+OUTER_ROTATIONS = ("PreRotation", "PostRotation")
 # From here on a weight is whole [1].
-WHOLE = 0.99999
+FULL_WEIGHT = 0.99999
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """A layer of a take.
+    """An animation layer of a take.
 
     Attributes:
         name: As in the file.
@@ -43,35 +43,37 @@ class Layer:
 
     name: str
     weight: float = 1.0
-    curve: Curve | None = None
+    curve: FbxCurve | None = None
     mode: int = ADDITIVE
     by_layer: bool = False
     by_product: bool = False
 
     def weights(self, ticks: IntArray) -> FloatArray:
-        """Return its weight at times ``(F,)`` [1]."""
+        """Return the layer weight at times ``(F,)`` [1]."""
         if self.curve is None:
-            return np.full(len(ticks), 1.0 if self.weight > WHOLE else self.weight)
+            return np.full(
+                len(ticks), 1.0 if self.weight > FULL_WEIGHT else self.weight
+            )
         weights = np.clip(self.curve.at(ticks) / 100.0, 0.0, 1.0)
-        return np.where(weights > WHOLE, 1.0, weights)
+        return np.where(weights > FULL_WEIGHT, 1.0, weights)
 
 
 @dataclass(slots=True, eq=False)
 class LayerValues:
-    """What a layer says of a property."""
+    """Curves and defaults of a property on one layer."""
 
     layer: Layer
     is_first: bool  # of its take
     defaults: list[float]  # of parts without a curve
-    curves: list[Curve | None]
+    curves: list[FbxCurve | None]
 
     def at(self, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F, width)``."""
-        found = np.tile(np.array(self.defaults, np.float64), (len(ticks), 1))
+        values = np.tile(np.array(self.defaults, np.float64), (len(ticks), 1))
         for part, curve in enumerate(self.curves):
             if curve is not None:
-                found[:, part] = curve.at(ticks)
-        return found
+                values[:, part] = curve.at(ticks)
+        return values
 
     def constant(self) -> FloatArray | None:
         """Return its values if they never change, else None."""
@@ -81,8 +83,8 @@ class LayerValues:
 
 
 @dataclass(slots=True, eq=False)
-class Track:
-    """A property over time.
+class PropertyTrack:
+    """A property over time, all layers blended.
 
     Attributes:
         of: The object, by its id.
@@ -107,15 +109,15 @@ class Track:
 
         base: what it is without animation ``(width,)``.
         """
-        found = np.tile(base, (len(ticks), 1))
+        result = np.tile(base, (len(ticks), 1))
         for one in self.layers:
             values = one.at(ticks)
             if one.is_first or one.layer.mode == OVERRIDE:
-                found = values
+                result = values
             else:
                 weights = one.layer.weights(ticks)[:, None]
-                found = self._combined(one.layer, found, values, weights)
-        return found
+                result = self._combined(one.layer, result, values, weights)
+        return result
 
     def _combined(
         self, layer: Layer, low: FloatArray, high: FloatArray, weights: FloatArray
@@ -125,10 +127,10 @@ class Track:
             a, b = (rotations_of(one, XYZ) for one in (low, high))
             if additive:
                 identity = np.broadcast_to([0.0, 0.0, 0.0, 1.0], b.shape)
-                whole = so3.multiply(a, so3.slerp(identity, b, weights[:, 0]))
+                combined = so3.multiply(a, so3.slerp(identity, b, weights[:, 0]))
             else:
-                whole = so3.slerp(a, b, weights[:, 0])
-            return principal_angles(whole)
+                combined = so3.slerp(a, b, weights[:, 0])
+            return principal_angles(combined)
         if self.name == SCALING and layer.by_product:
             size = _power(high, weights)
             return size * (low if additive else _power(low, 1.0 - weights))
@@ -138,6 +140,6 @@ class Track:
 
 
 def _power(scales: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return a part of scales as a factor, their signs kept; no part of them is 1."""
+    """Return scales raised to a weight, signs kept; weight 0 gives 1."""
     sign = np.where((scales < 0) & (weights > 0), -1.0, 1.0)
     return np.asarray(np.abs(scales) ** weights * sign)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from animtool.core.errors import excerpt
 from animtool.formats.fbx.elements import Element, number
-from animtool.formats.gltf.places import Notes
+from animtool.formats.file_notices import FileNotices
 
 _PROPERTIES = {"T": "Lcl Translation", "R": "Lcl Rotation", "S": "Lcl Scaling"}
 # How the channel of a shape is called.
@@ -22,8 +22,8 @@ _UNREAD = (
 )
 
 
-def with_objects(root: Element, notes: Notes) -> Element:
-    """Return the elements of a file as those of version 6100.
+def with_objects(root: Element, notes: FileNotices) -> Element:
+    """Convert the elements of versions 5000 to 5999 to the 6100 layout.
 
     Raises:
         FormatError: A model has what is not read (FBX004).
@@ -37,7 +37,9 @@ def with_objects(root: Element, notes: Notes) -> Element:
     return Element("", [], root.where, [objects, links, settings, *takes])
 
 
-def _add_model(model: Element, objects: Element, links: Element, notes: Notes) -> None:
+def _add_model(
+    model: Element, objects: Element, links: Element, notes: FileNotices
+) -> None:
     name = model.text(0)
     for child in model.children:
         if child.name in _UNREAD:
@@ -46,9 +48,9 @@ def _add_model(model: Element, objects: Element, links: Element, notes: Notes) -
     kind = model.find("Type")
     subtype = "Mesh" if model.find("Vertices") else kind.text(0) if kind else ""
     kept = [one for one in model.children if one.name in _KEPT]
-    own = Element("Model", [f"Model::{name}", subtype], model.where, kept)
-    own.children.append(_properties(model, notes))
-    objects.children.append(own)
+    converted = Element("Model", [f"Model::{name}", subtype], model.where, kept)
+    converted.children.append(_properties(model, notes))
+    objects.children.append(converted)
     for children in model.all("Children"):
         for child in children.values:
             if isinstance(child, str):
@@ -66,15 +68,15 @@ def _add_model(model: Element, objects: Element, links: Element, notes: Notes) -
         _connect(links, f"Model::{bone.text(0)}", cluster)
 
 
-def _properties(model: Element, notes: Notes) -> Element:
-    found = Element("Properties60", [], model.where)
+def _properties(model: Element, notes: FileNotices) -> Element:
+    properties = Element("Properties60", [], model.where)
     for channel in model.all("Channel"):
         if channel.text(0) != "Transform":
             default = channel.find("Default")
             if default is not None:
-                own = [channel.text(0).removesuffix(SHAPE_SUFFIX), "", ""]
-                row = [*own, number(default, 0, notes)]
-                found.children.append(Element("Property", row, channel.where))
+                start = [channel.text(0).removesuffix(SHAPE_SUFFIX), "", ""]
+                row = [*start, number(default, 0, notes)]
+                properties.children.append(Element("Property", row, channel.where))
             continue
         for inner in channel.all("Channel"):
             name = _PROPERTIES.get(inner.text(0))
@@ -87,8 +89,8 @@ def _properties(model: Element, notes: Notes) -> Element:
                 if default is not None and axis >= 0:
                     values[axis] = number(default, 0, notes)
             row = [name, "", "", *values]
-            found.children.append(Element("Property", row, inner.where))
-    return found
+            properties.children.append(Element("Property", row, inner.where))
+    return properties
 
 
 def _connect(links: Element, below: str, above: str) -> None:

@@ -1,4 +1,4 @@
-"""The nodes of an FBX, and how their transforms are made up.
+"""FBX nodes (models) and the evaluation of their transforms.
 
 ``local = T · Roff · Rp · Rpre · R · Rpost⁻¹ · Rp⁻¹ · Soff · Sp · S · Sp⁻¹``; the
 linear part is a rotation times a scale. A child may leave out its parent's own scale
@@ -15,12 +15,12 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.fbx.angles import XYZ, rotations_of
 from animtool.formats.fbx.layers import (
+    OUTER_ROTATIONS,
     PIVOTS,
     ROTATION,
     SCALING,
     TRANSLATION,
-    TURNS,
-    Track,
+    PropertyTrack,
 )
 from animtool.formats.fbx.objects import ROOTS, FbxFile, Id, Object, scalar, vector
 from animtool.formats.fbx.takes import AnimTake
@@ -49,7 +49,7 @@ class Model:
         inherit: How it takes the scale of its parent.
         geometric: What its own mesh is transformed by ``(4, 4)``.
         active: Whether order and the rotations before and after count.
-        turns: Angles of these two ``(2, 3)`` [deg].
+        outer_angles: Angles of these two ``(2, 3)`` [deg].
         scale_from: Node whose scale, and what that has of others, it takes along its
             own axes; -1 for none.
     """
@@ -64,12 +64,12 @@ class Model:
     inherit: int
     geometric: FloatArray
     active: bool
-    turns: FloatArray
+    outer_angles: FloatArray
     scale_from: int = -1
 
     @property
     def name(self) -> str:
-        """Its name, namespace kept."""
+        """The node name, namespace included."""
         return self.object.name
 
     def local(
@@ -79,11 +79,13 @@ class Model:
         values = _state(self, take, ticks)
         pre, post = self.pre, self.post
         if take is not None and self.active:
-            first, last = (_track(self, take, name) for name in TURNS)
+            first, last = (_track(self, take, name) for name in OUTER_ROTATIONS)
             if first is not None:
-                pre = rotations_of(first.at(self.turns[0], ticks), XYZ)
+                pre = rotations_of(first.at(self.outer_angles[0], ticks), XYZ)
             if last is not None:
-                post = so3.conjugate(rotations_of(last.at(self.turns[1], ticks), XYZ))
+                post = so3.conjugate(
+                    rotations_of(last.at(self.outer_angles[1], ticks), XYZ)
+                )
         rotations = rotations_of(values[:, 1], self.order)
         rotations = so3.multiply(so3.multiply(pre, rotations), post)
         scales = values[:, 2]
@@ -111,33 +113,33 @@ def read_models(file: FbxFile) -> list[Model]:
     below: dict[Id | None, list[Object]] = {}
     for one in objects:
         below.setdefault(parents[one.id], []).append(one)
-    found: list[Model] = []
+    models: list[Model] = []
     stack = [(one, -1) for one in reversed(below.get(None, []))]
     while stack:
         one, parent = stack.pop()
-        made, own = _model(file, one, parent), len(found)
-        if parent >= 0 and made.inherit == COMPONENTWISE:
-            made.scale_from = parent
-        elif parent >= 0 and made.inherit == IGNORE:
-            made.scale_from = found[parent].scale_from
-        found.append(made)
-        stack += [(child, own) for child in reversed(below.get(one.id, []))]
-    if len(found) < len(objects):
-        done = {model.object.id for model in found}
+        node, index = _model(file, one, parent), len(models)
+        if parent >= 0 and node.inherit == COMPONENTWISE:
+            node.scale_from = parent
+        elif parent >= 0 and node.inherit == IGNORE:
+            node.scale_from = models[parent].scale_from
+        models.append(node)
+        stack += [(child, index) for child in reversed(below.get(one.id, []))]
+    if len(models) < len(objects):
+        done = {model.object.id for model in models}
         lost = next(one for one in objects if one.id not in done)
         message = f"the node {lost.name!r} is its own ancestor"
         file.notes.fail("FBX009", lost.element.where, message)
-    return found
+    return models
 
 
 def _is_of_viewer(file: FbxFile, one: Object) -> bool:
-    """Return whether a node is a camera that old exporters add, in no scene."""
+    """Return whether a node is a default camera that old exporters add."""
     return one.subtype.startswith("Camera") and one.id not in file.above
 
 
 def _parent(file: FbxFile, one: Object) -> Id | None:
     above = [model.id for model in file.targets(one.id, "Model")]
-    above = [own for own in above if own not in ROOTS]
+    above = [id_ for id_ in above if id_ not in ROOTS]
     if len(set(above)) > 1:
         message = f"the node {one.name!r} has {len(set(above))} parents"
         file.notes.fail("FBX009", one.element.where, message)
@@ -165,7 +167,7 @@ def _model(file: FbxFile, one: Object, parent: int) -> Model:
         hint = "spherical XYZ is specific to MotionBuilder; export with an Euler order"
         notes.fail("FBX004", one.element.where, message, hint)
     angles = np.array([pre, post])
-    turns = rotations_of(angles, XYZ)
+    outer = rotations_of(angles, XYZ)
     inherit = int(scalar(one, "InheritType", INHERIT, notes))
     if inherit not in {COMPONENTWISE, INHERIT, IGNORE}:
         message = (
@@ -173,16 +175,16 @@ def _model(file: FbxFile, one: Object, parent: int) -> Model:
         )
         notes.fail("FBX004", one.element.where, message)
     geometric = np.eye(4)
-    turn = rotations_of(triple("GeometricRotation")[None], XYZ)[0]
-    geometric[:3, :3] = so3.to_matrix(turn) * triple("GeometricScaling", (1.0,) * 3)
+    rotation = rotations_of(triple("GeometricRotation")[None], XYZ)[0]
+    geometric[:3, :3] = so3.to_matrix(rotation) * triple("GeometricScaling", (1.0,) * 3)
     geometric[:3, 3] = triple("GeometricTranslation")
     return Model(
         one,
         parent,
         base,
         _ORDERS[order],
-        turns[0],
-        so3.conjugate(turns[1]),
+        outer[0],
+        so3.conjugate(outer[1]),
         np.stack([triple(name) for name in PIVOTS]),
         inherit,
         geometric,
@@ -191,28 +193,28 @@ def _model(file: FbxFile, one: Object, parent: int) -> Model:
     )
 
 
-def _track(model: Model, take: AnimTake | None, name: str) -> Track | None:
+def _track(model: Model, take: AnimTake | None, name: str) -> PropertyTrack | None:
     return None if take is None else take.tracks.get((model.object.id, name))
 
 
 def _state(model: Model, take: AnimTake | None, ticks: IntArray) -> FloatArray:
     """Return translation, rotation [deg] and scale at times ``(F, 3, 3)``."""
-    found = np.repeat(model.base[None], len(ticks), axis=0)
+    states = np.repeat(model.base[None], len(ticks), axis=0)
     for k, name in enumerate(_PROPERTIES):
         track = _track(model, take, name)
         if track is not None:
-            found[:, k] = track.at(model.base[k], ticks)
-    return found
+            states[:, k] = track.at(model.base[k], ticks)
+    return states
 
 
 def _pivots(model: Model, take: AnimTake | None, ticks: IntArray) -> list[FloatArray]:
-    """Return offset and pivot of rotations, then of scales ``(3,)`` or ``(F, 3)``."""
-    found = list(model.pivots)
+    """Return rotation offset and pivot, scaling offset and pivot."""
+    pivots = list(model.pivots)
     for k, name in enumerate(PIVOTS):
         track = _track(model, take, name)
         if track is not None:
-            found[k] = track.at(model.pivots[k], ticks)
-    return found
+            pivots[k] = track.at(model.pivots[k], ticks)
+    return pivots
 
 
 def has_pivots(model: Model, take: AnimTake | None) -> bool:
@@ -223,14 +225,16 @@ def has_pivots(model: Model, take: AnimTake | None) -> bool:
 
 
 def moving(model: Model, take: AnimTake | None) -> tuple[bool, bool, bool]:
-    """Return which of translation, rotation and scale change in a take."""
+    """Return whether translation, rotation and scale change in a take."""
 
     def moves(name: str, base: FloatArray) -> bool:
         track = _track(model, take, name)
         return track is not None and track.constant(base) is None
 
-    own = [moves(name, model.base[k]) for k, name in enumerate(_PROPERTIES)]
-    own[0] |= any(moves(name, model.pivots[k]) for k, name in enumerate(PIVOTS))
+    changes = [moves(name, model.base[k]) for k, name in enumerate(_PROPERTIES)]
+    changes[0] |= any(moves(name, model.pivots[k]) for k, name in enumerate(PIVOTS))
     if model.active:
-        own[1] |= any(moves(name, model.turns[k]) for k, name in enumerate(TURNS))
-    return own[0], own[1], own[2]
+        changes[1] |= any(
+            moves(name, model.outer_angles[k]) for k, name in enumerate(OUTER_ROTATIONS)
+        )
+    return changes[0], changes[1], changes[2]

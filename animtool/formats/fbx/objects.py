@@ -1,4 +1,4 @@
-"""The objects of an FBX, their properties, and what is connected to what."""
+"""FBX objects, their properties and connections."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
 from animtool.formats.fbx.binary import MAGIC, read_binary
-from animtool.formats.fbx.elements import LARGEST, Element
+from animtool.formats.fbx.elements import FLOAT32_LIMIT, Element
 from animtool.formats.fbx.legacy import with_objects
 from animtool.formats.fbx.text import looks_like_text, read_text
-from animtool.formats.gltf.places import Notes
+from animtool.formats.file_notices import FileNotices
 
 # Below, nothing is known of the layout, and neither is it above.
 OLDEST, NEWEST = 5000, 7999
@@ -50,13 +50,13 @@ class Object:
 
     def values(self, name: str) -> list[Any]:
         """Return the values of a property; empty where it has none."""
-        found = self.properties.get(name)
-        return found if found is not None else self.defaults.get(name, [])
+        stated = self.properties.get(name)
+        return stated if stated is not None else self.defaults.get(name, [])
 
 
 @dataclass(slots=True, eq=False)
 class FbxFile:
-    """A file as objects.
+    """The objects and connections of a file.
 
     Attributes:
         path: The file.
@@ -76,19 +76,19 @@ class FbxFile:
     root: Element
     objects: dict[Id, Object]
     settings: Object
-    notes: Notes
+    notes: FileNotices
     below: dict[Id, list[tuple[Id, str]]] = field(default_factory=dict)
     above: dict[Id, list[tuple[Id, str]]] = field(default_factory=dict)
 
     def sources(self, of: Id, kind: str, subtype: str | None = None) -> list[Object]:
-        """Return the objects of a kind that are connected to one."""
-        found = [self.objects.get(one) for one, _ in self.below.get(of, ())]
-        return [one for one in found if one is not None and _is(one, kind, subtype)]
+        """Return objects of a kind connected to an object as sources."""
+        objects = [self.objects.get(one) for one, _ in self.below.get(of, ())]
+        return [one for one in objects if one is not None and _is(one, kind, subtype)]
 
     def targets(self, of: Id, kind: str) -> list[Object]:
-        """Return the objects of a kind that one is connected to."""
-        found = [self.objects.get(one) for one, _ in self.above.get(of, ())]
-        return [one for one in found if one is not None and one.kind == kind]
+        """Return objects of a kind that an object is connected to."""
+        objects = [self.objects.get(one) for one, _ in self.above.get(of, ())]
+        return [one for one in objects if one is not None and one.kind == kind]
 
     def of_kind(self, kind: str, subtype: str | None = None) -> list[Object]:
         """Return all objects of a kind."""
@@ -100,32 +100,32 @@ def _is(one: Object, kind: str, subtype: str | None) -> bool:
 
 
 def vector(
-    of: Object, name: str, default: tuple[float, ...], notes: Notes
+    of: Object, name: str, default: tuple[float, ...], notes: FileNotices
 ) -> tuple[float, ...]:
-    """Return the numbers of a property, as many as the default has."""
+    """Return a vector property with as many numbers as its default."""
     values = of.values(name)[: len(default)]
     if len(values) < len(default):
         return default
-    if not all(isinstance(v, int | float) and abs(v) <= LARGEST for v in values):
+    if not all(isinstance(v, int | float) and abs(v) <= FLOAT32_LIMIT for v in values):
         message = f"{name} of {of.name!r} must be numbers, not {excerpt(str(values))}"
         notes.fail("FBX005", of.element.where, message)
     return tuple(float(value) for value in values)
 
 
-def scalar(of: Object, name: str, default: float, notes: Notes) -> float:
-    """Return the number of a property."""
+def scalar(of: Object, name: str, default: float, notes: FileNotices) -> float:
+    """Return a scalar property."""
     return vector(of, name, (default,), notes)[0]
 
 
 def open_objects(path: Path | str) -> FbxFile:
-    """Return the objects of an FBX.
+    """Open an FBX; return its objects.
 
     Raises:
         FormatError: It is none (FBX001), is broken (FBX001, FBX002), of a version that
             is not read (FBX003), or too large (FBX013).
     """
     path = Path(path)
-    notes = Notes(str(path))
+    notes = FileNotices(str(path))
     content = read_input(path)
     is_text = not content.startswith(MAGIC)
     if is_text and not looks_like_text(content):
@@ -145,7 +145,7 @@ def open_objects(path: Path | str) -> FbxFile:
     templates = _templates(root)
     objects: dict[Id, Object] = {}
     settings = Object(-1, "GlobalSettings", "", "", root, {}, {})
-    parts = [one for found in root.all("Objects") for one in found.children]
+    parts = [one for file in root.all("Objects") for one in file.children]
     for element in [*parts, *root.all("GlobalSettings")]:
         if element.name == "GlobalSettings":
             settings.properties |= _properties(element)
@@ -158,13 +158,13 @@ def open_objects(path: Path | str) -> FbxFile:
             notes.warn("FBX106", element.where, message)
             continue
         objects[one.id] = one
-    found = FbxFile(path, version, is_text, root, objects, settings, notes)
-    _connect(found)
-    return found
+    file = FbxFile(path, version, is_text, root, objects, settings, notes)
+    _connect(file)
+    return file
 
 
 def _stated_version(root: Element, version: int) -> int:
-    """Return the version that a file states; headers of old ones have another."""
+    """Return the version in the header element, which old files state there."""
     header = root.find("FBXHeaderExtension")
     stated = None if header is None else header.find("FBXVersion")
     if stated is not None and stated.values and isinstance(stated.values[0], int):
@@ -173,7 +173,7 @@ def _stated_version(root: Element, version: int) -> int:
 
 
 def plain_name(text: str) -> tuple[str, str]:
-    r"""Return kind and name of an object's name.
+    r"""Split an object name into kind and name.
 
     >>> plain_name("Model::hero:hips"), plain_name("hips\x00\x01Model")
     (('Model', 'hero:hips'), ('Model', 'hips'))
@@ -191,22 +191,22 @@ def _object(
     values = element.values
     first = 1 if version >= NUMBERED else 0
     kind, name = plain_name(element.text(first))
-    own: Id = f"{kind or element.name}::{name}"
+    id_: Id = f"{kind or element.name}::{name}"
     if first:
         if not values or not isinstance(values[0], int):
             return None
-        own = values[0]
+        id_ = values[0]
     elif not values:
         return None
     subtype = element.text(first + 1)
     properties = _properties(element)
-    usual = templates.get(element.name, {})
-    return Object(own, element.name, name, subtype, element, properties, usual)
+    defaults = templates.get(element.name, {})
+    return Object(id_, element.name, name, subtype, element, properties, defaults)
 
 
 def _properties(element: Element) -> dict[str, list[Any]]:
     """Return the properties of an object, of either layout."""
-    found: dict[str, list[Any]] = {}
+    entries: dict[str, list[Any]] = {}
     for group, name, first in (
         ("Properties70", "P", 4),
         ("Properties60", "Property", 3),
@@ -214,20 +214,20 @@ def _properties(element: Element) -> dict[str, list[Any]]:
         for properties in element.all(group):
             for one in properties.all(name):
                 if one.values and isinstance(one.values[0], str):
-                    found[one.values[0]] = one.values[first:]
-    return found
+                    entries[one.values[0]] = one.values[first:]
+    return entries
 
 
 def _templates(root: Element) -> dict[str, dict[str, list[Any]]]:
     """Return the default properties of each kind of object."""
-    found: dict[str, dict[str, list[Any]]] = {}
+    templates: dict[str, dict[str, list[Any]]] = {}
     for definitions in root.all("Definitions"):
         for kind in definitions.all("ObjectType"):
             for template in kind.all("PropertyTemplate"):
                 # Attributes have one for each class; none of those moves anything.
                 if kind.text(0) != "NodeAttribute":
-                    found.setdefault(kind.text(0), _properties(template))
-    return found
+                    templates.setdefault(kind.text(0), _properties(template))
+    return templates
 
 
 def _connect(file: FbxFile) -> None:

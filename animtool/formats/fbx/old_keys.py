@@ -14,34 +14,34 @@ from animtool.formats.fbx.curves import (
     MAX_TICKS,
     NEXT,
     THIRD,
-    Curve,
+    FbxCurve,
 )
 from animtool.formats.fbx.elements import Element
 from animtool.formats.fbx.keys import check_times, checked
 from animtool.formats.fbx.settings import TICKS
 from animtool.formats.fbx.tangents import (
     CURVED,
-    HELD,
     NEXT_VALUE,
     PROGRESSIVE,
+    STEPPED,
     STRAIGHT,
     TIME_INDEPENDENT,
     USER,
     key_slopes,
 )
-from animtool.formats.gltf.places import Notes
+from animtool.formats.file_notices import FileNotices
 
 # Layouts of keys: that of 6100, the first whose constant keys say which value holds,
 # and one whose tangents have no weights.
-LAYOUT, HELD_BY, UNWEIGHTED = 4005, 4004, 4003
+LAYOUT, STEP_LETTERS, UNWEIGHTED = 4005, 4004, 4003
 # By version of the file, where the channel states none.
 LAYOUT_OF_5000 = 4004
 
 
 def curve_of_channel(
-    element: Element, notes: Notes, layout: int = LAYOUT
-) -> Curve | None:
-    """Return the curve of a channel of a take, as files before 7000 have it.
+    element: Element, notes: FileNotices, layout: int = LAYOUT
+) -> FbxCurve | None:
+    """Return the curve of a take's channel (before FBX 7000).
 
     layout: Of its keys, where it states none.
 
@@ -69,19 +69,19 @@ def curve_of_channel(
     weights = np.stack([np.array(one) for one in columns[5:7]], axis=1)
     check_times(times, element, notes)
     right, left = key_slopes(times / TICKS, values, flags, slopes, weights)
-    held = np.where(flags & NEXT_VALUE != 0, NEXT, CONSTANT)
-    modes = np.where(flags & HELD != 0, held, LINEAR)
+    step_modes = np.where(flags & NEXT_VALUE != 0, NEXT, CONSTANT)
+    modes = np.where(flags & STEPPED != 0, step_modes, LINEAR)
     modes[flags & CURVED != 0] = CUBIC
-    return checked(Curve(times, values, modes, right, left, weights), element, notes)
+    return checked(FbxCurve(times, values, modes, right, left, weights), element, notes)
 
 
 class _Keys:
-    """The values of the keys of a channel, one after the other."""
+    """Cursor over the key values of a channel."""
 
-    def __init__(self, element: Element, notes: Notes, layout: int) -> None:
+    def __init__(self, element: Element, notes: FileNotices, layout: int) -> None:
         values = element.values
-        whole = len(values) == 1 and isinstance(values[0], np.ndarray)
-        self.values = values[0].tolist() if whole else values
+        is_array = len(values) == 1 and isinstance(values[0], np.ndarray)
+        self.values = values[0].tolist() if is_array else values
         self.element, self.notes, self.at = element, notes, 0
         self.layout = layout
         self.guessed: set[str] = set()
@@ -123,8 +123,8 @@ def _key(keys: _Keys) -> tuple[int, float, int, float, float, float, float]:
     if mode == "L":
         return time, value, STRAIGHT, 0.0, 0.0, THIRD, THIRD
     if mode == "C":
-        after = keys.letter() if keys.layout >= HELD_BY else ""
-        flags = HELD | (NEXT_VALUE if after == "n" else 0)
+        after = keys.letter() if keys.layout >= STEP_LETTERS else ""
+        flags = STEPPED | (NEXT_VALUE if after == "n" else 0)
         return time, value, flags, 0.0, 0.0, THIRD, THIRD
     if mode != "U":
         keys.fail(f"interpolation {mode!r} of a key is not read")
@@ -141,7 +141,7 @@ _GUESSED = {"p": (2, 1, 2), "q": (2, 1, 2), "t": (3, 0, 0), "d": (1, 1, 1)}
 
 
 def _tangent(keys: _Keys) -> tuple[int, float, float, int]:
-    """Return flags and slopes of a cubic key, and how many lists of weights follow."""
+    """Return flags and slopes of a cubic key, and the count of weight lists."""
     kind = keys.letter()
     if kind in {"s", "b"}:
         right, left = keys.number(), keys.number()

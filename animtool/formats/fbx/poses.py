@@ -1,4 +1,4 @@
-"""Local transforms of the joints that nodes of an FBX become.
+"""Local transforms of joints, evaluated from FBX nodes.
 
 A node is a joint. Where it leaves out an uneven scale of its parent, or takes it along
 its own axes, no rotation and scale hold its transform: a joint above it carries the
@@ -30,39 +30,39 @@ from animtool.formats.gltf.rig import SAME_SCALE
 from animtool.maths import so3
 
 # A scale that is nearer to 0 is taken as this where it is divided by.
-LEAST_SCALE = 1e-9
+MIN_SCALE = 1e-9
 _REST = np.zeros(1, np.int64)
 
 
 class RowKind(Enum):
-    """What of a node a joint carries."""
+    """Which part of a node's transform a joint takes."""
 
-    WHOLE = auto()
+    FULL = auto()
     OUTER = auto()  # translation, and the inverse scale of the parent
     INNER = auto()  # rotation and scale
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A joint."""
+    """A joint: a node and the part of its transform."""
 
     model: int
     kind: RowKind
 
 
-class State:
-    """Transforms of nodes at some times of a take; each is evaluated once."""
+class NodeTransforms:
+    """Node transforms at given times of a take, each evaluated once."""
 
     def __init__(self, scene: FbxScene, take: AnimTake | None, ticks: IntArray) -> None:
-        """Take times ``(F,)`` [ticks]; a take of None is the scene as saved."""
+        """Evaluate at times ``(F,)`` [ticks]; None is the saved scene."""
         self.models, self.take, self.ticks = scene.models, take, ticks
         self.basis = scene.settings.basis
-        self._turn = so3.from_matrix(self.basis)
+        self._axes_rotation = so3.from_matrix(self.basis)
         self._left = {one.parent for one in self.models if one.inherit != INHERIT}
         self._locals: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
 
     def local(self, i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return translations, rotations and scales of a node, as it has them."""
+        """Return local translations, rotations and scales of a node."""
         if i not in self._locals:
             moved, turned, scales = self.models[i].local(self.take, self.ticks)
             # What a child leaves out is divided by.
@@ -70,8 +70,8 @@ class State:
             self._locals[i] = moved, turned, scales
         return self._locals[i]
 
-    def own(self, i: int) -> FloatArray:
-        """Return the scale of a node along its own axes, inherited parts included.
+    def local_scale(self, i: int) -> FloatArray:
+        """Return a node's scale along its local axes, inheritance included.
 
         It is what its children may leave out ``(F, 3)``.
         """
@@ -81,22 +81,22 @@ class State:
         return scale
 
     def world(self, i: int) -> FloatArray:
-        """Return the world transforms of a node, in the file's axes ``(F, 4, 4)``."""
-        whole, chain = np.tile(np.eye(4), (len(self.ticks), 1, 1)), [i]
+        """Return world transforms of a node in file axes ``(F, 4, 4)``."""
+        world, chain = np.tile(np.eye(4), (len(self.ticks), 1, 1)), [i]
         while self.models[chain[-1]].parent >= 0:
             chain.append(self.models[chain[-1]].parent)
         for node in reversed(chain):
             model = self.models[node]
             moved, turned, _ = self.local(node)
-            scaled, leaves = self.own(node), model.inherit != INHERIT
+            scaled, leaves = self.local_scale(node), model.inherit != INHERIT
             local = np.tile(np.eye(4), (len(self.ticks), 1, 1))
             local[:, :3, :3] = so3.to_matrix(turned) * scaled[:, None, :]
             if leaves and model.parent >= 0:
-                above = _inverse(self.own(model.parent))
+                above = _inverse(self.local_scale(model.parent))
                 local[:, :3, :3] = above[:, :, None] * local[:, :3, :3]
             local[:, :3, 3] = moved
-            whole = whole @ local
-        return np.asarray(whole)
+            world = world @ local
+        return np.asarray(world)
 
     def row(self, row: Row) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales of a joint, in the file's unit."""
@@ -105,18 +105,20 @@ class State:
         if model.parent < 0:
             if not np.array_equal(self.basis, np.eye(3)):
                 translations = translations @ self.basis.T
-                rotations = so3.multiply(self._turn, rotations)
+                rotations = so3.multiply(self._axes_rotation, rotations)
             return translations, rotations, scales
-        if row.kind is RowKind.WHOLE:
+        if row.kind is RowKind.FULL:
             if model.inherit == IGNORE:
-                scales = self.own(row.model) * _inverse(self.own(model.parent))
+                scales = self.local_scale(row.model) * _inverse(
+                    self.local_scale(model.parent)
+                )
             return translations, rotations, scales
-        above = self.own(model.parent)
+        above = self.local_scale(model.parent)
         if row.kind is RowKind.OUTER:
-            still = np.zeros_like(rotations)
-            still[:, 3] = 1.0
-            return translations, still, _inverse(above)
-        return np.zeros_like(translations), rotations, self.own(row.model)
+            identities = np.zeros_like(rotations)
+            identities[:, 3] = 1.0
+            return translations, identities, _inverse(above)
+        return np.zeros_like(translations), rotations, self.local_scale(row.model)
 
 
 def _inverse(scales: FloatArray) -> FloatArray:
@@ -124,39 +126,39 @@ def _inverse(scales: FloatArray) -> FloatArray:
 
 
 def _no_zeros(scales: FloatArray) -> FloatArray:
-    least = np.where(scales < 0, -LEAST_SCALE, LEAST_SCALE)
-    return np.asarray(np.where(np.abs(scales) < LEAST_SCALE, least, scales))
+    least = np.where(scales < 0, -MIN_SCALE, MIN_SCALE)
+    return np.asarray(np.where(np.abs(scales) < MIN_SCALE, least, scales))
 
 
 class Changes:
-    """Which transforms of joints a take changes."""
+    """Which joint transforms a take changes."""
 
     def __init__(self, models: Sequence[Model], take: AnimTake | None) -> None:
         """Take the nodes of a file and a take of it."""
         self.models, self.take = models, take
         self.moving = [moving(model, take) for model in models]
 
-    def own(self, i: int) -> bool:
-        """Return whether the scale changes that children of a node may leave out."""
+    def local_scale(self, i: int) -> bool:
+        """Return whether the scale that children may compensate changes."""
         return any(self.moving[one][2] for one in scale_chain(self.models, i))
 
     def row(self, row: Row) -> tuple[bool, bool, bool]:
         """Return whether translation, rotation and scale of a joint change."""
         model = self.models[row.model]
-        moves, turns, scales = self.moving[row.model]
-        if (turns or scales) and has_pivots(model, self.take):
+        moves, rotates, scales = self.moving[row.model]
+        if (rotates or scales) and has_pivots(model, self.take):
             moves = True
-        above = model.parent >= 0 and self.own(model.parent)
+        above = model.parent >= 0 and self.local_scale(model.parent)
         if row.kind is RowKind.OUTER:
             return moves, False, above
         if row.kind is RowKind.INNER:
-            return False, turns, self.own(row.model)
-        leaves = model.inherit == IGNORE and (above or self.own(row.model))
-        return moves, turns, scales or leaves
+            return False, rotates, self.local_scale(row.model)
+        leaves = model.inherit == IGNORE and (above or self.local_scale(row.model))
+        return moves, rotates, scales or leaves
 
 
 def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
-    """Return the joints of nodes, in their order."""
+    """Return the joints of nodes, in node order."""
     uneven: dict[int, bool] = {}
     rows = []
     for i in kept:
@@ -168,12 +170,12 @@ def rows_of(scene: FbxScene, kept: Sequence[int]) -> list[Row]:
             if uneven[parent]:
                 rows += [Row(i, RowKind.OUTER), Row(i, RowKind.INNER)]
                 continue
-        rows.append(Row(i, RowKind.WHOLE))
+        rows.append(Row(i, RowKind.FULL))
     return rows
 
 
 def _is_uneven(scene: FbxScene, i: int) -> bool:
-    """Return whether the scale of a node ever differs between its axes."""
+    """Return whether a node's scale ever differs between axes."""
     chain = scale_chain(scene.models, i)
     keys = [(scene.models[one].object.id, SCALING) for one in chain]
     for take in (None, *scene.takes):
@@ -190,22 +192,22 @@ def _is_uneven(scene: FbxScene, i: int) -> bool:
             if any({c.pre.mode, c.post.mode} != {"C"} for c in curves):
                 span = int(times[-1] - times[0]) or TICKS
                 ticks = np.concatenate([ticks - span, ticks, ticks + span])
-        own = State(scene, take, ticks).own(chain[0])
-        spread = own.max(axis=1) - own.min(axis=1)
-        if (spread > SAME_SCALE * np.abs(own).max(axis=1)).any():
+        local_scale = NodeTransforms(scene, take, ticks).local_scale(chain[0])
+        spread = local_scale.max(axis=1) - local_scale.min(axis=1)
+        if (spread > SAME_SCALE * np.abs(local_scale).max(axis=1)).any():
             return True
     return False
 
 
 def even_rows(scene: FbxScene, rows: Sequence[Row]) -> tuple[FloatArray, BoolArray]:
-    """Return scales as saved ``(J, 3)``, and which are even and never change."""
-    rest = State(scene, None, _REST)
+    """Return saved scales ``(J, 3)``, and which are uniform and static."""
+    rest = NodeTransforms(scene, None, _REST)
     scales = np.array([rest.row(row)[2][0] for row in rows]).reshape(-1, 3)
     low, high = scales.min(axis=1), scales.max(axis=1)
     even = (low > 0) & (high - low <= SAME_SCALE * np.abs(high))
     for take in scene.takes:
         changes = Changes(scene.models, take)
-        of_take = State(scene, take, np.array([take.begin], np.int64))
+        of_take = NodeTransforms(scene, take, np.array([take.begin], np.int64))
         for j, row in enumerate(rows):
             if not even[j] or not _is_touched(scene.models, row, take):
                 continue
@@ -215,7 +217,7 @@ def even_rows(scene: FbxScene, rows: Sequence[Row]) -> tuple[FloatArray, BoolArr
 
 
 def _is_touched(models: Sequence[Model], row: Row, take: AnimTake) -> bool:
-    """Return whether a take says something of a scale of a joint."""
+    """Return whether a take animates a joint's scale."""
     chain, model = scale_chain(models, row.model), models[row.model]
     if model.parent >= 0 and model.inherit != INHERIT:
         chain += scale_chain(models, model.parent)
@@ -223,7 +225,7 @@ def _is_touched(models: Sequence[Model], row: Row, take: AnimTake) -> bool:
 
 
 def scale_chain(models: Sequence[Model], i: int) -> list[int]:
-    """Return a node and all whose scales it takes along its own axes."""
+    """Return a node and the ancestors whose scale it inherits."""
     chain = [i]
     while (i := models[i].scale_from) >= 0:
         chain.append(i)

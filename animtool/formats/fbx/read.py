@@ -1,4 +1,4 @@
-"""An FBX as a rig, and its takes as streams of motion."""
+"""FBX reader: rigs, and takes as streams of motion."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.fbx.clip_keys import clip_of_fbx
 from animtool.formats.fbx.rig import FbxRig, build_rig, scale_notice
 from animtool.formats.fbx.sampling import (
-    Frames,
-    Sampler,
+    FbxFrames,
+    FbxSampler,
     between_notices,
     frames_of,
     moves,
@@ -25,7 +25,7 @@ from animtool.formats.fbx.sampling import (
 )
 from animtool.formats.fbx.scene import FbxScene, open_fbx
 from animtool.formats.fbx.takes import AnimTake
-from animtool.formats.gltf.characters import Character, chosen
+from animtool.formats.gltf.characters import CharacterNodes, chosen
 from animtool.motion.motion import MotionCurve
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
@@ -42,7 +42,7 @@ def read_fbx(
     prim_path: str | None = None,
     take: str | None = None,
 ) -> TakeStream:
-    """Open a take of an FBX on the character that it moves, meshes included.
+    """Open a take of an FBX on the character it animates, meshes included.
 
     Time 0 is frame 0. The stream is sampled at the file's rate; between frames its
     curve is what the file's curves give.
@@ -64,22 +64,24 @@ def read_fbx(
     rate = None if fps is None else rate_option(fps)
     scene = open_fbx(path, up)
     character, more = _character(scene, prim_path)
-    made = build_rig(scene, character, path.stem, None if unit is None else unit.meters)
-    index, of_takes = _take(scene, made, take)
-    own = None if index < 0 else scene.takes[index]
-    moving = Sampler(scene, made, own)
-    frames = frames_of(scene, own, rate, moving.numbers)
-    stream = take_stream(made, moving, frames)
-    stream.notices[:] = [*scene.file.notes.notices, *more, *made.notices, *of_takes]
-    stream.notices += between_notices(scene, made, moving, frames)
-    stream.notices += _left_out(scene, own)
+    fbx_rig = build_rig(
+        scene, character, path.stem, None if unit is None else unit.meters
+    )
+    index, of_takes = _take(scene, fbx_rig, take)
+    anim_take = None if index < 0 else scene.takes[index]
+    moving = FbxSampler(scene, fbx_rig, anim_take)
+    frames = frames_of(scene, anim_take, rate, moving.numbers)
+    stream = take_stream(fbx_rig, moving, frames)
+    stream.notices[:] = [*scene.file.notes.notices, *more, *fbx_rig.notices, *of_takes]
+    stream.notices += between_notices(scene, fbx_rig, moving, frames)
+    stream.notices += _left_out(scene, anim_take)
     names = take_names_of(scene)
     names = take_names_of(scene)
-    if own is not None:
-        stream.curve = _keyed(stream, names[index], made, moving, frames)
+    if anim_take is not None:
+        stream.curve = _keyed(stream, names[index], fbx_rig, moving, frames)
     stream.details = {
         "format": "FBX",
-        "units": unit_name(made.rig.meters_per_unit),
+        "units": unit_name(fbx_rig.rig.meters_per_unit),
         "take": names[index] if index >= 0 else None,
         "takes": names,
     }
@@ -87,20 +89,24 @@ def read_fbx(
 
 
 def _keyed(
-    stream: TakeStream, name: str, made: FbxRig, moving: Sampler, frames: Frames
+    stream: TakeStream,
+    name: str,
+    fbx_rig: FbxRig,
+    moving: FbxSampler,
+    frames: FbxFrames,
 ) -> MotionCurve:
-    """Return the motion of a stream at any time, with the keys that it is of."""
+    """Attach the clip with the file's keys to a stream."""
 
     def clip() -> Clip:
-        found, notices = clip_of_fbx(name, made, moving, frames)
-        return replace(found, notices=tuple(notices))
+        clip_, notices = clip_of_fbx(name, fbx_rig, moving, frames)
+        return replace(clip_, notices=tuple(notices))
 
     assert stream.curve is not None
     return KeyedCurve(stream.curve, clip, foreign=True)
 
 
 def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
-    """Return the rig of an FBX with its meshes and shapes, as the scene was saved.
+    """Return the rig of an FBX with meshes and shapes, as saved.
 
     Args:
         path: A .fbx file.
@@ -111,14 +117,14 @@ def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
     """
     scene = open_fbx(path)
     character, notices = _character(scene, prim_path)
-    made = build_rig(scene, character, Path(path).stem)
-    notices = [*scene.file.notes.notices, *notices, *made.notices]
-    notices += scale_notice(made, str(path))
-    return replace(made.rig, notices=tuple(notices))
+    fbx_rig = build_rig(scene, character, Path(path).stem)
+    notices = [*scene.file.notes.notices, *notices, *fbx_rig.notices]
+    notices += scale_notice(fbx_rig, str(path))
+    return replace(fbx_rig.rig, notices=tuple(notices))
 
 
 def take_names(path: Path) -> list[str]:
-    """Return the names of the takes of an FBX, in its order.
+    """Return the names of an FBX's takes, in file order.
 
     Raises:
         FormatError: As `read_fbx` does.
@@ -127,7 +133,7 @@ def take_names(path: Path) -> list[str]:
 
 
 def take_names_of(scene: FbxScene) -> list[str]:
-    """Return a distinct name for every take."""
+    """Return distinct names of all takes."""
     plain = [
         "".join(c if c.isprintable() else "_" for c in one.name).strip()
         for one in scene.takes
@@ -135,12 +141,14 @@ def take_names_of(scene: FbxScene) -> list[str]:
     return distinct(name or f"take_{i + 1}" for i, name in enumerate(plain))
 
 
-def _character(scene: FbxScene, prim_path: str | None) -> tuple[Character, list[Fault]]:
+def _character(
+    scene: FbxScene, prim_path: str | None
+) -> tuple[CharacterNodes, list[Fault]]:
     return chosen(scene, prim_path, "FBX014", "FBX115")
 
 
 def _left_out(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
-    """Say once what of the file no take holds."""
+    """Return one notice about file contents that takes cannot hold."""
     names = list(scene.left_out)
     if take is not None and take.visible:
         names.append("animated visibility")
@@ -150,15 +158,17 @@ def _left_out(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
     return [Fault("FBX109", message, str(scene.path), severity=Severity.NOTE)]
 
 
-def _take(scene: FbxScene, made: FbxRig, take: str | None) -> tuple[int, list[Fault]]:
-    """Return which take is read, -1 for none, and a note of the others."""
+def _take(
+    scene: FbxScene, fbx_rig: FbxRig, take: str | None
+) -> tuple[int, list[Fault]]:
+    """Return the index of the take to read, -1 for none, and a note of others."""
     path, names = str(scene.path), take_names_of(scene)
     if take is not None:
         if take in names:
             return names.index(take), []
         message = f"has no take {take!r}"
         raise FormatError(Fault("FBX015", message, path, (), nearest(take, names)))
-    moving = [i for i, one in enumerate(scene.takes) if moves(made, one, scene)]
+    moving = [i for i, one in enumerate(scene.takes) if moves(fbx_rig, one, scene)]
     if not moving:
         message = "has no animation of the character: it keeps its saved pose"
         return -1, [Fault("FBX116", message, path, severity=Severity.NOTE)]

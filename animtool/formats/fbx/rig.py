@@ -1,4 +1,4 @@
-"""A character of an FBX as a rig: joints, bind pose, meshes and shapes."""
+"""An FBX character as a rig: joints, bind pose, meshes and shapes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
 from animtool.core.record import dataclass
 from animtool.core.similar import distinct
-from animtool.formats.fbx.geometry import Geometry, ShapeChannel, skin_table
+from animtool.formats.fbx.geometry import FbxGeometry, ShapeChannel, skin_table
 from animtool.formats.fbx.layers import ROTATION, SCALING, TRANSLATION
-from animtool.formats.fbx.poses import Row, RowKind, State, even_rows, rows_of
+from animtool.formats.fbx.poses import NodeTransforms, Row, RowKind, even_rows, rows_of
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.gltf.binding import Binder
-from animtool.formats.gltf.characters import Character
+from animtool.formats.gltf.characters import CharacterNodes
 from animtool.formats.gltf.rig import joint_names
 from animtool.rig.parts import HeldArray, Inbetween, Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Joint, Rig
@@ -31,7 +31,7 @@ NEAREST = 1e-5
 
 @dataclass(slots=True, eq=False)
 class FbxRig:
-    """A rig, and what of the file its joints and shapes are.
+    """A rig with the nodes and channels its joints and shapes come from.
 
     Attributes:
         rig: J joints.
@@ -61,13 +61,13 @@ class FbxRig:
 
 def build_rig(
     scene: FbxScene,
-    character: Character,
+    character: CharacterNodes,
     name: str,
     meters: float | None = None,
     *,
     surfaces: bool = True,
 ) -> FbxRig:
-    """Return the rig of a character, at rest as the scene was saved.
+    """Return the rig of a character; the rest pose is the saved scene.
 
     Every node is a joint, but for those of skinned meshes with nothing below, whose
     transform has no effect. A scale that is even and never moves goes into the
@@ -98,15 +98,15 @@ def build_rig(
             joints[row.model] = j
             folded[row.model] = length * (float(scales[j].mean()) if even[j] else 1.0)
     names, notices = _names(scene, rows)
-    rest = State(scene, None, np.zeros(1, np.int64))
-    made = []
+    rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
+    joint_list = []
     for j, row in enumerate(rows):
         moved, turned, _ = rest.row(row)
         x, y, z = (moved[0] * factors[j]).tolist()
         a, b, c, w = turned[0].tolist()
         original = scene.models[row.model].name
         source = "" if original == names[j] or row.kind is RowKind.OUTER else original
-        made.append(
+        joint_list.append(
             Joint(
                 names[j],
                 parents[j],
@@ -116,16 +116,16 @@ def build_rig(
             )
         )
     scales = np.where(even[:, None], 1.0, scales)
-    rig = Rig(name, tuple(made), unit, scene.settings.up)
-    found = FbxRig(rig, rows, joints, folded, factors, even, scales, [], {}, notices)
-    _put_shapes_and_meshes(scene, character, found, surfaces=surfaces)
-    found.notices += _moved_meshes(scene, character)
-    return found
+    rig = Rig(name, tuple(joint_list), unit, scene.settings.up)
+    fbx_rig = FbxRig(rig, rows, joints, folded, factors, even, scales, [], {}, notices)
+    _put_shapes_and_meshes(scene, character, fbx_rig, surfaces=surfaces)
+    fbx_rig.notices += _moved_meshes(scene, character)
+    return fbx_rig
 
 
-def _moved_meshes(scene: FbxScene, character: Character) -> list[Fault]:
-    """Name skinned meshes whose own node is not where it was when they were bound."""
-    rest = State(scene, None, np.zeros(1, np.int64))
+def _moved_meshes(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
+    """Return a note of skinned meshes whose node moved since binding."""
+    rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
     names = []
     for node in character.nodes:
         index = scene.nodes[node].skin
@@ -153,17 +153,17 @@ def _moved_meshes(scene: FbxScene, character: Character) -> list[Fault]:
 
 
 def _only_a_skin(scene: FbxScene, node: int) -> bool:
-    """Return whether a node is that of a skinned mesh, and nothing else."""
-    own = scene.nodes[node]
-    if own.skin < 0 or own.children:
+    """Return whether a node only carries a skinned mesh."""
+    entry = scene.nodes[node]
+    if entry.skin < 0 or entry.children:
         return False
     return not any(node in skin.joints for skin in scene.skins)
 
 
 def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]]:
-    whole = [row.model for row in rows if row.kind is not RowKind.OUTER]
-    named, renamed = joint_names([scene.nodes[node] for node in whole], whole)
-    of_model = dict(zip(whole, named, strict=True))
+    inner = [row.model for row in rows if row.kind is not RowKind.OUTER]
+    named, renamed = joint_names([scene.nodes[node] for node in inner], inner)
+    of_model = dict(zip(inner, named, strict=True))
     outer = [
         f"{of_model[row.model]}_unscaled" if row.kind is RowKind.OUTER else ""
         for row in rows
@@ -191,7 +191,7 @@ def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]
 
 
 def _put_shapes_and_meshes(
-    scene: FbxScene, character: Character, made: FbxRig, *, surfaces: bool
+    scene: FbxScene, character: CharacterNodes, fbx_rig: FbxRig, *, surfaces: bool
 ) -> None:
     shown = [node for node in character.nodes if node in scene.meshes]
     shown = [node for node in shown if len(scene.meshes[node].faces)]
@@ -202,38 +202,45 @@ def _put_shapes_and_meshes(
         )
         plain.append(text.strip() or f"mesh_{node}")
     called = distinct(plain)
-    made.meshes = dict(zip(shown, called, strict=True))
+    fbx_rig.meshes = dict(zip(shown, called, strict=True))
     shapes: list[Shape] = []
     taken: dict[str, None] = {}
     for node in shown:
         for channel in scene.meshes[node].shapes:
             full = _full(channel)
-            made.shapes.append((channel, full))
+            fbx_rig.shapes.append((channel, full))
             text = "".join(c if c.isprintable() else "_" for c in channel.name).strip()
-            name = text or f"{made.meshes[node]}_shape"
-            name = f"{made.meshes[node]}_{name}" if name in taken else name
+            name = text or f"{fbx_rig.meshes[node]}_shape"
+            name = f"{fbx_rig.meshes[node]}_{name}" if name in taken else name
             taken[distinct([*taken, name])[-1]] = None
-            own = list(taken)[-1]
+            unique = list(taken)[-1]
             if surfaces:
                 geometric = scene.models[node].geometric
-                shapes.append(_shape(own, made.meshes[node], channel, full, geometric))
+                shapes.append(
+                    _shape(unique, fbx_rig.meshes[node], channel, full, geometric)
+                )
             else:
-                shapes.append(Shape(own))
+                shapes.append(Shape(unique))
     if not surfaces:
-        made.rig = replace(made.rig, shapes=tuple(shapes))
+        fbx_rig.rig = replace(fbx_rig.rig, shapes=tuple(shapes))
         return
     binder = Binder(
-        scene, made.rig, made.joints, made.folded, made.scales, scene.bind_worlds()
+        scene,
+        fbx_rig.rig,
+        fbx_rig.joints,
+        fbx_rig.folded,
+        fbx_rig.scales,
+        scene.bind_worlds(),
     )
-    meshes = tuple(_mesh(scene, node, made.meshes[node], binder) for node in shown)
-    made.rig = binder.rig(meshes, tuple(shapes))
-    made.notices += binder.notices
-    more = len(made.rig.joints) - len(made.scales)
-    made.scales = np.concatenate([made.scales, np.ones((more, 3))])
+    meshes = tuple(_mesh(scene, node, fbx_rig.meshes[node], binder) for node in shown)
+    fbx_rig.rig = binder.rig(meshes, tuple(shapes))
+    fbx_rig.notices += binder.notices
+    more = len(fbx_rig.rig.joints) - len(fbx_rig.scales)
+    fbx_rig.scales = np.concatenate([fbx_rig.scales, np.ones((more, 3))])
 
 
 def _full(channel: ShapeChannel) -> float:
-    """Return the percentage at which the last shape of a channel is full."""
+    """Return the percentage at which a channel's last shape is full."""
     last = channel.targets[-1][0]
     return last if abs(last) > 100 * NEAREST else 100.0
 
@@ -241,14 +248,14 @@ def _full(channel: ShapeChannel) -> float:
 def _shape(
     name: str, mesh: str, channel: ShapeChannel, full: float, geometric: FloatArray
 ) -> Shape:
-    turn = geometric[:3, :3].T
+    back = geometric[:3, :3].T
     between = [
-        Inbetween(at / full, HeldArray(offsets @ turn))
+        Inbetween(at / full, HeldArray(offsets @ back))
         for at, offsets in channel.targets[:-1]
     ]
     between.sort(key=lambda one: one.at)
-    whole = HeldArray(channel.targets[-1][1] @ turn)
-    return Shape(name, mesh, whole, None, tuple(between))
+    full_offsets = HeldArray(channel.targets[-1][1] @ back)
+    return Shape(name, mesh, full_offsets, None, tuple(between))
 
 
 def _mesh(scene: FbxScene, node: int, name: str, binder: Binder) -> Mesh:
@@ -268,9 +275,9 @@ def _mesh(scene: FbxScene, node: int, name: str, binder: Binder) -> Mesh:
 
 
 def _skin(
-    scene: FbxScene, node: int, mesh: Geometry, binder: Binder
+    scene: FbxScene, node: int, mesh: FbxGeometry, binder: Binder
 ) -> tuple[Skin, FloatArray]:
-    """Return what a mesh follows: bones of its skin, or the node that shows it."""
+    """Return the skin of a mesh: its bones, or the node that shows it."""
     index = scene.nodes[node].skin
     if index >= 0:
         geometry, joints = binder.skin(index)
@@ -290,11 +297,11 @@ def _skin(
     return skin, geometry
 
 
-def scale_notice(made: FbxRig, where: str) -> list[Fault]:
-    """Name the joints whose scale, at rest or at bind time, a rig does not hold."""
-    rig = made.rig
-    odd = np.abs(made.scales - 1.0).max(axis=1) > 1e-4
-    names = Counter(rig.names[j] for j in np.flatnonzero(odd).tolist())
+def scale_notice(fbx_rig: FbxRig, where: str) -> list[Fault]:
+    """Return a notice of joint scales that a rig cannot hold."""
+    rig = fbx_rig.rig
+    scaled = np.abs(fbx_rig.scales - 1.0).max(axis=1) > 1e-4
+    names = Counter(rig.names[j] for j in np.flatnonzero(scaled).tolist())
     names.update(
         name
         for name, pose in rig.bind.items()

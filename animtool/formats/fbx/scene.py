@@ -1,4 +1,4 @@
-"""An FBX in memory: nodes, meshes and takes, and which nodes are skinned."""
+"""An FBX in memory: nodes, meshes, takes and skins."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import listed
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.formats.fbx.geometry import Geometry, has_free_points, read_geometry
+from animtool.formats.fbx.geometry import FbxGeometry, has_free_points, read_geometry
 from animtool.formats.fbx.models import Model, read_models
 from animtool.formats.fbx.objects import FbxFile, Id, open_objects
-from animtool.formats.fbx.settings import Settings, read_settings
+from animtool.formats.fbx.settings import FbxSettings, read_settings
 from animtool.formats.fbx.takes import AnimTake, default_take, read_takes
 from animtool.formats.gltf.meshes import SkinEntry
 from animtool.formats.gltf.nodes import Node
@@ -23,7 +23,7 @@ MAX_NAMED = 6
 
 @dataclass(slots=True, eq=False)
 class FbxScene:
-    """A file.
+    """The contents of a file.
 
     Attributes:
         file: Its objects.
@@ -39,9 +39,9 @@ class FbxScene:
     """
 
     file: FbxFile
-    settings: Settings
+    settings: FbxSettings
     models: list[Model]
-    meshes: dict[int, Geometry]
+    meshes: dict[int, FbxGeometry]
     takes: list[AnimTake]
     default: int
     nodes: tuple[Node, ...]
@@ -52,19 +52,19 @@ class FbxScene:
     default_scene: int = -1
 
     def bind_worlds(self) -> list[FloatArray]:
-        """Return where the mesh of each skin was when bound, axes as the rig's."""
-        turn = np.eye(4)
-        turn[:3, :3] = self.settings.basis
-        return [turn @ one for one in self.bind]
+        """Return each skin's mesh transform at bind time, in rig axes."""
+        axes = np.eye(4)
+        axes[:3, :3] = self.settings.basis
+        return [axes @ one for one in self.bind]
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """Path of the file."""
         return self.file.path
 
 
 def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
-    """Return an FBX, every number of what moves checked.
+    """Open an FBX; every number that affects motion is checked.
 
     up: which axis of the file points up; None is what it says.
 
@@ -100,9 +100,9 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
 
 
 def _skins(
-    meshes: dict[int, Geometry], index: dict[Id, int]
+    meshes: dict[int, FbxGeometry], index: dict[Id, int]
 ) -> tuple[list[SkinEntry], list[FloatArray]]:
-    """Return the skins, the node of the mesh last of their joints where it counts."""
+    """Return the skins; a mesh's node is the last joint where it counts."""
     skins, bind = [], []
     for node, mesh in meshes.items():
         if not mesh.clusters:
@@ -121,7 +121,7 @@ def _skins(
 
 
 def _nodes(
-    models: list[Model], meshes: dict[int, Geometry], skins: dict[int, int]
+    models: list[Model], meshes: dict[int, FbxGeometry], skins: dict[int, int]
 ) -> tuple[Node, ...]:
     children: list[list[int]] = [[] for _ in models]
     for i, model in enumerate(models):
@@ -160,19 +160,19 @@ _LEFT_OUT = {
 
 
 def _left_out(file: FbxFile) -> tuple[str, ...]:
-    """Return what a file holds that no rig and no take has a place for."""
+    """Return labels of contents that neither rigs nor takes can hold."""
     kinds = ("Material", "Texture", "Video")
-    found = {
+    labels = {
         _LEFT_OUT[key]: None
         for one in file.objects.values()
         for key in (one.kind if one.kind in kinds else one.subtype,)
         if key in _LEFT_OUT
     }
-    return tuple(sorted(found))
+    return tuple(sorted(labels))
 
 
 def _note_drivers(file: FbxFile) -> None:
-    """Name what drives the pose and is not evaluated."""
+    """Add a note about constraints and drivers, which are not evaluated."""
     drivers = file.of_kind("Constraint")
     if drivers:
         names = listed([repr(one.name) for one in drivers], MAX_NAMED)

@@ -1,4 +1,4 @@
-"""Axes, unit and frame rate of an FBX."""
+"""FBX global settings: axes, unit and frame rate."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ CUSTOM = 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Settings:
-    """What lengths, axes and times of a file are.
+class FbxSettings:
+    """Length unit, axes and time mode of a file.
 
     Attributes:
         meters: Of its unit [m].
@@ -56,8 +56,8 @@ class Settings:
     fps: Fraction
 
 
-def read_settings(file: FbxFile, up: UpAxis | None = None) -> Settings:
-    """Return the settings of a file.
+def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
+    """Return the global settings of a file.
 
     up: which axis of the file points up; None is what it says.
 
@@ -71,11 +71,11 @@ def read_settings(file: FbxFile, up: UpAxis | None = None) -> Settings:
         message = f"UnitScaleFactor is {factor:g}, and must be positive"
         notes.fail("FBX005", settings.element.where, message)
     turned = (up, np.eye(3)) if up is not None else _axes(file)
-    return Settings(factor / 100.0, *turned, _rate(file))
+    return FbxSettings(factor / 100.0, *turned, _rate(file))
 
 
 def _axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
-    """Return the up axis, and what turns the file to it.
+    """Return the up axis, and the rotation from file axes to it.
 
     Files with Y or Z up stay as they are where they face the usual way; others are
     turned to Y up, facing Z.
@@ -114,12 +114,14 @@ def _rate(file: FbxFile) -> Fraction:
 
 
 def _old_rate(file: FbxFile) -> Fraction:
-    """Return the rate as files before 7000 state it besides."""
-    found: Element | None = file.root
+    """Return the rate stated by files before 7000."""
+    element: Element | None = file.root
     for name in ("Version5", "Settings", "FrameRate"):
-        found = None if found is None else found.find(name)
+        element = None if element is None else element.find(name)
     try:
-        rate = parse_rate(str(found.values[0])) if found and found.values else None
+        rate = (
+            parse_rate(str(element.values[0])) if element and element.values else None
+        )
     except (ValueError, ArithmeticError):
         rate = None
     if rate is None or not Fraction(1, 100) <= rate <= 100_000:

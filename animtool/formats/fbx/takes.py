@@ -1,4 +1,4 @@
-"""The takes of an FBX: animation stacks, or the takes of files before 7000."""
+"""FBX takes: animation stacks, or takes of files before 7000."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from animtool.core.array_types import IntArray
 from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
-from animtool.formats.fbx.curves import MAX_TICKS, Curve
+from animtool.formats.fbx.curves import MAX_TICKS, FbxCurve
 from animtool.formats.fbx.elements import Element, number
 from animtool.formats.fbx.keys import curve_of_object
 from animtool.formats.fbx.layers import (
+    OUTER_ROTATIONS,
     PERCENT,
     PIVOTS,
     ROTATION,
     SCALING,
     TRANSLATION,
-    TURNS,
     Layer,
     LayerValues,
-    Track,
+    PropertyTrack,
 )
 from animtool.formats.fbx.legacy import SHAPE_SUFFIX
 from animtool.formats.fbx.objects import (
@@ -36,12 +36,12 @@ from animtool.formats.fbx.objects import (
 from animtool.formats.fbx.old_keys import LAYOUT, LAYOUT_OF_5000, curve_of_channel
 
 # Parts of each property that moves something, as curve nodes call them.
-_TRIPLES = (TRANSLATION, ROTATION, SCALING, *PIVOTS, *TURNS)
+_TRIPLES = (TRANSLATION, ROTATION, SCALING, *PIVOTS, *OUTER_ROTATIONS)
 PARTS: dict[str, tuple[str, ...]] = dict.fromkeys(_TRIPLES, ("d|X", "d|Y", "d|Z"))
 PARTS[PERCENT] = ("d|DeformPercent",)
 _CHANNELS = {"T": TRANSLATION, "R": ROTATION, "S": SCALING}
-_CHANNELS |= {name: name for name in (*PIVOTS, *TURNS)}
-_USUAL = dict.fromkeys(PARTS, 0.0) | {SCALING: 1.0}
+_CHANNELS |= {name: name for name in (*PIVOTS, *OUTER_ROTATIONS)}
+_DEFAULTS = dict.fromkeys(PARTS, 0.0) | {SCALING: 1.0}
 # What no take is expected to change, and would change the pose.
 _FIXED = {"RotationOrder", "RotationActive", "InheritType", "GeometricTranslation"}
 _FIXED |= {"GeometricRotation", "GeometricScaling"}
@@ -67,10 +67,10 @@ class AnimTake:
     begin: int
     end: int
     layers: list[str] = field(default_factory=list)
-    tracks: dict[tuple[Id, str], Track] = field(default_factory=dict)
+    tracks: dict[tuple[Id, str], PropertyTrack] = field(default_factory=dict)
     visible: bool = False
 
-    def curves(self) -> list[Curve]:
+    def curves(self) -> list[FbxCurve]:
         """Return all curves."""
         return [
             curve
@@ -81,13 +81,13 @@ class AnimTake:
         ]
 
     def key_times(self) -> IntArray:
-        """Return the times of all keys, each once [ticks]."""
+        """Return all distinct key times [ticks]."""
         distinct = {curve.times.tobytes(): curve.times for curve in self.curves()}
         return np.unique(np.concatenate([np.zeros(0, np.int64), *distinct.values()]))
 
 
 def read_takes(file: FbxFile) -> list[AnimTake]:
-    """Return the takes of a file, in its order.
+    """Return the takes of a file, in file order.
 
     Raises:
         FormatError: A curve is broken (FBX005, FBX006), or a layer has a mode that is
@@ -100,7 +100,7 @@ def read_takes(file: FbxFile) -> list[AnimTake]:
 
 
 def default_take(file: FbxFile, takes: list[AnimTake]) -> int:
-    """Return which take is read if none is named; -1 where there is none."""
+    """Return the index of the default take; -1 if there are no takes."""
     name = ""
     for documents in file.root.all("Documents"):
         for document in documents.all("Document"):
@@ -119,11 +119,11 @@ def default_take(file: FbxFile, takes: list[AnimTake]) -> int:
 
 
 class _Stacks:
-    """Animation stacks and what is connected to them; each curve is read once."""
+    """Animation stacks and their connections; each curve is read once."""
 
     def __init__(self, file: FbxFile) -> None:
         self.file = file
-        self._curves: dict[Id, Curve | None] = {}
+        self._curves: dict[Id, FbxCurve | None] = {}
         self._times: dict[bytes, IntArray] = {}
 
     def take(self, stack: Object) -> AnimTake:
@@ -157,7 +157,9 @@ class _Stacks:
                 if property_name not in PARTS or target not in file.objects:
                     continue
                 key = (target, property_name)
-                track = take.tracks.setdefault(key, Track(target, property_name))
+                track = take.tracks.setdefault(
+                    key, PropertyTrack(target, property_name)
+                )
                 if track.layers and track.layers[-1].layer is layer:
                     continue  # a layer has one say of a property
                 track.layers.append(self._values(node, property_name, layer, is_first))
@@ -174,30 +176,30 @@ class _Stacks:
     ) -> LayerValues:
         parts = PARTS[name]
         curves = self._of_node(node)
-        usual = _USUAL[name]
-        defaults = [scalar(node, part, usual, self.file.notes) for part in parts]
+        default = _DEFAULTS[name]
+        defaults = [scalar(node, part, default, self.file.notes) for part in parts]
         return LayerValues(
             layer, is_first, defaults, [curves.get(part) for part in parts]
         )
 
-    def _of_node(self, node: Object) -> dict[str, Curve | None]:
-        found: dict[str, Curve | None] = {}
+    def _of_node(self, node: Object) -> dict[str, FbxCurve | None]:
+        curves: dict[str, FbxCurve | None] = {}
         for source, part in self.file.below.get(node.id, ()):
-            own = self.file.objects.get(source)
-            if own is None or own.kind != "AnimationCurve" or part in found:
+            item = self.file.objects.get(source)
+            if item is None or item.kind != "AnimationCurve" or part in curves:
                 continue
             if source not in self._curves:
-                curve = curve_of_object(own.element, self.file.notes)
+                curve = curve_of_object(item.element, self.file.notes)
                 if curve is not None:
                     # Curves of one take mostly have the same keys, held once.
                     key = curve.times.tobytes()
                     times = self._times.setdefault(key, curve.times)
                     curve = replace(curve, times=times)
                     # Its arrays are held once.
-                    own.element.children.clear()
+                    item.element.children.clear()
                 self._curves[source] = curve
-            found[part] = self._curves[source]
-        return found
+            curves[part] = self._curves[source]
+        return curves
 
     def _layer(self, of: Object) -> Layer:
         notes = self.file.notes
@@ -233,7 +235,7 @@ def _in_range(ticks: int) -> int:
 
 
 def _old_takes(file: FbxFile) -> list[AnimTake]:
-    found = []
+    listed = []
     for takes in file.root.all("Takes"):
         for element in takes.all("Take"):
             take = AnimTake(element.text(0), element.where, 0, 0, ["BaseLayer"])
@@ -244,8 +246,8 @@ def _old_takes(file: FbxFile) -> list[AnimTake]:
                 )
             for model in element.all("Model"):
                 _old_model(file, take, model)
-            found.append(take)
-    return found
+            listed.append(take)
+    return listed
 
 
 def _old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
@@ -274,29 +276,29 @@ def _old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
 
 
 def old_shapes(file: FbxFile, model: Object) -> list[Element]:
-    """Return the shapes of a model's mesh, as files before 7000 have them."""
+    """Return the shapes of a model's mesh (before FBX 7000)."""
     holders = [model, *file.sources(model.id, "Geometry", "Mesh")]
     return [shape for one in holders for shape in one.element.all("Shape")]
 
 
 def shape_id(of: Id, name: str) -> Id:
-    """Return what the channel of a shape of a model is known by in such files."""
+    """Return the id of a shape channel in files before 7000."""
     return f"Shape::{of}::{name}"
 
 
 def _axes(channel: Element) -> list[Element | None]:
-    found: list[Element | None] = [None] * 3
+    channels: list[Element | None] = [None] * 3
     for part in channel.all("Channel"):
         axis = "XYZ".find(part.text(0)) if part.text(0) else -1
         if axis >= 0:
-            found[axis] = part
-    return found
+            channels[axis] = part
+    return channels
 
 
 def _old_track(
     file: FbxFile, take: AnimTake, of: Id, name: str, parts: list[Element | None]
 ) -> None:
-    defaults, curves = [_USUAL[name]] * len(parts), []
+    defaults, curves = [_DEFAULTS[name]] * len(parts), []
     layout = LAYOUT if file.version >= WITH_OBJECTS else LAYOUT_OF_5000
     for k, part in enumerate(parts):
         default = None if part is None else part.find("Default")
@@ -305,4 +307,4 @@ def _old_track(
         curve = None if part is None else curve_of_channel(part, file.notes, layout)
         curves.append(curve)
     values = LayerValues(Layer("BaseLayer"), True, defaults, curves)
-    take.tracks.setdefault((of, name), Track(of, name, [values]))
+    take.tracks.setdefault((of, name), PropertyTrack(of, name, [values]))

@@ -1,4 +1,4 @@
-"""Slopes of cubic keys that a tool states as a rule: automatic tangents, and TCB.
+"""Slopes of automatic and TCB tangents.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimCurveDef` (tangent modes);
 Kochanek and Bartels, *Interpolating splines with local tension, continuity, and bias
@@ -12,7 +12,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 
 # Flags of keys: how a segment goes on, and how its tangents are made.
-HELD, STRAIGHT, CURVED = 0x2, 0x4, 0x8
+STEPPED, STRAIGHT, CURVED = 0x2, 0x4, 0x8
 AUTO, TCB, USER, NEXT_VALUE = 0x100, 0x200, 0x400, 0x100
 CLAMPED, TIME_INDEPENDENT, PROGRESSIVE = 0x1000, 0x2000, 0x4000
 # Slopes into and out of a key that differ by less are one [1/s].
@@ -28,7 +28,7 @@ def key_slopes(
     stated: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the slopes out of each key and into the next ``(K,)`` [1/s].
+    """Return slopes leaving and entering keys ``(K,)`` [1/s].
 
     Args:
         seconds: Times of the keys, ascending ``(K,)``.
@@ -38,14 +38,14 @@ def key_slopes(
             tangents by tension, continuity and bias, these ``(K, 3)``.
         weights: Of the handles out of each key and into the next ``(K, 2)``.
     """
-    cubic = (flags & HELD == 0) & (flags & CURVED != 0)
+    cubic = (flags & STEPPED == 0) & (flags & CURVED != 0)
     tcb = cubic & (flags & TCB != 0)
     auto = cubic & ~tcb & (flags & USER == 0)
     chords = _chords(seconds, values)
     right, left = stated[:, 0].copy(), stated[:, 1].copy()
-    straight = (flags & (HELD | CURVED)) == 0
+    straight = (flags & (STEPPED | CURVED)) == 0
     right[straight] = left[straight] = np.append(chords, 0.0)[straight]
-    right[flags & HELD != 0] = left[flags & HELD != 0] = 0.0
+    right[flags & STEPPED != 0] = left[flags & STEPPED != 0] = 0.0
     left[tcb] = 0.0
     into = np.concatenate([[0.0], left[:-1]])
     if auto.any():
@@ -57,7 +57,7 @@ def key_slopes(
 
 
 def _chords(seconds: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the slope from each key to the next; 0 between keys of one time."""
+    """Return chord slopes between keys; 0 between keys of equal time."""
     steps = np.diff(seconds)
     return np.asarray(np.diff(values) / np.where(steps > 0, steps, np.inf))
 
@@ -70,7 +70,7 @@ def _put_auto(
     chords: FloatArray,
     slopes: tuple[BoolArray, FloatArray, FloatArray],
 ) -> None:
-    """Put in the slopes of automatic keys.
+    """Set the slopes of automatic keys.
 
     What the file states of such a key is its bias towards a neighbour, not a slope.
     """
@@ -113,8 +113,8 @@ def _inner_slopes(
     chords: FloatArray,
     bias: FloatArray,
 ) -> FloatArray:
-    """Return the slopes of automatic keys between two others."""
-    own, low, high = flags[k], chords[k - 1], chords[k]
+    """Return slopes of automatic keys that have both neighbours."""
+    key_flags, low, high = flags[k], chords[k - 1], chords[k]
     before, after = seconds[k] - seconds[k - 1], seconds[k + 1] - seconds[k]
     span = np.where(before + after > 0, before + after, np.inf)
     slope = (values[k + 1] - values[k - 1]) / span
@@ -127,17 +127,17 @@ def _inner_slopes(
     over = np.maximum(amount - FULL_BIAS, 0.0)
     sign = np.where(np.where(np.abs(off) > 1e-5, off, bias) > 0, 1.0, -1.0)
     biased = biased + over * over * BIAS_GAIN * sign
-    slope = np.where(own & TIME_INDEPENDENT != 0, slope, biased)
+    slope = np.where(key_flags & TIME_INDEPENDENT != 0, slope, biased)
     # No steeper than keeps a handle within the values of its segment.
-    turn = np.where(slope >= 0, 1.0, -1.0)
+    direction = np.where(slope >= 0, 1.0, -1.0)
     most = np.full(len(k), np.inf)
     for chord, weight in ((low, weights[k - 1, 1]), (high, weights[k, 0])):
-        limit = turn * chord / np.where(weight > 0, weight, np.inf)
+        limit = direction * chord / np.where(weight > 0, weight, np.inf)
         most = np.minimum(most, np.maximum(limit, 0.0))
-    most = np.where(own & PROGRESSIVE != 0, most, np.inf)
-    slope = turn * np.minimum(turn * slope, most)
+    most = np.where(key_flags & PROGRESSIVE != 0, most, np.inf)
+    slope = direction * np.minimum(direction * slope, most)
     flat = (values[k] == values[k - 1]) | (values[k] == values[k + 1])
-    return np.asarray(np.where((own & CLAMPED != 0) & flat, 0.0, slope))
+    return np.asarray(np.where((key_flags & CLAMPED != 0) & flat, 0.0, slope))
 
 
 def _put_tcb(
@@ -145,7 +145,7 @@ def _put_tcb(
     stated: FloatArray,
     slopes: tuple[BoolArray, FloatArray, FloatArray],
 ) -> None:
-    """Put in the slopes of keys by tension, continuity and bias."""
+    """Set the slopes of keys from tension, continuity and bias."""
     tcb, into, right = slopes
     tension, continuity, bias = stated[tcb].T
     low = np.concatenate([[0.0], chords])[tcb]

@@ -1,4 +1,4 @@
-"""FBX as text: names with a colon, values with commas, elements in braces."""
+"""Text FBX parser: ``Name: values { children }``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.errors import excerpt
 from animtool.formats.fbx.elements import MAX_DEPTH, MAX_ELEMENTS, Element
-from animtool.formats.gltf.places import Notes
+from animtool.formats.file_notices import FileNotices
 
 _TOKEN = re.compile(
     rb"""(?P<space>(?:[\s\x00]+|;[^\n]*)+)
@@ -30,19 +30,19 @@ _COMMENT = re.compile(rb"\A\s*;\s*FBX\s+(\d)\.(\d)\.(\d)")
 
 
 def looks_like_text(content: bytes) -> bool:
-    """Return whether a file begins as an FBX of text does."""
+    """Return whether bytes begin like a text FBX."""
     head = content[:4096]
     return bool(_COMMENT.match(head)) or b"FBXHeaderExtension" in head
 
 
-def read_text(content: bytes, notes: Notes) -> tuple[int, Element]:
-    """Return the version and the root of an FBX of text.
+def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
+    """Return the version and root element of a text FBX.
 
     Raises:
         FormatError: It does not parse (FBX001), with the line.
     """
-    found = _VERSION.search(content, 0, 100_000)
-    version = int(found[1]) if found else 0
+    match = _VERSION.search(content, 0, 100_000)
+    version = int(match[1]) if match else 0
     if not version:
         comment = _COMMENT.match(content)
         digits = comment.groups() if comment else (b"0",)
@@ -51,9 +51,9 @@ def read_text(content: bytes, notes: Notes) -> tuple[int, Element]:
 
 
 class _Parser:
-    """Elements of a text, in one pass."""
+    """One-pass parser of elements."""
 
-    def __init__(self, content: bytes, notes: Notes) -> None:
+    def __init__(self, content: bytes, notes: FileNotices) -> None:
         self.content, self.notes = content, notes
         self.count = 0
         self._at, self._line = 0, 1
@@ -137,7 +137,7 @@ class _Parser:
         self.stack[-1].children.append(self.current)
 
     def _numbers(self, element: Element, text: bytes, at: int) -> None:
-        """Add numbers with commas between them; the long lists as one array."""
+        """Parse comma-separated numbers; long lists become one array."""
         parts = [part.strip() for part in text.split(b",")]
         try:
             if max(map(len, parts)) <= MAX_DIGITS:
@@ -159,28 +159,28 @@ def _add_numbers(element: Element, text: bytes, parts: list[bytes]) -> None:
 
 
 def _long(root: Element) -> list[Element]:
-    """Return the elements that hold numbers in several pieces."""
-    found, stack = [], [root]
+    """Return elements whose numbers come in several pieces."""
+    elements, stack = [], [root]
     while stack:
         one = stack.pop()
         if any(isinstance(value, np.ndarray) for value in one.values):
-            found.append(one)
+            elements.append(one)
         stack += one.children
-    return found
+    return elements
 
 
 def _join(element: Element) -> None:
-    """Make one array of numbers alone, and single values of mixed ones."""
+    """Join pieces to one array; mixed values stay single."""
     values = element.values
     numeric = (np.ndarray, int, float)
     if all(isinstance(value, numeric) for value in values):
         try:
             parts = [np.atleast_1d(np.asarray(value)) for value in values]
-            whole = np.concatenate(parts)
+            joined = np.concatenate(parts)
         except (OverflowError, TypeError):
             return
-        if whole.dtype.kind in "if":
-            element.values = [whole]
+        if joined.dtype.kind in "if":
+            element.values = [joined]
             return
     flat: list[Any] = []
     for value in values:
@@ -196,12 +196,12 @@ def _number(text: bytes) -> int | float:
 
 
 # As C's printf spells them.
-_ODD = {"nan": np.nan, "-nan": np.nan, "inf": np.inf, "-inf": -np.inf}
+_NOT_FINITE = {"nan": np.nan, "-nan": np.nan, "inf": np.inf, "-inf": -np.inf}
 
 
 def _word(raw: bytes) -> Any:
     word = raw.decode("utf-8", "replace")
     lower = word.lower().split("(")[0]
-    if lower in _ODD or "#" in lower:
-        return float(_ODD.get(lower, np.nan))
+    if lower in _NOT_FINITE or "#" in lower:
+        return float(_NOT_FINITE.get(lower, np.nan))
     return word

@@ -1,4 +1,4 @@
-"""Buffers, views and accessors: numbers out of bytes, every length checked first."""
+"""glTF buffers, views and accessors; every length is checked before reading."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ import numpy.typing as npt
 from animtool.core.errors import FormatError, excerpt
 from animtool.core.files.reading import read_input, why_no_file
 from animtool.core.record import dataclass
+from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.container import Container
-from animtool.formats.gltf.places import Item, Notes
+from animtool.formats.gltf.json_items import JsonItem
 
 COMPONENTS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("i1"),
@@ -47,10 +48,10 @@ AnyArray = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
-class View:
-    """A bufferView: a part of a buffer."""
+class BufferView:
+    """A bufferView: a byte range of a buffer."""
 
-    item: Item
+    item: JsonItem
     buffer: int
     offset: int
     length: int
@@ -59,7 +60,7 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Sparse:
-    """Elements of an accessor that have values of their own."""
+    """Elements of an accessor that are stored apart from its view."""
 
     count: int
     index_view: int
@@ -71,9 +72,9 @@ class Sparse:
 
 @dataclass(frozen=True, slots=True)
 class Accessor:
-    """How numbers lie in a view."""
+    """Type, count and position of numbers in a view."""
 
-    item: Item
+    item: JsonItem
     component: int
     kind: str  # such as ``VEC3``
     count: int
@@ -84,7 +85,7 @@ class Accessor:
 
     @property
     def width(self) -> int:
-        """Numbers of an element."""
+        """Count of numbers per element."""
         return WIDTHS[self.kind]
 
     @property
@@ -93,22 +94,22 @@ class Accessor:
         return self.item.pointer
 
     def is_of(self, kind: str, *components: int) -> bool:
-        """Return whether it has a type, and one of some component types."""
+        """Return whether it has a type, and one of several component types."""
         return self.kind == kind and self.component in components
 
 
 @dataclass(slots=True)
 class Accessors:
-    """The accessors of a file; bytes are looked at when numbers are asked for."""
+    """The accessors of a file; bytes are read on demand."""
 
     container: Container
     folder: Path
-    notes: Notes
+    notes: FileNotices
     skipped: frozenset[int]  # accessors that nothing here reads
     skipped_views: frozenset[int]
     skipped_buffers: frozenset[int]
-    buffers: list[Item] = field(default_factory=list)
-    views: list[View | None] = field(default_factory=list)
+    buffers: list[JsonItem] = field(default_factory=list)
+    views: list[BufferView | None] = field(default_factory=list)
     entries: list[Accessor | None] = field(default_factory=list)
     _bytes: dict[int, memoryview] = field(default_factory=dict)
     _arrays: dict[int, AnyArray] = field(default_factory=dict)
@@ -128,17 +129,17 @@ class Accessors:
             self.entries.append(None if i in self.skipped else self._accessor(item))
 
     def get(self, index: int) -> Accessor:
-        """Return an accessor, which is one that is read."""
-        found = self.entries[index]
-        assert found is not None
-        return found
+        """Return an accessor that is in use."""
+        accessor = self.entries[index]
+        assert accessor is not None
+        return accessor
 
     def declares(self, name: str) -> bool:
-        """Return whether the file says that it uses an extension."""
+        """Return whether the file lists an extension as used."""
         return name in self.container.root.values.get("extensionsUsed", ())
 
     def has_data(self, index: int) -> bool:
-        """Return whether bytes stand for an accessor, all or some of its elements.
+        """Return whether an accessor has bytes, for all or some elements.
 
         None do for one without a bufferView, nor for one of a buffer that an extension
         or another program fills.
@@ -153,7 +154,7 @@ class Accessors:
         )
 
     def numbers(self, index: int, *, finite: bool = True) -> AnyArray:
-        """Return the numbers of an accessor ``(count, width)`` as the file has them.
+        """Return an accessor's numbers ``(count, width)`` in the stored type.
 
         They may share its memory, and are not to be written to.
 
@@ -172,7 +173,7 @@ class Accessors:
         return values
 
     def floats(self, index: int) -> npt.NDArray[np.float64]:
-        """Return the numbers of an accessor, integers normalised where it says so."""
+        """Return an accessor's numbers as floats, normalised if it says so."""
         accessor = self.get(index)
         values = self.numbers(index).astype(np.float64)
         if accessor.normalized and accessor.component != FLOAT:
@@ -209,7 +210,7 @@ class Accessors:
     ) -> AnyArray:
         where = f"{accessor.where}/sparse"
         at = self._used_view(sparse.index_view, f"{where}/indices")
-        own = self._used_view(sparse.value_view, f"{where}/values")
+        value_view = self._used_view(sparse.value_view, f"{where}/values")
         kind = COMPONENTS[accessor.component]
         indices = _strided(
             self.bytes_of(at.buffer),
@@ -224,8 +225,8 @@ class Accessors:
             self.notes.fail("GLT006", f"{where}/indices", message)
         values = base.copy()
         values[indices] = _strided(
-            self.bytes_of(own.buffer),
-            own.offset + sparse.value_offset,
+            self.bytes_of(value_view.buffer),
+            value_view.offset + sparse.value_offset,
             sparse.count,
             accessor.width,
             accessor.width * kind.itemsize,
@@ -233,14 +234,14 @@ class Accessors:
         )
         return values
 
-    def _used_view(self, index: int, where: str) -> View:
+    def _used_view(self, index: int, where: str) -> BufferView:
         view = self.views[index]
         if view is None:
             self.notes.fail("GLT008", where, f"bufferView {index} holds an image")
         return view
 
     def bytes_of(self, index: int) -> memoryview:
-        """Return the bytes of a buffer, which is opened the first time."""
+        """Return the bytes of a buffer, opened on first use."""
         if index not in self._bytes:
             self._bytes[index] = self._opened(index)
         return self._bytes[index]
@@ -264,7 +265,7 @@ class Accessors:
             self.notes.fail("GLT007", buffer.pointer, message)
         return content[:length]
 
-    def _from_file(self, uri: str, buffer: Item) -> bytes:
+    def _from_file(self, uri: str, buffer: JsonItem) -> bytes:
         path = self._resolved(uri, buffer)
         reason = why_no_file(path)
         if reason is not None:
@@ -275,8 +276,8 @@ class Accessors:
         except FormatError as error:
             self.notes.fail("GLT007", buffer.at("uri"), str(error.faults[0].message))
 
-    def _resolved(self, uri: str, buffer: Item) -> Path:
-        """Return the file that a URI means, which is in the folder of the glTF."""
+    def _resolved(self, uri: str, buffer: JsonItem) -> Path:
+        """Return the path of a URI, inside the folder of the glTF."""
         where = buffer.at("uri")
         try:
             parts = urlsplit(uri)
@@ -299,8 +300,8 @@ class Accessors:
             self.notes.fail("GLT007", where, message, "put the file next to the glTF")
         return path
 
-    def _check_buffer(self, index: int, buffer: Item) -> None:
-        """Check what can be seen without opening a file."""
+    def _check_buffer(self, index: int, buffer: JsonItem) -> None:
+        """Check a buffer without opening its file."""
         length = buffer.size("byteLength", least=1)
         uri = buffer.text("uri")
         binary = self.container.binary
@@ -326,7 +327,7 @@ class Accessors:
                 message = f"the file {uri!r} {reason}"
                 self.notes.fail("GLT007", buffer.at("uri"), message)
 
-    def _view(self, item: Item, skipped: bool) -> View | None:
+    def _view(self, item: JsonItem, skipped: bool) -> BufferView | None:
         if skipped:
             return None
         buffer = item.index("buffer", len(self.buffers), "buffer")
@@ -335,16 +336,16 @@ class Accessors:
         length = item.size("byteLength", least=1)
         offset = item.size("byteOffset", 0)
         stride = item.size("byteStride", 0)
-        whole = self.buffers[buffer].size("byteLength", least=1)
-        if offset + length > whole:
-            message = f"ends at byte {offset + length} of a buffer of {whole}"
+        available = self.buffers[buffer].size("byteLength", least=1)
+        if offset + length > available:
+            message = f"ends at byte {offset + length} of a buffer of {available}"
             self.notes.fail("GLT008", item.pointer, message)
         if stride and (stride % 4 or not 4 <= stride <= 252):
             message = f"byteStride {stride} is not a multiple of 4 from 4 to 252"
             self.notes.warn("GLT105", item.at("byteStride"), message)
-        return View(item, buffer, offset, length, stride)
+        return BufferView(item, buffer, offset, length, stride)
 
-    def _accessor(self, item: Item) -> Accessor | None:
+    def _accessor(self, item: JsonItem) -> Accessor | None:
         component = item.number("componentType")
         if component is None:
             item.missing("componentType")
@@ -378,7 +379,7 @@ class Accessors:
         return accessor
 
     def check_packed(self, index: int, where: str) -> None:
-        """Say where a view has a stride that only vertices take; it is read with it."""
+        """Warn about a stride in a view without vertices; it is applied."""
         accessor = self.entries[index]
         if accessor is None or accessor.view < 0:
             return
@@ -390,7 +391,7 @@ class Accessors:
             self.notes.warn("GLT105", where, message)
 
     def _check_inside(self, accessor: Accessor) -> None:
-        """Refuse an accessor that reads beyond its view."""
+        """Raise for an accessor that exceeds its view."""
         kind = COMPONENTS[accessor.component]
         if accessor.view >= 0 and (view := self.views[accessor.view]) is not None:
             # Columns of a matrix of small numbers begin on multiples of 4 bytes.
@@ -425,7 +426,7 @@ class Accessors:
                 message = f"reads up to byte {end} of a bufferView of {part.length}"
                 self.notes.fail("GLT008", f"{accessor.where}/sparse/{key}", message)
 
-    def _sparse(self, item: Item, count: int) -> Sparse | None:
+    def _sparse(self, item: JsonItem, count: int) -> Sparse | None:
         sparse = item.child("sparse")
         if sparse is None:
             return None
@@ -454,7 +455,7 @@ class Accessors:
 
 
 def _check_bounds_form(accessor: Accessor) -> None:
-    """Say where min and max are no lists of as many numbers as elements have."""
+    """Warn about min and max that are not lists of the element's width."""
     item = accessor.item
     for key in ("min", "max"):
         if key not in item.values:
@@ -483,7 +484,7 @@ def _strided(
     step: int,
     kind: np.dtype[Any],
 ) -> AnyArray:
-    """Return elements ``(count, width)`` that are so many bytes apart."""
+    """Return elements ``(count, width)`` at a stride in bytes."""
     size = width * kind.itemsize
     if step == size:
         flat = np.frombuffer(content, kind, count * width, start)
@@ -493,7 +494,7 @@ def _strided(
 
 
 def check_finite(values: AnyArray, accessor: Accessor) -> None:
-    """Refuse numbers that are none."""
+    """Raise for numbers that are not finite."""
     flat = values.reshape(-1)
     with np.errstate(over="ignore", invalid="ignore"):
         # A sum of squares that is finite has no part that is not.
@@ -505,8 +506,8 @@ def check_finite(values: AnyArray, accessor: Accessor) -> None:
         accessor.item.notes.fail("GLT010", accessor.where, message)
 
 
-def decode_data(uri: str, item: Item) -> bytes:
-    """Return the bytes of a data URI, whatever media type it says."""
+def decode_data(uri: str, item: JsonItem) -> bytes:
+    """Return the bytes of a data URI of any media type."""
     head, comma, text = uri.partition(",")
     where = item.at("uri")
     if not comma or not _DATA.fullmatch(head):

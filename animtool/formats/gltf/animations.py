@@ -1,4 +1,4 @@
-"""Animations of a glTF: samplers, what they move, and their values at any time."""
+"""glTF animations: samplers, targets, and interpolation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Severity, excerpt
 from animtool.core.record import dataclass
+from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import FLOAT, Accessors, check_finite
+from animtool.formats.gltf.json_items import JsonItem
 from animtool.formats.gltf.meshes import (
     I8,
     I16,
@@ -24,7 +26,6 @@ from animtool.formats.gltf.meshes import (
     check_bounds,
 )
 from animtool.formats.gltf.nodes import UNIT, VISIBILITY, Node
-from animtool.formats.gltf.places import Item, Notes
 from animtool.maths import so3
 
 POINTER = "KHR_animation_pointer"
@@ -33,8 +34,8 @@ COARSE_UNIT = {I8: 2e-2, U8: 2e-2, I16: UNIT, U16: UNIT}
 SMALL = (I8, U8, I16, U16)
 
 
-class Path(StrEnum):
-    """What of a node a channel moves."""
+class TargetPath(StrEnum):
+    """Which property of a node a channel animates."""
 
     TRANSLATION = "translation"
     ROTATION = "rotation"
@@ -43,19 +44,24 @@ class Path(StrEnum):
     VISIBLE = "visible"
 
 
-class Interpolation(StrEnum):
-    """How the values between keys are found."""
+class KeyInterpolation(StrEnum):
+    """Interpolation between keys."""
 
     LINEAR = "LINEAR"
     STEP = "STEP"
     CUBIC = "CUBICSPLINE"
 
 
-_WIDTHS = {Path.TRANSLATION: 3, Path.ROTATION: 4, Path.SCALE: 3, Path.VISIBLE: 1}
+_WIDTHS = {
+    TargetPath.TRANSLATION: 3,
+    TargetPath.ROTATION: 4,
+    TargetPath.SCALE: 3,
+    TargetPath.VISIBLE: 1,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class GltfTrack:
     """Keys of one property.
 
     Attributes:
@@ -72,16 +78,16 @@ class Track:
 
     node: int
     mesh: int
-    path: Path
+    path: TargetPath
     part: int
-    interpolation: Interpolation
+    interpolation: KeyInterpolation
     times: FloatArray
     values: FloatArray
     ins: FloatArray | None = None
     outs: FloatArray | None = None
 
     def at(self, times: FloatArray) -> FloatArray:
-        """Return the values at times ``(F, W)``, held outside of the keys.
+        """Return values at times ``(F, W)``, constant outside the keys.
 
         Rotations are unit quaternions.
         """
@@ -94,12 +100,14 @@ class Track:
         return self.between(low, times)
 
     def between(self, low: IntArray, times: FloatArray) -> FloatArray:
-        """Return the values at times in segments from a key ``low`` to the next."""
+        """Return values at times in segments from a key ``low`` to the next."""
         return between([self], low, times)[:, 0]
 
 
-def between(tracks: Sequence[Track], low: IntArray, times: FloatArray) -> FloatArray:
-    """Return values ``(F, N, W)`` of N tracks at times in segments of their keys.
+def between(
+    tracks: Sequence[GltfTrack], low: IntArray, times: FloatArray
+) -> FloatArray:
+    """Return values ``(F, N, W)`` of N tracks within segments of their keys.
 
     tracks: of one path, with the same key times and interpolation.
     low: the key before each time.
@@ -107,19 +115,19 @@ def between(tracks: Sequence[Track], low: IntArray, times: FloatArray) -> FloatA
     first, path = tracks[0], tracks[0].path
     t0, t1 = first.times[low], first.times[low + 1]
     length = (t1 - t0)[:, None, None]
-    share = np.clip((times - t0)[:, None, None] / length, 0.0, 1.0)
+    fraction = np.clip((times - t0)[:, None, None] / length, 0.0, 1.0)
     a = np.stack([track.values[low] for track in tracks], axis=1)
     b = np.stack([track.values[low + 1] for track in tracks], axis=1)
-    if first.interpolation is Interpolation.STEP:
-        return _unit(np.where(share < 1.0, a, b), path)
-    if first.interpolation is Interpolation.CUBIC:
+    if first.interpolation is KeyInterpolation.STEP:
+        return _unit(np.where(fraction < 1.0, a, b), path)
+    if first.interpolation is KeyInterpolation.CUBIC:
         outs = [track.outs[low] for track in tracks if track.outs is not None]
         ins = [track.ins[low + 1] for track in tracks if track.ins is not None]
         out, into = np.stack(outs, axis=1), np.stack(ins, axis=1)
-        return _unit(_hermite(a, out, into, b, share, length), path)
-    if path is Path.ROTATION:
-        return so3.slerp(_unit(a, path), _unit(b, path), share[:, :, 0])
-    return np.asarray(a + (b.astype(np.float64) - a) * share)
+        return _unit(_hermite(a, out, into, b, fraction, length), path)
+    if path is TargetPath.ROTATION:
+        return so3.slerp(_unit(a, path), _unit(b, path), fraction[:, :, 0])
+    return np.asarray(a + (b.astype(np.float64) - a) * fraction)
 
 
 def _hermite(
@@ -127,11 +135,11 @@ def _hermite(
     out: FloatArray,
     into: FloatArray,
     b: FloatArray,
-    share: FloatArray,
+    fraction: FloatArray,
     length: FloatArray,
 ) -> FloatArray:
-    """Return values of cubic segments, whose slopes are for a second."""
-    t = share
+    """Return values of cubic segments with slopes per second."""
+    t = fraction
     t2, t3 = t * t, t * t * t
     return np.asarray(
         (2 * t3 - 3 * t2 + 1) * a
@@ -141,31 +149,31 @@ def _hermite(
     )
 
 
-def _unit(values: FloatArray, path: Path) -> FloatArray:
-    """Return rotations at unit length; other values as they are."""
-    found = np.asarray(values, np.float64)
-    if path is not Path.ROTATION:
-        return found
-    length = np.linalg.norm(found, axis=-1, keepdims=True)
+def _unit(values: FloatArray, path: TargetPath) -> FloatArray:
+    """Return rotations normalised; other values unchanged."""
+    rows = np.asarray(values, np.float64)
+    if path is not TargetPath.ROTATION:
+        return rows
+    length = np.linalg.norm(rows, axis=-1, keepdims=True)
     if not length.all():
         # Between opposite cubic keys it may vanish: the rotation there is anything.
-        found = np.where(length == 0.0, so3.IDENTITY, found)
+        rows = np.where(length == 0.0, so3.IDENTITY, rows)
         length = np.where(length == 0.0, 1.0, length)
-    return np.asarray(found / length)
+    return np.asarray(rows / length)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Animation:
-    """A clip."""
+    """An animation: the tracks of a clip."""
 
     name: str | None
-    tracks: tuple[Track, ...]
+    tracks: tuple[GltfTrack, ...]
     extras: dict[str, Any]
     where: str
 
     @property
     def span(self) -> tuple[float, float]:
-        """Times of the first and the last key [s]; 0 without keys."""
+        """Times of first and last key [s]; 0 without keys."""
         if not self.tracks:
             return 0.0, 0.0
         first = min(float(track.times[0]) for track in self.tracks)
@@ -173,15 +181,15 @@ class Animation:
 
 
 class _Samplers:
-    """The samplers of an animation: keys, each read once."""
+    """Samplers of an animation; each input is read once."""
 
-    def __init__(self, item: Item, accessors: Accessors) -> None:
+    def __init__(self, item: JsonItem, accessors: Accessors) -> None:
         self.items = item.children("samplers")
         self.accessors = accessors
         self.ends = [self._ends(sampler) for sampler in self.items]
         self.checked: set[int] = set()
 
-    def _ends(self, item: Item) -> tuple[int, int]:
+    def _ends(self, item: JsonItem) -> tuple[int, int]:
         count = len(self.accessors.entries)
         ends = []
         for key in ("input", "output"):
@@ -192,17 +200,17 @@ class _Samplers:
             ends.append(index)
         return ends[0], ends[1]
 
-    def interpolation(self, index: int) -> Interpolation:
-        """Return how a sampler goes from key to key."""
+    def interpolation(self, index: int) -> KeyInterpolation:
+        """Return the interpolation of a sampler."""
         item = self.items[index]
         word = item.text("interpolation") or "LINEAR"
         try:
-            return Interpolation(word)
+            return KeyInterpolation(word)
         except ValueError:
             item.fail("interpolation", f"unknown interpolation {excerpt(word)}")
 
     def times(self, index: int) -> FloatArray:
-        """Return the times of a sampler's keys, finite."""
+        """Return the key times of a sampler, checked to be finite."""
         item, accessor = self.items[index], self.ends[index][0]
         entry = self.accessors.entries[accessor]
         if entry is None or not entry.is_of("SCALAR", FLOAT):
@@ -217,9 +225,12 @@ class _Samplers:
 
 
 def read_animations(
-    root: Item, accessors: Accessors, nodes: Sequence[Node], meshes: Sequence[MeshEntry]
+    root: JsonItem,
+    accessors: Accessors,
+    nodes: Sequence[Node],
+    meshes: Sequence[MeshEntry],
 ) -> tuple[Animation, ...]:
-    """Return the animations, their keys checked."""
+    """Return the animations of a file, with checked keys."""
     return tuple(
         _animation(item, accessors, nodes, meshes)
         for item in root.children("animations")
@@ -227,7 +238,7 @@ def read_animations(
 
 
 def _animation(
-    item: Item,
+    item: JsonItem,
     accessors: Accessors,
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
@@ -236,23 +247,23 @@ def _animation(
         if key not in item.values:
             item.missing(key)
     samplers = _Samplers(item, accessors)
-    tracks: list[Track] = []
+    tracks: list[GltfTrack] = []
     taken: dict[tuple[int, int, str, int], str] = {}
     times: dict[int, tuple[FloatArray, bool]] = {}
     left_out: dict[str, None] = {}
     for channel in item.children("channels"):
-        found = _target(channel, nodes, meshes, left_out)
+        candidate = _target(channel, nodes, meshes, left_out)
         index = channel.index("sampler", len(samplers.items), "sampler")
         if index < 0:
             channel.missing("sampler")
-        if found is None:
+        if candidate is None:
             continue
-        target = found
-        own = (target.node, target.mesh, str(target.path), target.part)
-        if own in taken:
+        target = candidate
+        moved = (target.node, target.mesh, str(target.path), target.part)
+        if moved in taken:
             message = f"two channels of the animation move {target.path}"
-            channel.notes.fail("GLT012", f"{taken[own]}/target", message)
-        taken[own] = channel.pointer
+            channel.notes.fail("GLT012", f"{taken[moved]}/target", message)
+        taken[moved] = channel.pointer
         tracks.append(_track(channel, target, samplers, index, times))
     if left_out:
         names = ", ".join(left_out)
@@ -271,18 +282,18 @@ def _animation(
 class _Target:
     node: int
     mesh: int
-    path: Path
+    path: TargetPath
     part: int
     width: int  # numbers of a value
 
 
 def _target(
-    channel: Item,
+    channel: JsonItem,
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
     left_out: dict[str, None],
 ) -> _Target | None:
-    """Return what a channel moves; None of what is left out."""
+    """Return the target of a channel; None if it is not read."""
     target = channel.required("target")
     path = target.text("path")
     if path is None:
@@ -297,18 +308,18 @@ def _target(
     if node < 0:
         # What it moves is for an extension, or for nobody.
         return None
-    return _of_node(target, nodes, meshes, node, Path(path))
+    return _of_node(target, nodes, meshes, node, TargetPath(path))
 
 
 def _of_node(
-    target: Item,
+    target: JsonItem,
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
     node: int,
-    path: Path,
+    path: TargetPath,
     part: int = -1,
 ) -> _Target | None:
-    if path is Path.WEIGHTS:
+    if path is TargetPath.WEIGHTS:
         mesh = nodes[node].mesh
         count = meshes[mesh].targets if mesh >= 0 else 0
         if part >= count or not count:
@@ -316,7 +327,7 @@ def _of_node(
             target.notes.warn("GLT106", target.pointer, message)
             return None
         return _Target(node, -1, path, part, count if part < 0 else 1)
-    if nodes[node].has_matrix and path is not Path.VISIBLE:
+    if nodes[node].has_matrix and path is not TargetPath.VISIBLE:
         message = f"the matrix of node {node}, which is animated, is decomposed"
         target.notes.warn("GLT106", target.pointer, message)
     return _Target(node, -1, path, -1, _WIDTHS[path])
@@ -330,12 +341,12 @@ _MESH = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
 
 
 def _pointed(
-    target: Item,
+    target: JsonItem,
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
     left_out: dict[str, None],
 ) -> _Target | None:
-    """Return what a channel of `KHR_animation_pointer` moves."""
+    """Return the target of a `KHR_animation_pointer` channel."""
     extension = target.extension(POINTER)
     text = None if extension is None else extension.text("pointer")
     if text is None:
@@ -347,34 +358,34 @@ def _pointed(
         message = f"{excerpt(text)} is not a JSON pointer: the channel is ignored"
         target.notes.warn("GLT106", where, message)
         return None
-    if found := _NODE.fullmatch(text):
-        node = int(found[1][:9])
+    if match := _NODE.fullmatch(text):
+        node = int(match[1][:9])
         if node >= len(nodes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
-        path = Path.VISIBLE if "/" in found[2] else Path(found[2])
-        if found[3] is None or path is Path.WEIGHTS:
-            part = -1 if found[3] is None else int(found[3][:9])
+        path = TargetPath.VISIBLE if "/" in match[2] else TargetPath(match[2])
+        if match[3] is None or path is TargetPath.WEIGHTS:
+            part = -1 if match[3] is None else int(match[3][:9])
             return _of_node(target, nodes, meshes, node, path, part)
-    elif found := _MESH.fullmatch(text):
-        mesh = int(found[1][:9])
+    elif match := _MESH.fullmatch(text):
+        mesh = int(match[1][:9])
         if mesh >= len(meshes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
         count = meshes[mesh].targets
-        part = -1 if found[2] is None else int(found[2][:9])
+        part = -1 if match[2] is None else int(match[2][:9])
         if count and part < count:
-            return _Target(-1, mesh, Path.WEIGHTS, part, count if part < 0 else 1)
+            return _Target(-1, mesh, TargetPath.WEIGHTS, part, count if part < 0 else 1)
     left_out[excerpt(text)] = None
     return None
 
 
 def _track(
-    channel: Item,
+    channel: JsonItem,
     target: _Target,
     samplers: _Samplers,
     index: int,
     cache: dict[int, tuple[FloatArray, bool]],
-) -> Track:
-    """Return the keys of a channel, checked and put right.
+) -> GltfTrack:
+    """Return the keys of a channel, checked and repaired.
 
     cache: times by accessor, and whether they ascend.
     """
@@ -383,11 +394,11 @@ def _track(
     interpolation = samplers.interpolation(index)
     source = samplers.ends[index][0]
     if source not in cache:
-        found = samplers.times(index)
-        cache[source] = found, bool((np.diff(found) > 0).all())
+        key_times = samplers.times(index)
+        cache[source] = key_times, bool((np.diff(key_times) > 0).all())
     times, ascending = cache[source]
     values = _values(channel, target, samplers, index)
-    cubic = interpolation is Interpolation.CUBIC
+    cubic = interpolation is KeyInterpolation.CUBIC
     rows = values.size
     needed = len(times) * target.width * (3 if cubic else 1)
     if rows != needed:
@@ -396,11 +407,11 @@ def _track(
             message += ", with a tangent before and after each"
         notes.fail("GLT011", channel.at("sampler"), message)
     table = values.reshape(len(times), -1, target.width)
-    if target.path is Path.ROTATION:
+    if target.path is TargetPath.ROTATION:
         _check_unit(table[:, 1 if cubic else 0], channel, samplers, index)
     if not ascending:
-        given = samplers.accessors.has_data(source)
-        times, table = _sorted(times, table, item, given=given)
+        has_times = samplers.accessors.has_data(source)
+        times, table = _sorted(times, table, item, has_times=has_times)
     if cubic and len(times) == 1:
         message = "a cubic spline has two keys at least: its one key is held"
         notes.warn("GLT107", item.at("interpolation"), message)
@@ -408,7 +419,7 @@ def _track(
         message = f"the first key is at {times[0]:.6g} s, before time 0: it is kept"
         notes.warn("GLT107", item.at("input"), message)
     keys = table[:, 1 if cubic else 0]
-    return Track(
+    return GltfTrack(
         target.node,
         target.mesh,
         target.path,
@@ -421,45 +432,45 @@ def _track(
     )
 
 
-def _values(channel: Item, target: _Target, samplers: _Samplers, index: int) -> Any:
+def _values(channel: JsonItem, target: _Target, samplers: _Samplers, index: int) -> Any:
     item, accessor = samplers.items[index], samplers.ends[index][1]
     accessors = samplers.accessors
     entry = accessors.entries[accessor]
     kinds, components = {"SCALAR"}, {FLOAT}
-    if target.path in {Path.TRANSLATION, Path.SCALE}:
+    if target.path in {TargetPath.TRANSLATION, TargetPath.SCALE}:
         kinds = {"VEC3"}
-    elif target.path is Path.ROTATION:
+    elif target.path is TargetPath.ROTATION:
         kinds, components = {"VEC4"}, {FLOAT, *SMALL}
-    elif target.path is Path.WEIGHTS:
+    elif target.path is TargetPath.WEIGHTS:
         components = {FLOAT, *SMALL}
     else:
         components = {FLOAT, *SMALL}
     if entry is None or entry.kind not in kinds or entry.component not in components:
-        held = "an unknown type" if entry is None else entry.kind
-        message = f"{target.path} cannot have values of {held} in these components"
+        kind = "an unknown type" if entry is None else entry.kind
+        message = f"{target.path} cannot have values of {kind} in these components"
         item.notes.fail("GLT011", channel.at("sampler"), message)
     # Lengths of rotations show what is not finite; slopes have none.
-    cubic = samplers.interpolation(index) is Interpolation.CUBIC
-    finite = cubic or target.path is not Path.ROTATION
+    cubic = samplers.interpolation(index) is KeyInterpolation.CUBIC
+    finite = cubic or target.path is not TargetPath.ROTATION
     raw = accessors.numbers(accessor, finite=finite)
     if entry.component == FLOAT:
         return raw
-    if target.path is Path.VISIBLE:
+    if target.path is TargetPath.VISIBLE:
         return (raw != 0).astype(np.float64)
-    found = accessors.floats(accessor)
+    numbers = accessors.floats(accessor)
     if not entry.normalized:
         # Integers of these paths are normalised, whether the accessor says so or not.
         limit = np.iinfo(raw.dtype).max
-        found = np.maximum(found / limit, -1.0)
-    return found
+        numbers = np.maximum(numbers / limit, -1.0)
+    return numbers
 
 
 def _sorted(
-    times: FloatArray, table: Any, item: Item, *, given: bool
+    times: FloatArray, table: Any, item: JsonItem, *, has_times: bool
 ) -> tuple[FloatArray, Any]:
-    """Return keys in the order of time; of equal ones the first.
+    """Return keys sorted by time; of equal times the first.
 
-    given: whether the file holds the times, which are all 0 else.
+    has_times: whether the file holds the times, which are all 0 else.
     """
     order = np.argsort(times, kind="stable")
     notes, where = item.notes, item.at("input")
@@ -468,20 +479,20 @@ def _sorted(
     times, table = times[order], table[order]
     same = np.flatnonzero(np.diff(times) == 0)
     if len(same):
-        if given and (table[same] != table[same + 1]).any():
+        if has_times and (table[same] != table[same + 1]).any():
             at = float(times[same[0]])
             message = f"two keys at {at:.6g} s have different values"
             notes.fail("GLT012", where, message)
         message = f"{len(same)} equal keys with the time of another are removed"
-        if given:
+        if has_times:
             notes.warn("GLT107", where, message)
         kept = np.setdiff1d(np.arange(len(times)), same + 1)
         times, table = times[kept], table[kept]
     return times, table
 
 
-def _check_unit(keys: Any, channel: Item, samplers: _Samplers, index: int) -> None:
-    """Say where keys are no unit quaternions; refuse those without a length."""
+def _check_unit(keys: Any, channel: JsonItem, samplers: _Samplers, index: int) -> None:
+    """Warn about quaternions off unit length; raise for zero length."""
     accessor = samplers.ends[index][1]
     entry = samplers.accessors.get(accessor)
     tolerance = COARSE_UNIT.get(entry.component, UNIT)
@@ -496,5 +507,5 @@ def _check_unit(keys: Any, channel: Item, samplers: _Samplers, index: int) -> No
         samplers.items[index].notes.fail("GLT010", entry.where, message)
     if max(1.0 - low, high - 1.0) > 2 * tolerance:
         message = f"rotation keys have lengths from {low**0.5:.6g} to {high**0.5:.6g}"
-        notes: Notes = samplers.items[index].notes
+        notes: FileNotices = samplers.items[index].notes
         notes.warn("GLT103", channel.at("sampler"), f"{message}: they are normalised")

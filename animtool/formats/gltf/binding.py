@@ -1,4 +1,4 @@
-"""How meshes of a file are bound: one bind pose of the joints for all of its skins.
+"""One bind pose of the joints that fits all skins of a file.
 
 A file has an inverse bind matrix for each joint of each skin; a rig has one bind pose,
 and for each mesh a transform of its points. With ``B`` the matrix that a joint of a
@@ -33,7 +33,7 @@ BIND = 3e-7
 
 
 class Binder:
-    """Collects the bind transforms of joints as skins need them."""
+    """Collects joint bind transforms from skins."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class Binder:
         scales: FloatArray,
         worlds: Sequence[FloatArray] = (),
     ) -> None:
-        """Take a rig without meshes; what the rest is of `GltfRig`.
+        """Take a rig without meshes, and the other fields of `GltfRig`.
 
         worlds: of each skin, where its mesh was when it was bound ``(4, 4)``.
         """
@@ -57,7 +57,7 @@ class Binder:
         self._skins: dict[int, tuple[FloatArray, list[int]]] = {}
 
     def skin(self, index: int) -> tuple[FloatArray, list[int]]:
-        """Return the transform of the points of a skin, and joints for its own."""
+        """Return the point transform of a skin, and joint indices for its joints."""
         if index not in self._skins:
             skin = self.file.skins[index]
             nodes = np.array(skin.joints)
@@ -70,10 +70,10 @@ class Binder:
         return self._skins[index]
 
     def node(self, node: int) -> tuple[FloatArray, int]:
-        """Return the transform of the points of a mesh that a node carries."""
-        own = np.eye(4)
-        own[:3] *= self.folded[node]
-        geometry, joints = self._bound(own[None], [int(self.joints[node])], "")
+        """Return the point transform of a mesh attached to a node."""
+        folded = np.eye(4)
+        folded[:3] *= self.folded[node]
+        geometry, joints = self._bound(folded[None], [int(self.joints[node])], "")
         return geometry, joints[0]
 
     def _bound(
@@ -83,7 +83,7 @@ class Binder:
         where: str,
         start: FloatArray | None = None,
     ) -> tuple[FloatArray, list[int]]:
-        """Return ``geom_bind`` of a skin, and its joints with binds that agree."""
+        """Return ``geom_bind`` of a skin, and joints whose binds agree."""
         sizes = np.abs(matrices[:, :3, :3]).max(axis=(1, 2), initial=1e-300)
         flat = np.abs(np.linalg.det(matrices[:, :3, :3] / sizes[:, None, None])) < 1e-12
         if flat.any():
@@ -105,59 +105,61 @@ class Binder:
         binds = geometry @ back
         shared = [k for k, joint in enumerate(joints) if joint in self._bind]
         if shared:
-            # Brought where the skin before it has the first joint that both have.
+            # Aligned with the previous skin at the first joint that both have.
             first = shared[0]
             step = self._bind[joints[first]] @ np.linalg.inv(binds[first])
             geometry, binds = step @ geometry, step @ binds
-        found = []
+        bound = []
         for joint, bind in zip(joints, binds, strict=True):
             known = self._bind.setdefault(joint, bind)
             size = max(1e-300, float(np.abs(known).max()))
             if np.abs(known - bind).max() <= AGREE * size:
-                found.append(joint)
+                bound.append(joint)
                 continue
             self._helpers.append((joint, bind))
-            found.append(len(self._rig.joints) + len(self._helpers) - 1)
-        return geometry, found
+            bound.append(len(self._rig.joints) + len(self._helpers) - 1)
+        return geometry, bound
 
     def _geometry(self, back: FloatArray) -> FloatArray:
-        """Return what makes the bind transforms of a skin rigid, if one thing does."""
+        """Return the transform that makes a skin's binds rigid, if one does."""
         linear = back[:, :3, :3]
         squares = linear @ linear.swapaxes(1, 2)
         size = float(np.abs(squares).max())
-        whole = np.eye(4)
+        geometry = np.eye(4)
         spread = np.abs(squares - squares[0]).max() / size
         if spread <= RIGID and np.abs(squares[0] - np.eye(3)).max() > RIGID:
             values, vectors = np.linalg.eigh(squares[0])
             if values.min() > 1e-12 * values.max():
-                whole[:3, :3] = vectors @ np.diag(values**-0.5) @ vectors.T
-        return whole
+                geometry[:3, :3] = vectors @ np.diag(values**-0.5) @ vectors.T
+        return geometry
 
     def nodes(self, nodes: IntArray) -> IntArray:
-        """Return the node of each joint, -1 of those that only carry meshes."""
+        """Return the node of each joint, -1 for helper joints that carry meshes."""
         return np.concatenate([nodes, np.full(len(self._helpers), -1, np.int64)])
 
     def names(self) -> list[str]:
-        """Return the names of the joints, those that only carry meshes last."""
+        """Return joint names, helper joints last."""
         names = self._rig.names
         carriers = [f"{names[carrier]}_bind" for carrier, _ in self._helpers]
         return distinct([*names, *carriers])
 
     def rig(self, meshes: tuple[Mesh, ...], shapes: tuple[Shape, ...]) -> Rig:
-        """Return the rig with its bind pose, meshes and shapes."""
+        """Return the rig with bind pose, meshes and shapes."""
         rig, names = self._rig, self.names()
         joints = list(rig.joints)
         for name, (carrier, _) in zip(names[len(joints) :], self._helpers, strict=True):
             joints.append(Joint(name, carrier))
         rig = replace(rig, joints=tuple(joints))
-        own = dict(self._bind)
-        own |= {len(self._rig.joints) + i: b for i, (_, b) in enumerate(self._helpers)}
-        bind = _poses(rig, own)
+        binds = dict(self._bind)
+        binds |= {
+            len(self._rig.joints) + i: b for i, (_, b) in enumerate(self._helpers)
+        }
+        bind = _poses(rig, binds)
         return replace(rig, bind=bind, meshes=meshes, shapes=shapes)
 
 
 def _poses(rig: Rig, known: dict[int, FloatArray]) -> dict[str, Pose]:
-    """Return the bind poses that are not those of rest, of world transforms."""
+    """Return bind poses that differ from rest, from world transforms."""
     if not known:
         return {}
     count, parents = len(rig.joints), rig.parents
@@ -180,19 +182,19 @@ def _poses(rig: Rig, known: dict[int, FloatArray]) -> dict[str, Pose]:
             world[j] = rest[j] if above < 0 else world[above] @ rest[j]
     upper = np.where((parents < 0)[:, None, None], np.eye(4), world[parents])
     back = upper[:, :3, :3].swapaxes(1, 2)
-    places = (back @ (world[:, :3, 3] - upper[:, :3, 3])[:, :, None])[:, :, 0]
-    turns = so3.from_matrix(back @ world[:, :3, :3])
+    positions = (back @ (world[:, :3, 3] - upper[:, :3, 3])[:, :, None])[:, :, 0]
+    rotations = so3.from_matrix(back @ world[:, :3, :3])
     size = float(np.abs(rest_world(rig).positions).max(initial=0.0)) or 1.0
-    moved = np.abs(places - rig.rest_translations).max(axis=1) > BIND * size
-    moved |= so3.angle_between(turns, rig.rest_rotations) > BIND
+    moved = np.abs(positions - rig.rest_translations).max(axis=1) > BIND * size
+    moved |= so3.angle_between(rotations, rig.rest_rotations) > BIND
     stretched = np.abs(stretches - np.eye(3)).max(axis=(1, 2)) > 1e-12
     poses: dict[str, Pose] = {}
     for j in np.flatnonzero(moved | stretched).tolist():
         joint = rig.joints[j]
         (x, y, z), (a, b, c, w) = joint.translation, joint.rotation
         if moved[j]:
-            x, y, z = places[j].tolist()
-            a, b, c, w = turns[j].tolist()
-        own = tuple(stretches[j].ravel().tolist()) if stretched[j] else None
-        poses[rig.names[j]] = Pose((x, y, z), (a, b, c, w), own)
+            x, y, z = positions[j].tolist()
+            a, b, c, w = rotations[j].tolist()
+        stretch = tuple(stretches[j].ravel().tolist()) if stretched[j] else None
+        poses[rig.names[j]] = Pose((x, y, z), (a, b, c, w), stretch)
     return poses

@@ -1,4 +1,4 @@
-"""Which nodes of a file are a character: of a file with several, each skeleton."""
+"""Characters of a file: each skeleton, where a file has several."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from animtool.formats.gltf.meshes import SkinEntry
 from animtool.formats.gltf.nodes import Node, parents_first, roots
 
 # The path that means the whole file.
-WHOLE = "/"
+FILE_PATH = "/"
 MAX_NAMED = 8
 
 
 class NodeTree(Protocol):
-    """A file of nodes and skins."""
+    """A file with nodes and skins."""
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """Path of the file."""
 
     @property
     def nodes(self) -> tuple[Node, ...]:
-        """In the order of the file."""
+        """Nodes in file order."""
 
     @property
     def skins(self) -> tuple[SkinEntry, ...]:
-        """Likewise."""
+        """Skins in file order."""
 
     @property
     def scenes(self) -> list[list[int]]:
@@ -38,19 +38,19 @@ class NodeTree(Protocol):
 
     @property
     def default_scene(self) -> int:
-        """The one that is shown; -1 where there is none."""
+        """Index of the default scene; -1 if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
-class Character:
-    """A skeleton, or whatever else moves, of a file."""
+class CharacterNodes:
+    """The nodes of a skeleton, or of everything else that moves."""
 
     path: str  # such as ``/hero``; ``/`` is the whole file
     nodes: tuple[int, ...]  # all below its roots, parents first
 
 
-def characters(file: NodeTree) -> tuple[Character, ...]:
-    """Return the characters of a file: the whole of it, unless several are skinned.
+def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
+    """Return the characters of a file: one for the file, or one per skeleton.
 
     Trees of nodes belong together where a skin names joints of one for a mesh of
     another.
@@ -58,41 +58,41 @@ def characters(file: NodeTree) -> tuple[Character, ...]:
     order, tree = parents_first(file.nodes), roots(file.nodes)
     group = {root: root for root in set(tree)}
 
-    def found(root: int) -> int:
+    def group_of(root: int) -> int:
         while group[root] != root:
             group[root] = group[group[root]]
             root = group[root]
         return root
 
     def join(a: int, b: int) -> None:
-        first, second = sorted((found(tree[a]), found(tree[b])))
+        first, second = sorted((group_of(tree[a]), group_of(tree[b])))
         group[second] = first
 
     skinned: set[int] = set()
     for skin in file.skins:
         for joint in skin.joints[1:]:
             join(skin.joints[0], joint)
-    for i, own in enumerate(file.nodes):
-        if own.skin >= 0:
-            join(i, file.skins[own.skin].joints[0])
+    for i, node_ in enumerate(file.nodes):
+        if node_.skin >= 0:
+            join(i, file.skins[node_.skin].joints[0])
     for skin in file.skins:
         skinned.update(skin.joints[:1])
-    groups = sorted({found(tree[joint]) for joint in skinned})
+    groups = sorted({group_of(tree[joint]) for joint in skinned})
     if len(groups) < 2:
-        return (Character(WHOLE, tuple(order)),)
+        return (CharacterNodes(FILE_PATH, tuple(order)),)
     members: dict[int, list[int]] = {root: [] for root in groups}
     for node in order:
-        of = found(tree[node])
+        of = group_of(tree[node])
         if of in members:
             members[of].append(node)
     return tuple(
-        Character(path, tuple(nodes))
+        CharacterNodes(path, tuple(nodes))
         for path, nodes in zip(_paths(file, members), members.values(), strict=True)
     )
 
 
 def _paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
-    """Return distinct paths of characters, after the roots of their joints."""
+    """Return distinct paths of characters, from the names of their root joints."""
     from animtool.core.similar import distinct
 
     names = []
@@ -110,8 +110,8 @@ def chosen(
     prim_path: str | None,
     unknown: str = "GLT014",
     several: str = "GLT109",
-) -> tuple[Character, list[Fault]]:
-    """Return the character to read, and a note of the others.
+) -> tuple[CharacterNodes, list[Fault]]:
+    """Return the character to read, and a note about the others.
 
     Args:
         file: The file.
@@ -127,34 +127,37 @@ def chosen(
     if not file.nodes:
         message = "the file has no nodes, so nothing moves"
         raise FormatError(Fault(unknown, message, where))
-    found = characters(file)
+    candidates = characters(file)
     if prim_path is None:
-        best = found[0]
-        if len(found) > 1 and file.default_scene >= 0:
+        best = candidates[0]
+        if len(candidates) > 1 and file.default_scene >= 0:
             shown = set(file.scenes[file.default_scene])
-            best = next((one for one in found if shown & set(one.nodes)), best)
-        return best, _others(found, best, where, several)
-    if prim_path.strip() == WHOLE:
-        return Character(WHOLE, tuple(parents_first(file.nodes))), []
+            best = next((one for one in candidates if shown & set(one.nodes)), best)
+        return best, _others(candidates, best, where, several)
+    if prim_path.strip() == FILE_PATH:
+        return CharacterNodes(FILE_PATH, tuple(parents_first(file.nodes))), []
     name = prim_path.strip("/")
-    for one in found:
-        if one.path.strip("/") == name and len(found) > 1:
+    for one in candidates:
+        if one.path.strip("/") == name and len(candidates) > 1:
             return one, []
-    for one in found:
+    for one in candidates:
         if any(file.nodes[node].name == name for node in one.nodes):
             return one, []
-    known = [one.path for one in found]
+    known = [one.path for one in candidates]
     message = f"unknown character or node {name!r}"
     raise FormatError(Fault(unknown, message, where, (), nearest(prim_path, known)))
 
 
 def _others(
-    found: tuple[Character, ...], best: Character, where: str, several: str
+    candidates: tuple[CharacterNodes, ...],
+    best: CharacterNodes,
+    where: str,
+    several: str,
 ) -> list[Fault]:
-    others = [one.path for one in found if one is not best]
+    others = [one.path for one in candidates if one is not best]
     if not others:
         return []
-    message = f"reading {best.path} of {counted(len(found), 'character')}: "
+    message = f"reading {best.path} of {counted(len(candidates), 'character')}: "
     message += f"others are {listed(others, MAX_NAMED)}"
     hint = f"choose one with {argument('source.prim_path')}; / is the whole file"
     return [Fault(several, message, where, (), hint, Severity.NOTE)]

@@ -1,4 +1,4 @@
-"""Keys of clips as glTF has them, and keys of glTF as a clip."""
+"""Keys of clips converted to glTF samplers, and the reverse."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.formats.gltf.animations import Path as Moved
+from animtool.formats.gltf.animations import TargetPath
 from animtool.formats.gltf.sampling import NativeKeys
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation, Interp
@@ -36,7 +36,7 @@ _ADDED = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keys:
-    """Keys of a property, as a sampler has them."""
+    """Keys of a property as a sampler stores them."""
 
     times: FloatArray  # ``(K,)`` [s]
     values: FloatArray  # ``(K, W)``
@@ -45,7 +45,7 @@ class Keys:
     outs: FloatArray | None = None  # slopes out of them
 
     def rows(self, *, scalars: bool = False) -> FloatArray:
-        """Return the numbers as an accessor has them, for weights a scalar each."""
+        """Return accessor rows; weights are one scalar per row."""
         values = self.values
         if self.ins is not None and self.outs is not None:
             values = np.stack([self.ins, self.values, self.outs], axis=1)
@@ -57,14 +57,14 @@ class Keys:
 def keys_of_clip(
     clip: Clip, take: Take, start: Fraction
 ) -> dict[tuple[int, str], Keys]:
-    """Return the keys of a clip that glTF can hold, by joint or shape, and path.
+    """Return clip keys that glTF can store, by row and path.
 
     Args:
         clip: Its channels.
         take: What it gives.
         start: Time code of time 0.
     """
-    found: dict[tuple[int, str], Keys] = {}
+    all_keys: dict[tuple[int, str], Keys] = {}
     added: set[tuple[int, str]] = set()
     shapes = [shape.name for shape in take.rig.shapes]
     for channel in clip.channels:
@@ -80,22 +80,22 @@ def keys_of_clip(
             at = (take.rig.index(joint), _PATHS[part])
         else:
             continue
-        keys = _held(channel, clip, start)
+        keys = _gltf_keys(channel, clip, start)
         if keys is not None:
-            found[at] = keys
-    return {at: keys for at, keys in found.items() if at not in added}
+            all_keys[at] = keys
+    return {at: keys for at, keys in all_keys.items() if at not in added}
 
 
 _NATIVE = {
-    Moved.TRANSLATION: "translation",
-    Moved.ROTATION: "rotation",
-    Moved.SCALE: "scale",
-    Moved.WEIGHTS: "weight",
+    TargetPath.TRANSLATION: "translation",
+    TargetPath.ROTATION: "rotation",
+    TargetPath.SCALE: "scale",
+    TargetPath.WEIGHTS: "weight",
 }
 
 
 def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Keys]:
-    """Return the keys of a glTF that was read, as it has them.
+    """Return the unchanged keys of a glTF source.
 
     Rotations have unit length, but for those of cubic splines, which would be others.
 
@@ -103,13 +103,13 @@ def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Ke
     """
     frames = native.frames
     later = float(frames.start - start) / float(frames.fps)
-    found: dict[tuple[int, str], Keys] = {}
+    all_keys: dict[tuple[int, str], Keys] = {}
     times: dict[int, FloatArray] = {}
     for path, moving in native.sampler.moving.items():
         for one in moving:
             track = one.track
-            own = times.setdefault(id(track.times), track.times + later)
-            if own[0] < 0:
+            key_times = times.setdefault(id(track.times), track.times + later)
+            if key_times[0] < 0:
                 continue
             slopes = [
                 None if part is None else part * one.factor
@@ -119,14 +119,14 @@ def native_keys(native: NativeKeys, start: Fraction) -> dict[tuple[int, str], Ke
             if one.factor != 1.0:
                 values = values * one.factor
             how = str(track.interpolation)
-            if path is Moved.ROTATION and slopes[0] is None:
+            if path is TargetPath.ROTATION and slopes[0] is None:
                 values = so3.normalize(values)
-            found[one.row, _NATIVE[path]] = Keys(own, values, how, *slopes)
-    return found
+            all_keys[one.row, _NATIVE[path]] = Keys(key_times, values, how, *slopes)
+    return all_keys
 
 
-def _held(channel: ClipChannel, clip: Clip, start: Fraction) -> Keys | None:
-    """Return the keys of a channel; None where glTF has no such curve."""
+def _gltf_keys(channel: ClipChannel, clip: Clip, start: Fraction) -> Keys | None:
+    """Return the keys of a channel; None if glTF has no such curve."""
     holds = {Extrapolation.HOLD}
     if {channel.pre, channel.post} - holds or channel.euler or not len(channel.times):
         return None
@@ -145,7 +145,7 @@ def _held(channel: ClipChannel, clip: Clip, start: Fraction) -> Keys | None:
 
 
 def _cubic(channel: ClipChannel, seconds: FloatArray) -> Keys | None:
-    """Return Bézier keys whose handles are at thirds as cubic splines."""
+    """Return Bézier keys with handles at thirds as cubic splines."""
     lengths = np.diff(channel.times)
     outs, ins = channel.outs[:-1], channel.ins[1:]
     free = all(

@@ -1,4 +1,4 @@
-"""The JSON and the binary chunk of a .gltf or .glb file."""
+"""JSON and binary chunk of a .gltf or .glb file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any, NoReturn
 
 from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
-from animtool.formats.gltf.places import Item, Notes
+from animtool.formats.file_notices import FileNotices
+from animtool.formats.gltf.json_items import JsonItem
 
 MAGIC = b"glTF"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
@@ -21,17 +22,17 @@ MAX_JSON_BYTES = 200_000_000
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What a file holds: its JSON, and the chunk that buffer 0 of a GLB is."""
+    """The JSON of a file, and the binary chunk of a GLB."""
 
-    root: Item
+    root: JsonItem
     binary: memoryview | None  # None of a .gltf, and of a GLB without it
     is_glb: bool
     bytes: int  # size of the file
     extended: bool  # whether an object may have extensions
 
 
-def read_container(path: Path, notes: Notes) -> Container:
-    """Return what a file holds; its first bytes say which of the two it is.
+def read_container(path: Path, notes: FileNotices) -> Container:
+    """Read a .gltf or .glb; the first bytes tell which it is.
 
     Raises:
         FormatError: It cannot be read (IO001), is no JSON (GLT001), or its chunks are
@@ -54,12 +55,12 @@ def _offset(where: int) -> str:
     return f"byte {where}"
 
 
-def _fail(notes: Notes, where: int, message: str) -> NoReturn:
+def _fail(notes: FileNotices, where: int, message: str) -> NoReturn:
     notes.fail("GLT002", _offset(where), message, "export the file again")
 
 
-def _check_header(content: memoryview, notes: Notes) -> int:
-    """Return the length that the header of a GLB states, which the file has."""
+def _check_header(content: memoryview, notes: FileNotices) -> int:
+    """Return the length in the header of a GLB, checked against the file."""
     if len(content) < HEADER:
         message = f"the file has {len(content)} bytes; a GLB has at least 12"
         _fail(notes, len(content), message)
@@ -81,10 +82,12 @@ def _check_header(content: memoryview, notes: Notes) -> int:
     return int(length)
 
 
-def _chunks(content: memoryview, notes: Notes) -> tuple[memoryview, memoryview | None]:
-    """Return the JSON chunk and the binary chunk of a GLB."""
+def _chunks(
+    content: memoryview, notes: FileNotices
+) -> tuple[memoryview, memoryview | None]:
+    """Return JSON and binary chunk of a GLB."""
     length = _check_header(content, notes)
-    found: dict[int, memoryview] = {}
+    chunks: dict[int, memoryview] = {}
     at = HEADER
     while at < length:
         if at + CHUNK_HEADER > length:
@@ -94,25 +97,25 @@ def _chunks(content: memoryview, notes: Notes) -> tuple[memoryview, memoryview |
         if at + CHUNK_HEADER + size > length:
             _fail(notes, at, f"a chunk of {size} bytes ends after the file")
         if at == HEADER and (kind != JSON_CHUNK or not size):
-            held = "empty" if kind == JSON_CHUNK else "not the JSON"
-            _fail(notes, at, f"the first chunk is {held}")
-        if kind in found:
+            state = "empty" if kind == JSON_CHUNK else "not the JSON"
+            _fail(notes, at, f"the first chunk is {state}")
+        if kind in chunks:
             _fail(notes, at, "two chunks of a type that may occur once")
         if size % 4:
             message = f"a chunk has {size} bytes, not a multiple of 4"
             notes.warn("GLT101", _offset(at), message)
         start = at + CHUNK_HEADER
-        if kind == BIN_CHUNK and at != HEADER + CHUNK_HEADER + len(found[JSON_CHUNK]):
+        if kind == BIN_CHUNK and at != HEADER + CHUNK_HEADER + len(chunks[JSON_CHUNK]):
             message = "the binary chunk is not the second one: it is read all the same"
             notes.warn("GLT101", _offset(at), message)
         if kind in {JSON_CHUNK, BIN_CHUNK}:
-            found[kind] = content[start : start + size]
+            chunks[kind] = content[start : start + size]
         at = start + size
-    return found[JSON_CHUNK], found.get(BIN_CHUNK)
+    return chunks[JSON_CHUNK], chunks.get(BIN_CHUNK)
 
 
-def _parsed(text: bytes, notes: Notes) -> Item:
-    """Return the JSON, which must be an object."""
+def _parsed(text: bytes, notes: FileNotices) -> JsonItem:
+    """Return the parsed JSON, which must be an object."""
     if len(text) > MAX_JSON_BYTES:
         notes.fail(
             "GLT013",
@@ -131,7 +134,7 @@ def _parsed(text: bytes, notes: Notes) -> Item:
         notes.fail("GLT001", "", f"the JSON cannot be read: {reason}")
     if not isinstance(value, dict):
         notes.fail("GLT001", "", "the JSON must be an object")
-    return Item(value, "", notes)
+    return JsonItem(value, "", notes)
 
 
 def _no_constant(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""A glTF in memory: everything that moves, checked."""
+"""A glTF in memory: nodes, meshes, skins and animations, checked."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import Any
 
 from animtool.core.errors import Severity, excerpt, listed
 from animtool.core.record import dataclass
+from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import Accessors
 from animtool.formats.gltf.animations import POINTER, Animation, read_animations
 from animtool.formats.gltf.container import Container, read_container
+from animtool.formats.gltf.json_items import JsonItem, escaped
 from animtool.formats.gltf.meshes import (
     QUANTIZATION,
     MeshEntry,
@@ -26,7 +28,6 @@ from animtool.formats.gltf.nodes import (
     read_scenes,
     roots,
 )
-from animtool.formats.gltf.places import Item, Notes, escaped
 from animtool.formats.gltf.unused import unused_parts
 
 # Extensions that a file may require.
@@ -59,7 +60,7 @@ _NOT_READ = ("materials", "textures", "images", "samplers", "cameras")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gltf:
-    """A file.
+    """The contents of a file.
 
     Attributes:
         path: The file.
@@ -68,7 +69,7 @@ class Gltf:
         meshes: Likewise.
         animations: Likewise.
         scenes: Root nodes of each scene.
-        default_scene: The one that is shown; -1 where there is none.
+        default_scene: Index of the default scene; -1 if there is none.
         accessors: The numbers that they refer to.
         root: The JSON.
         notes: What was put right, and where.
@@ -83,20 +84,20 @@ class Gltf:
     scenes: list[list[int]]
     default_scene: int
     accessors: Accessors
-    root: Item
-    notes: Notes
+    root: JsonItem
+    notes: FileNotices
     left_out: tuple[str, ...]
 
 
 def open_gltf(path: Path | str) -> Gltf:
-    """Return a .gltf or .glb file, every number of what moves checked.
+    """Open a .gltf or .glb; every number that affects motion is checked.
 
     Raises:
         FormatError: It cannot be read safely, or has two meanings (GLT001 to GLT013),
             with the JSON pointer or the byte offset.
     """
     path = Path(path)
-    notes = Notes(str(path))
+    notes = FileNotices(str(path))
     container = read_container(path, notes)
     root = container.root
     _check_asset(root, notes)
@@ -110,7 +111,7 @@ def open_gltf(path: Path | str) -> Gltf:
     _check_weights(nodes, meshes, notes)
     animations = read_animations(root, accessors, nodes, meshes)
     left_out = _left_out(container)
-    found = Gltf(
+    gltf = Gltf(
         path,
         nodes,
         skins,
@@ -123,23 +124,23 @@ def open_gltf(path: Path | str) -> Gltf:
         notes,
         left_out,
     )
-    _check_skins(found)
-    return found
+    _check_skins(gltf)
+    return gltf
 
 
-def _accessors(container: Container, path: Path, notes: Notes) -> Accessors:
+def _accessors(container: Container, path: Path, notes: FileNotices) -> Accessors:
     unused = unused_parts(container.root.values)
     return Accessors(
         container, path.parent, notes, unused.accessors, unused.views, unused.buffers
     )
 
 
-def _count(root: Item, key: str) -> int:
-    found: Any = root.values.get(key, [])
-    return len(found) if isinstance(found, list) else 0
+def _count(root: JsonItem, key: str) -> int:
+    entries: Any = root.values.get(key, [])
+    return len(entries) if isinstance(entries, list) else 0
 
 
-def _check_asset(root: Item, notes: Notes) -> None:
+def _check_asset(root: JsonItem, notes: FileNotices) -> None:
     asset = root.required("asset")
     version = asset.text("version")
     if version is None:
@@ -153,8 +154,8 @@ def _check_asset(root: Item, notes: Notes) -> None:
         notes.fail("GLT003", asset.at("minVersion"), message)
 
 
-def _check_extensions(container: Container, notes: Notes, path: Path) -> None:
-    """Refuse a required extension that matters to motion and is not read."""
+def _check_extensions(container: Container, notes: FileNotices, path: Path) -> None:
+    """Raise for required extensions that affect motion and are not read."""
     root = container.root
     used = root.list_of("extensionsUsed")
     for key, names in (
@@ -177,16 +178,16 @@ def _check_extensions(container: Container, notes: Notes, path: Path) -> None:
             hint = f"unpack it with {UNPACKED_BY[name].format(path.name)}"
         message = f"the file needs the extension {name}, which is not supported"
         notes.fail("GLT004", where, message, hint)
-    found = _extensions(root) if container.extended else {}
-    for name, where in found.items():
+    in_use = _extensions(root) if container.extended else {}
+    for name, where in in_use.items():
         if name not in used:
             left = "" if name in READ else ": ignored"
             message = f"the extension {excerpt(name)} is not declared{left}"
             notes.warn("GLT106", where, message)
 
 
-def _check_lists(root: Item, used: list[Any], notes: Notes) -> None:
-    """Say where the lists of extensions do not go together."""
+def _check_lists(root: JsonItem, used: list[Any], notes: FileNotices) -> None:
+    """Warn about contradicting lists of extensions."""
     required = root.list_of("extensionsRequired")
     for i, name in enumerate(used):
         where = f"{root.at('extensionsUsed')}/{i}"
@@ -202,30 +203,30 @@ def _check_lists(root: Item, used: list[Any], notes: Notes) -> None:
 
 
 def _left_out(container: Container) -> tuple[str, ...]:
-    """Return what a file has that is not read: parts, and extensions that matter."""
+    """Return labels of contents and extensions that are not read."""
     root = container.root
-    found = [key for key in _NOT_READ if root.values.get(key)]
+    labels = [key for key in _NOT_READ if root.values.get(key)]
     names = _extensions(root) if container.extended else {}
     if "KHR_lights_punctual" in names:
-        found.append("lights")
-    found += [
+        labels.append("lights")
+    labels += [
         name
         for name in names
         if not (name in READ or name in LOOKS_ALONE or name.startswith(LOOKS))
     ]
-    return tuple(found)
+    return tuple(labels)
 
 
-def _extensions(root: Item) -> dict[str, str]:
-    """Return the extensions that objects of a file have, and where each is first."""
-    found: dict[str, str] = {}
+def _extensions(root: JsonItem) -> dict[str, str]:
+    """Return used extensions, each with the pointer to its first use."""
+    pointers: dict[str, str] = {}
     stack: list[tuple[Any, str]] = [(root.values, "")]
     while stack:
         value, where = stack.pop()
         if isinstance(value, dict):
-            own = value.get("extensions")
-            for name in own if isinstance(own, dict) else ():
-                found.setdefault(name, f"{where}/extensions/{escaped(name)}")
+            extensions = value.get("extensions")
+            for name in extensions if isinstance(extensions, dict) else ():
+                pointers.setdefault(name, f"{where}/extensions/{escaped(name)}")
             stack += [
                 (value[key], f"{where}/{escaped(key)}")
                 for key in reversed(value)
@@ -234,11 +235,11 @@ def _extensions(root: Item) -> dict[str, str]:
             ]
         elif isinstance(value, list) and value and isinstance(value[0], dict | list):
             stack += [(value[i], f"{where}/{i}") for i in range(len(value) - 1, -1, -1)]
-    return found
+    return pointers
 
 
 def _check_weights(
-    nodes: tuple[Node, ...], meshes: tuple[MeshEntry, ...], notes: Notes
+    nodes: tuple[Node, ...], meshes: tuple[MeshEntry, ...], notes: FileNotices
 ) -> None:
     for i, node in enumerate(nodes):
         if node.weights is not None:
@@ -249,7 +250,7 @@ def _check_weights(
 
 
 def _check_skins(gltf: Gltf) -> None:
-    """Check what skins and meshes say of each other."""
+    """Check that skins and meshes fit each other."""
     done: set[tuple[int, int]] = set()
     for node in gltf.nodes:
         if node.mesh < 0 or (node.mesh, node.skin) in done:
@@ -273,7 +274,7 @@ def _check_skins(gltf: Gltf) -> None:
 
 
 def _check_scenes(gltf: Gltf, tree: list[int]) -> None:
-    """Say where a scene shows a skinned mesh without its joints.
+    """Warn about scenes with a skinned mesh but without its joints.
 
     tree: the root of each node.
     """
@@ -288,7 +289,7 @@ def _check_scenes(gltf: Gltf, tree: list[int]) -> None:
 
 
 def _require(accessors: Accessors, primitive: Primitive) -> None:
-    """Read what a mesh that is used is made of; it must be there."""
+    """Read the accessors of a mesh in use; raise if data is missing."""
     parts = [primitive.position, primitive.indices, *primitive.joints]
     parts += [*primitive.weights, *(target.position for target in primitive.targets)]
     for index in parts:
@@ -303,5 +304,5 @@ def _is_above(gltf: Gltf, upper: int, lower: int) -> bool:
 
 
 def left_out_text(gltf: Gltf) -> str:
-    """Return what the file has that is not read, in words; empty for nothing."""
+    """Return contents that are not read as text; empty for nothing."""
     return listed(gltf.left_out)

@@ -1,4 +1,4 @@
-"""A glTF that is made: its JSON, its numbers, and both as one GLB."""
+"""Builder of a glTF: its JSON and numbers, as .glb or .gltf."""
 
 from __future__ import annotations
 

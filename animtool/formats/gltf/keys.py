@@ -1,4 +1,4 @@
-"""A clip of a glTF as a clip of animtool, with the keys of the file."""
+"""A glTF animation as a clip, with the file's keys."""
 
 from __future__ import annotations
 
@@ -8,19 +8,18 @@ from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted
-from animtool.formats.gltf.animations import Interpolation, Track
-from animtool.formats.gltf.animations import Path as Moved
+from animtool.formats.gltf.animations import GltfTrack, KeyInterpolation, TargetPath
 from animtool.formats.gltf.rig import GltfRig
-from animtool.formats.gltf.sampling import NEAR, Moving, Sampler
-from animtool.formats.gltf.timing import Frames
+from animtool.formats.gltf.sampling import NEAR, GltfSampler, MovingRow
+from animtool.formats.gltf.timing import GltfFrames
 from animtool.maths import so3
 from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
 
 _PARTS = {
-    Moved.TRANSLATION: "local_translation",
-    Moved.ROTATION: "local_rotation",
-    Moved.SCALE: "scale",
+    TargetPath.TRANSLATION: "local_translation",
+    TargetPath.ROTATION: "local_rotation",
+    TargetPath.SCALE: "scale",
 }
 # A clip has no rotations by cubic splines of their numbers: keys are put between until
 # arcs are this near to them [rad].
@@ -30,28 +29,28 @@ MAX_HALVINGS = 10
 
 
 def clip_of_gltf(
-    name: str, made: GltfRig, moving: Sampler, frames: Frames
+    name: str, gltf_rig: GltfRig, moving: GltfSampler, frames: GltfFrames
 ) -> tuple[Clip, list[Fault]]:
-    """Return a clip with the keys of a glTF's, and what of it is not so.
+    """Return a clip with a glTF animation's keys, and notices.
 
     Args:
         name: What the clip is called.
-        made: The rig.
+        gltf_rig: The rig.
         moving: The tracks.
         frames: When they are.
     """
     channels: list[ClipChannel] = []
     bent = added = 0
     for path, rest in moving.rest.items():
-        own = {one.row: one for one in moving.moving[path]}
-        usual = _usual(path, made)
+        tracks = {one.row: one for one in moving.moving[path]}
+        defaults = _default_rows(path, gltf_rig)
         for row in range(len(rest)):
-            target = _target(path, row, made)
-            if row not in own:
-                if np.abs(rest[row] - usual[row]).max() > 0:
-                    channels.append(_still(target, rest[row], path, frames))
+            target = _target(path, row, gltf_rig)
+            if row not in tracks:
+                if np.abs(rest[row] - defaults[row]).max() > 0:
+                    channels.append(_static_channel(target, rest[row], path, frames))
                 continue
-            channel, more = _channel(target, own[row], path, frames)
+            channel, more = _channel(target, tracks[row], path, frames)
             channels.append(channel)
             bent, added = bent + (more > 0), added + more
     last = frames.first + frames.count - 1
@@ -68,25 +67,25 @@ def clip_of_gltf(
     return clip, [Fault("GLT118", message, severity=Severity.NOTE)]
 
 
-def _usual(path: Moved, made: GltfRig) -> FloatArray:
-    """Return what a rig without keys has."""
-    rig = made.rig
-    if path is Moved.TRANSLATION:
+def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
+    """Return the values of a rig's channels without keys."""
+    rig = gltf_rig.rig
+    if path is TargetPath.TRANSLATION:
         return rig.rest_translations
-    if path is Moved.ROTATION:
+    if path is TargetPath.ROTATION:
         return rig.rest_rotations
-    if path is Moved.SCALE:
+    if path is TargetPath.SCALE:
         return np.ones((len(rig.joints), 3))
     return np.zeros((len(rig.shapes), 1))
 
 
-def _target(path: Moved, row: int, made: GltfRig) -> str:
-    if path is Moved.WEIGHTS:
-        return f"shape/{made.rig.shapes[row].name}"
-    return f"joint/{made.rig.names[row]}.{_PARTS[path]}"
+def _target(path: TargetPath, row: int, gltf_rig: GltfRig) -> str:
+    if path is TargetPath.WEIGHTS:
+        return f"shape/{gltf_rig.rig.shapes[row].name}"
+    return f"joint/{gltf_rig.rig.names[row]}.{_PARTS[path]}"
 
 
-def _made(
+def _clip_channel(
     target: str,
     times: FloatArray,
     values: FloatArray,
@@ -114,43 +113,47 @@ def _made(
     )
 
 
-def _still(target: str, value: FloatArray, path: Moved, frames: Frames) -> ClipChannel:
-    interp = Interp.SLERP if path is Moved.ROTATION else Interp.LINEAR
+def _static_channel(
+    target: str, value: FloatArray, path: TargetPath, frames: GltfFrames
+) -> ClipChannel:
+    interp = Interp.SLERP if path is TargetPath.ROTATION else Interp.LINEAR
     times = np.array([float(frames.first)])
-    return _made(target, times, value[None].copy(), interp)
+    return _clip_channel(target, times, value[None].copy(), interp)
 
 
 def _channel(
-    target: str, one: Moving, path: Moved, frames: Frames
+    target: str, one: MovingRow, path: TargetPath, frames: GltfFrames
 ) -> tuple[ClipChannel, int]:
-    """Return the keys of a track, and how many are none of the file."""
+    """Return the keys of a track, and the count of keys not in the file."""
     track = one.track
     times = key_frames(track.times, frames)
     values = track.values.astype(np.float64) * one.factor
-    step = track.interpolation is Interpolation.STEP
-    if path is Moved.ROTATION:
-        if track.interpolation is Interpolation.CUBIC:
+    step = track.interpolation is KeyInterpolation.STEP
+    if path is TargetPath.ROTATION:
+        if track.interpolation is KeyInterpolation.CUBIC:
             return _arcs(target, track, frames)
         values = so3.align_signs(so3.normalize(values))
         interp = Interp.STEP if step else Interp.SLERP
-        return _made(target, times, values, interp), 0
+        return _clip_channel(target, times, values, interp), 0
     if track.ins is not None and track.outs is not None:
         scale = one.factor / float(frames.fps)
         slopes = (track.ins * scale, track.outs * scale)
-        return _made(target, times, values, Interp.BEZIER, slopes), 0
-    return _made(target, times, values, Interp.STEP if step else Interp.LINEAR), 0
+        return _clip_channel(target, times, values, Interp.BEZIER, slopes), 0
+    return _clip_channel(
+        target, times, values, Interp.STEP if step else Interp.LINEAR
+    ), 0
 
 
-def key_frames(seconds: FloatArray, frames: Frames) -> FloatArray:
-    """Return key times [frames]; those that float32 cannot tell from a frame are it."""
+def key_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
+    """Return key times [frames], snapped to a frame within float32 rounding."""
     exact = seconds * float(frames.fps)
-    whole = np.round(exact)
-    near = np.abs(whole - exact) <= NEAR * np.abs(exact)
-    return np.asarray(np.where(near, whole, exact) + float(frames.start))
+    rounded = np.round(exact)
+    near = np.abs(rounded - exact) <= NEAR * np.abs(exact)
+    return np.asarray(np.where(near, rounded, exact) + float(frames.start))
 
 
-def _arcs(target: str, track: Track, frames: Frames) -> tuple[ClipChannel, int]:
-    """Return arcs that follow a cubic rotation, the keys of the file among theirs."""
+def _arcs(target: str, track: GltfTrack, frames: GltfFrames) -> tuple[ClipChannel, int]:
+    """Return slerp keys that approximate a cubic rotation, file keys included."""
     times = [track.times]
     a, b = track.times[:-1], track.times[1:]
     for _ in range(MAX_HALVINGS):
@@ -169,5 +172,5 @@ def _arcs(target: str, track: Track, frames: Frames) -> tuple[ClipChannel, int]:
         a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
     every = np.unique(np.concatenate(times))
     values = so3.align_signs(track.at(every))
-    channel = _made(target, key_frames(every, frames), values, Interp.SLERP)
+    channel = _clip_channel(target, key_frames(every, frames), values, Interp.SLERP)
     return channel, len(every) - len(track.times)

@@ -1,4 +1,4 @@
-"""Meshes, morph targets and skins of a glTF, checked."""
+"""glTF meshes, morph targets and skins, checked."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
+from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import COMPONENTS, FLOAT, Accessor, Accessors
-from animtool.formats.gltf.places import Item, Notes, by_animtool, is_number
+from animtool.formats.gltf.json_items import JsonItem, by_animtool, is_number
 from animtool.formats.gltf.unused import is_known, is_read
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
@@ -24,8 +25,8 @@ BOUNDS = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
-    """A morph target: accessors of what it adds; -1 for nothing."""
+class MorphTarget:
+    """A morph target: accessor indices of its offsets; -1 for none."""
 
     position: int
     normal: int
@@ -33,7 +34,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """A part of a mesh: accessors of its vertices."""
+    """A part of a mesh: accessor indices of its vertices."""
 
     position: int  # -1: it has no points
     normal: int
@@ -41,12 +42,12 @@ class Primitive:
     weights: tuple[int, ...]
     indices: int
     mode: int
-    targets: tuple[Target, ...]
+    targets: tuple[MorphTarget, ...]
     where: str
 
     @property
     def vertices(self) -> tuple[Any, ...]:
-        """What the vertices are made of: primitives that share it share them."""
+        """Accessors that identify the vertices; equal for sharing primitives."""
         return self.position, self.normal, self.joints, self.weights, self.targets
 
 
@@ -63,7 +64,7 @@ class MeshEntry:
 
     @property
     def targets(self) -> int:
-        """Number of morph targets."""
+        """Count of morph targets."""
         return max((len(part.targets) for part in self.primitives), default=0)
 
 
@@ -78,12 +79,12 @@ class SkinEntry:
     where: str
 
 
-def read_meshes(root: Item, accessors: Accessors) -> tuple[MeshEntry, ...]:
-    """Return the meshes, their numbers checked."""
+def read_meshes(root: JsonItem, accessors: Accessors) -> tuple[MeshEntry, ...]:
+    """Return the meshes of a file, with checked numbers."""
     return tuple(_mesh(item, accessors) for item in root.children("meshes"))
 
 
-def _mesh(item: Item, accessors: Accessors) -> MeshEntry:
+def _mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
     if "primitives" not in item.values:
         item.missing("primitives")
     primitives = tuple(
@@ -104,52 +105,63 @@ def _mesh(item: Item, accessors: Accessors) -> MeshEntry:
     names = extras.get("targetNames") if isinstance(extras, dict) else None
     is_list = isinstance(names, list) and len(names) == targets
     texts = tuple(map(str, names)) if is_list and names is not None else ()
-    usual = (0.0,) * targets
+    zeros = (0.0,) * targets
     called = by_animtool(item).get("name")
     return MeshEntry(
         item.text("name"),
         primitives,
-        usual if weights is None else tuple(weights),
+        zeros if weights is None else tuple(weights),
         texts,
         item.pointer,
         called if isinstance(called, str) else None,
     )
 
 
-def _primitive(item: Item, accessors: Accessors) -> Primitive:
+def _primitive(item: JsonItem, accessors: Accessors) -> Primitive:
     attributes = item.required("attributes")
     count = len(accessors.entries)
-    found: dict[str, int] = {}
+    accessors_of_names: dict[str, int] = {}
     for name in attributes.values:
         if not is_read(name):
             if not is_known(name):
                 message = f"unknown attribute {name!r}: ignored"
                 item.notes.warn("GLT106", attributes.at(name), message)
             continue
-        found[name] = attributes.index(name, count, "accessor")
-    position, normal = found.get("POSITION", -1), found.get("NORMAL", -1)
-    many = _check_vertices(attributes, found, accessors)
-    sets = sorted(int(name[7:]) for name in found if name.startswith("JOINTS_"))
-    weights = sorted(int(name[8:]) for name in found if name.startswith("WEIGHTS_"))
+        accessors_of_names[name] = attributes.index(name, count, "accessor")
+    position, normal = (
+        accessors_of_names.get("POSITION", -1),
+        accessors_of_names.get("NORMAL", -1),
+    )
+    many = _check_vertices(attributes, accessors_of_names, accessors)
+    sets = sorted(
+        int(name[7:]) for name in accessors_of_names if name.startswith("JOINTS_")
+    )
+    weights = sorted(
+        int(name[8:]) for name in accessors_of_names if name.startswith("WEIGHTS_")
+    )
     if sets != weights:
         message = f"JOINTS {sets} and WEIGHTS {weights} do not match"
         item.notes.fail("GLT011", attributes.pointer, message)
     targets = []
     for target in item.children("targets"):
         _check_target(target)
-        own = {
+        accessors_of = {
             name: target.index(name, count, "accessor")
             for name in ("POSITION", "NORMAL")
             if name in target.values
         }
-        for name, index in own.items():
+        for name, index in accessors_of.items():
             accessor = _typed(target, name, index, accessors, "VEC3", QUANTIZED)
             if accessor.count != many:
                 message = f"{accessor.count} rows for {many} vertices"
                 item.notes.fail("GLT011", target.at(name), message)
             if accessors.has_data(index):
                 check_bounds(accessor.item, accessors.numbers(index))
-        targets.append(Target(own.get("POSITION", -1), own.get("NORMAL", -1)))
+        targets.append(
+            MorphTarget(
+                accessors_of.get("POSITION", -1), accessors_of.get("NORMAL", -1)
+            )
+        )
     mode = item.number("mode")
     if mode is not None and not 0 <= mode <= FAN:
         message = f"mode {mode} is unknown: the primitive has no faces"
@@ -158,8 +170,8 @@ def _primitive(item: Item, accessors: Accessors) -> Primitive:
     primitive = Primitive(
         position,
         normal,
-        tuple(found[f"JOINTS_{one}"] for one in sets),
-        tuple(found[f"WEIGHTS_{one}"] for one in sets),
+        tuple(accessors_of_names[f"JOINTS_{one}"] for one in sets),
+        tuple(accessors_of_names[f"WEIGHTS_{one}"] for one in sets),
         indices,
         TRIANGLES if mode is None else mode,
         tuple(targets),
@@ -170,8 +182,8 @@ def _primitive(item: Item, accessors: Accessors) -> Primitive:
     return primitive
 
 
-def _check_target(target: Item) -> None:
-    """Say what of a morph target is not read."""
+def _check_target(target: JsonItem) -> None:
+    """Warn about attributes of a morph target that are not read."""
     if not target.values:
         message = "a morph target without attributes moves nothing"
         target.notes.warn("GLT106", target.pointer, message)
@@ -182,20 +194,20 @@ def _check_target(target: Item) -> None:
 
 
 def _typed(
-    item: Item,
+    item: JsonItem,
     key: str,
     index: int,
     accessors: Accessors,
     kind: str,
     components: tuple[int, ...],
 ) -> Accessor:
-    """Return an accessor of a type that an attribute takes, its numbers read."""
+    """Return an accessor of a type allowed for an attribute."""
     accessor = accessors.entries[index]
     if accessor is None or not accessor.is_of(kind, *components):
-        held = "of an unknown type"
+        text = "of an unknown type"
         if accessor is not None:
-            held = f"{accessor.kind} of {COMPONENTS[accessor.component].name}"
-        item.notes.fail("GLT011", item.at(key), f"{key} cannot be {held}")
+            text = f"{accessor.kind} of {COMPONENTS[accessor.component].name}"
+        item.notes.fail("GLT011", item.at(key), f"{key} cannot be {text}")
     quantized = components is QUANTIZED and accessor.component != FLOAT
     if quantized and not accessors.declares(QUANTIZATION):
         message = f"{key} are integers, and {QUANTIZATION} is not declared"
@@ -206,11 +218,11 @@ def _typed(
 
 
 def _check_vertices(
-    attributes: Item, found: dict[str, int], accessors: Accessors
+    attributes: JsonItem, indices: dict[str, int], accessors: Accessors
 ) -> int:
-    """Check types and counts of what vertices have; return how many there are."""
+    """Check types and counts of vertex attributes; return the vertex count."""
     many = -1
-    for name, index in found.items():
+    for name, index in indices.items():
         kind = "VEC4"
         components: tuple[int, ...] = (U8, U16)
         if name in {"POSITION", "NORMAL"}:
@@ -235,8 +247,8 @@ def _check_vertices(
     return many
 
 
-def _check_packing(attributes: Item, name: str, accessor: Accessor) -> None:
-    """Say where weights are integers that are not said to be fractions."""
+def _check_packing(attributes: JsonItem, name: str, accessor: Accessor) -> None:
+    """Warn about integer weights that are not normalised."""
     if not name.startswith("WEIGHTS_") or accessor.component == FLOAT:
         return
     if not accessor.normalized:
@@ -244,7 +256,7 @@ def _check_packing(attributes: Item, name: str, accessor: Accessor) -> None:
         attributes.notes.warn("GLT104", attributes.at(name), message)
 
 
-def _check_indices(item: Item, index: int, many: int, accessors: Accessors) -> None:
+def _check_indices(item: JsonItem, index: int, many: int, accessors: Accessors) -> None:
     _typed(item, "indices", index, accessors, "SCALAR", (U8, U16, U32))
     accessors.check_packed(index, item.at("indices"))
     if not accessors.has_data(index):
@@ -255,8 +267,8 @@ def _check_indices(item: Item, index: int, many: int, accessors: Accessors) -> N
         item.notes.fail("GLT006", item.at("indices"), message)
 
 
-def check_bounds(item: Item, values: Any, *, missing: str = "") -> None:
-    """Say where min and max are not those of the data, which count.
+def check_bounds(item: JsonItem, values: Any, *, missing: str = "") -> None:
+    """Warn about min and max that differ from the data.
 
     missing: what needs them, where something does.
     """
@@ -266,14 +278,14 @@ def check_bounds(item: Item, values: Any, *, missing: str = "") -> None:
             message = "min and max are missing: computed from the data"
             item.notes.warn("GLT102", missing, message)
         return
-    found = (values.min(axis=0), values.max(axis=0))
-    for key, said, own in zip(("min", "max"), stated, found, strict=True):
-        size = BOUNDS * max(1.0, float(np.abs(own.astype(np.float64)).max()))
+    actual = (values.min(axis=0), values.max(axis=0))
+    for key, said, bound in zip(("min", "max"), stated, actual, strict=True):
+        size = BOUNDS * max(1.0, float(np.abs(bound.astype(np.float64)).max()))
         if said is None and key not in item.values:
             item.notes.warn("GLT102", item.at(key), f"{key} is missing")
-        if not isinstance(said, list) or len(said) != len(own):
+        if not isinstance(said, list) or len(said) != len(bound):
             continue
-        for i, (one, real) in enumerate(zip(said, own.tolist(), strict=True)):
+        for i, (one, real) in enumerate(zip(said, bound.tolist(), strict=True)):
             if is_number(one) and not abs(one - real) <= size:
                 message = (
                     f"{key} is {one!r}, but the data has {real:.9g}: using the data"
@@ -282,12 +294,14 @@ def check_bounds(item: Item, values: Any, *, missing: str = "") -> None:
                 break
 
 
-def read_skins(root: Item, accessors: Accessors, nodes: int) -> tuple[SkinEntry, ...]:
-    """Return the skins, their matrices checked."""
+def read_skins(
+    root: JsonItem, accessors: Accessors, nodes: int
+) -> tuple[SkinEntry, ...]:
+    """Return the skins of a file, with checked matrices."""
     return tuple(_skin(item, accessors, nodes) for item in root.children("skins"))
 
 
-def _skin(item: Item, accessors: Accessors, nodes: int) -> SkinEntry:
+def _skin(item: JsonItem, accessors: Accessors, nodes: int) -> SkinEntry:
     if "joints" not in item.values:
         item.missing("joints")
     joints = item.indices("joints", nodes, "node")
@@ -306,10 +320,10 @@ def _skin(item: Item, accessors: Accessors, nodes: int) -> SkinEntry:
         if accessor.count < len(joints):
             message = f"{accessor.count} matrices for {len(joints)} joints"
             item.notes.fail("GLT011", where, message)
-        found = np.zeros((len(joints), 4, 4))
+        stored = np.zeros((len(joints), 4, 4))
         if accessors.has_data(index):
-            found = accessors.floats(index)[: len(joints)].reshape(-1, 4, 4)
-        matrices = np.ascontiguousarray(found.swapaxes(1, 2))
+            stored = accessors.floats(index)[: len(joints)].reshape(-1, 4, 4)
+        matrices = np.ascontiguousarray(stored.swapaxes(1, 2))
         last = np.abs(matrices[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1)
         if (last > 1e-4).any() and accessors.has_data(index):
             joint = int(last.argmax())
@@ -331,9 +345,9 @@ def _skin(item: Item, accessors: Accessors, nodes: int) -> SkinEntry:
 
 
 def skin_weights(
-    primitive: Primitive, joints: int, accessors: Accessors, notes: Notes
+    primitive: Primitive, joints: int, accessors: Accessors, notes: FileNotices
 ) -> tuple[IntArray, FloatArray]:
-    """Return joints and weights of the vertices ``(V, I)``, the weights of sum 1.
+    """Return joints and weights of vertices ``(V, I)``; weights sum to 1.
 
     joints: number of joints of the skin.
     """
@@ -347,8 +361,8 @@ def skin_weights(
     beyond = indices >= joints
     if beyond.any():
         used = beyond & (weights > 0)
-        place = np.argwhere(used if used.any() else beyond)[0, 1] // 4
-        where = f"{primitive.where}/attributes/JOINTS_{int(place)}"
+        index = np.argwhere(used if used.any() else beyond)[0, 1] // 4
+        where = f"{primitive.where}/attributes/JOINTS_{int(index)}"
         message = f"joint {int(indices[beyond].max())} of a skin with {joints}"
         if used.any():
             notes.fail("GLT006", where, message)
@@ -357,13 +371,13 @@ def skin_weights(
     sums = weights.sum(axis=1)
     worst = float(sums[np.abs(sums - 1.0).argmax()]) if len(sums) else 1.0
     where = f"{primitive.where}/attributes/WEIGHTS_0"
-    given = all(accessors.has_data(one) for one in primitive.weights)
-    if given and abs(worst - 1.0) > SUM_TOLERANCE:
+    has_data = all(accessors.has_data(one) for one in primitive.weights)
+    if has_data and abs(worst - 1.0) > SUM_TOLERANCE:
         message = f"weights of a vertex have the sum {worst:.6g}"
         notes.warn("GLT104", where, f"{message}: they are normalised")
     empty = sums == 0.0
     if empty.any():
-        if given:
+        if has_data:
             message = f"{int(empty.sum())} vertices have no weights"
             notes.warn("GLT104", where, f"{message}: they follow the first joint")
         weights[empty, 0], indices[empty, 0] = 1.0, 0
@@ -372,9 +386,9 @@ def skin_weights(
 
 
 def _check_distinct(
-    primitive: Primitive, indices: IntArray, weights: FloatArray, notes: Notes
+    primitive: Primitive, indices: IntArray, weights: FloatArray, notes: FileNotices
 ) -> None:
-    """Say where a joint has two weights of one vertex, which are added."""
+    """Warn about joints with two weights on a vertex, which are added."""
     # Those of no weight are told apart by numbers that no joint has.
     idle = -1 - np.arange(indices.shape[1])
     order = np.sort(np.where(weights > 0, indices, idle), axis=1)
@@ -386,7 +400,7 @@ def _check_distinct(
 
 
 def triangles(primitive: Primitive, many: int, accessors: Accessors) -> IntArray:
-    """Return the faces of a primitive ``(N, 3)``; none of points and lines."""
+    """Return a primitive's faces ``(N, 3)``; no faces for points and lines."""
     if primitive.mode not in {TRIANGLES, STRIP, FAN}:
         return np.zeros((0, 3), np.int64)
     run = np.arange(many)

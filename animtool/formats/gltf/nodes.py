@@ -1,4 +1,4 @@
-"""The nodes of a glTF: their tree, and their transforms without animation."""
+"""glTF nodes: the tree and rest transforms."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.formats.gltf.places import Item, Notes, by_animtool
+from animtool.formats.file_notices import FileNotices
+from animtool.formats.gltf.json_items import JsonItem, by_animtool
 from animtool.maths import so3
 
 # Of a quaternion's length, so much as the reference validator lets pass, of numbers
@@ -51,8 +52,10 @@ class Node:
     above: bool = False
 
 
-def read_nodes(root: Item, notes: Notes, meshes: int, skins: int) -> tuple[Node, ...]:
-    """Return the nodes, in the order of the file.
+def read_nodes(
+    root: JsonItem, notes: FileNotices, meshes: int, skins: int
+) -> tuple[Node, ...]:
+    """Return the nodes in file order.
 
     Raises:
         FormatError: There is a loop, or a node with two parents (GLT009).
@@ -68,7 +71,9 @@ def read_nodes(root: Item, notes: Notes, meshes: int, skins: int) -> tuple[Node,
     )
 
 
-def _parents(items: list[Item], below: list[list[int]], notes: Notes) -> list[int]:
+def _parents(
+    items: list[JsonItem], below: list[list[int]], notes: FileNotices
+) -> list[int]:
     parents = [-1] * len(items)
     for i, children in enumerate(below):
         for k, child in enumerate(children):
@@ -94,14 +99,19 @@ def _parents(items: list[Item], below: list[list[int]], notes: Notes) -> list[in
 
 
 def _node(
-    item: Item, parent: int, children: list[int], meshes: int, skins: int, notes: Notes
+    item: JsonItem,
+    parent: int,
+    children: list[int],
+    meshes: int,
+    skins: int,
+    notes: FileNotices,
 ) -> Node:
     mesh = item.index("mesh", meshes, "mesh")
     skin = item.index("skin", skins, "skin")
     weights = item.floats("weights", None)
     if mesh < 0:
-        for key, given in (("skin", skin >= 0), ("weights", weights is not None)):
-            if given:
+        for key, is_stated in (("skin", skin >= 0), ("weights", weights is not None)):
+            if is_stated:
                 message = f"{key} of a node without a mesh is ignored"
                 notes.warn("GLT106", item.at(key), message)
         skin, weights = -1, None
@@ -125,7 +135,7 @@ def _node(
 
 
 def _transform(
-    item: Item, notes: Notes
+    item: JsonItem, notes: FileNotices
 ) -> tuple[
     tuple[float, float, float],
     tuple[float, float, float, float],
@@ -134,17 +144,17 @@ def _transform(
 ]:
     if not _PLACING & item.values.keys():
         return _NO_TRANSFORM
-    given = item.floats("matrix", 16)
+    matrix = item.floats("matrix", 16)
     parts = [item.floats(*part) for part in _PARTS]
-    if given is not None:
+    if matrix is not None:
         for key, part in zip(("translation", "rotation", "scale"), parts, strict=True):
             if part is not None:
                 message = f"{key} next to a matrix is ignored"
                 notes.warn("GLT106", item.at(key), message)
-        return (*_split(np.array(given), item, notes), True)
+        return (*_split(np.array(matrix), item, notes), True)
     translation, rotation, scale = (
-        usual if part is None else part
-        for part, usual in zip(
+        default if part is None else part
+        for part, default in zip(
             parts, ([0.0] * 3, [0.0, 0, 0, 1.0], [1.0] * 3), strict=True
         )
     )
@@ -166,13 +176,13 @@ _PARTS = (("translation", 3), ("rotation", 4), ("scale", 3))
 
 
 def _split(
-    columns: FloatArray, item: Item, notes: Notes
+    columns: FloatArray, item: JsonItem, notes: FileNotices
 ) -> tuple[
     tuple[float, float, float],
     tuple[float, float, float, float],
     tuple[float, float, float],
 ]:
-    """Return translation, rotation and scale of a matrix, shear left out."""
+    """Return translation, rotation and scale of a matrix; shear is dropped."""
     matrix = columns.reshape(4, 4).T
     where = item.at("matrix")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR:
@@ -181,8 +191,8 @@ def _split(
     size = float(np.abs(linear).max())
     if not size or abs(np.linalg.det(linear / size)) < 1e-12:
         notes.fail("GLT010", where, "the matrix is singular")
-    turn, scale = so3.split_scale(linear[None] / size)
-    rotation, lengths = turn[0], scale[0] * size
+    unit_rotation, scale = so3.split_scale(linear[None] / size)
+    rotation, lengths = unit_rotation[0], scale[0] * size
     again = so3.to_matrix(rotation) * lengths
     off = float(np.abs(again - linear).max()) / size
     if off > SHEAR:
@@ -195,9 +205,9 @@ def _split(
 
 
 def read_scenes(
-    root: Item, notes: Notes, nodes: tuple[Node, ...]
+    root: JsonItem, notes: FileNotices, nodes: tuple[Node, ...]
 ) -> tuple[list[list[int]], int]:
-    """Return the root nodes of each scene, and the scene that is shown; -1 for none."""
+    """Return the root nodes of each scene, and the default scene or -1."""
     scenes = []
     for item in root.children("scenes"):
         listed = item.indices("nodes", len(nodes), "node")
@@ -214,7 +224,7 @@ def read_scenes(
 
 
 def roots(nodes: tuple[Node, ...]) -> list[int]:
-    """Return the root above each node; that of a root is itself."""
+    """Return the root node above each node; a root maps to itself."""
     tree = list(range(len(nodes)))
     for node in parents_first(nodes):
         parent = nodes[node].parent
@@ -223,7 +233,7 @@ def roots(nodes: tuple[Node, ...]) -> list[int]:
 
 
 def parents_first(nodes: tuple[Node, ...]) -> list[int]:
-    """Return the indices of all nodes, each after its parent, in outline order."""
+    """Return all node indices depth-first, parents before children."""
     order: list[int] = []
     stack = [i for i in range(len(nodes) - 1, -1, -1) if nodes[i].parent < 0]
     while stack:

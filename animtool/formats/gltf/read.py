@@ -1,4 +1,4 @@
-"""A .gltf, .glb or .vrm file as a rig, and its clips as streams of motion."""
+"""glTF reader: rigs, and animations as streams of motion."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from animtool.core.errors import Fault, FormatError, Severity, counted, listed
 from animtool.core.names import nearest
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis, unit_name
-from animtool.formats.gltf.animations import Animation
-from animtool.formats.gltf.animations import Path as Moved
+from animtool.formats.gltf.animations import Animation, TargetPath
 from animtool.formats.gltf.characters import chosen
 from animtool.formats.gltf.document import Gltf, left_out_text, open_gltf
 from animtool.formats.gltf.keys import clip_of_gltf
 from animtool.formats.gltf.rig import GltfRig, build_rig, scale_notice
 from animtool.formats.gltf.sampling import (
+    GltfSampler,
     NativeKeys,
-    Sampler,
     clip_stream,
     moves,
     sampler,
 )
-from animtool.formats.gltf.timing import Frames, distinct_clip_names, frames_of
+from animtool.formats.gltf.timing import GltfFrames, distinct_clip_names, frames_of
 from animtool.motion.motion import MotionCurve
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
@@ -42,7 +41,7 @@ def read_gltf(
     prim_path: str | None = None,
     take: str | None = None,
 ) -> TakeStream:
-    """Open a clip of a glTF on the character that it moves, meshes included.
+    """Open an animation of a glTF on the character it moves, meshes included.
 
     Time 0 is frame 0. Outside of its keys a track holds its first or last value.
 
@@ -64,21 +63,21 @@ def read_gltf(
     gltf = open_gltf(path)
     character, notices = chosen(gltf, prim_path)
     meters = LengthUnit.M if unit is None else unit
-    made = build_rig(gltf, character, path.stem, meters.meters, up or UpAxis.Y)
-    index, more = _clip(gltf, made, take)
+    gltf_rig = build_rig(gltf, character, path.stem, meters.meters, up or UpAxis.Y)
+    index, more = _clip(gltf, gltf_rig, take)
     animation = None if index < 0 else gltf.animations[index]
-    notices = [*gltf.notes.notices, *notices, *made.notices, *more]
+    notices = [*gltf.notes.notices, *notices, *gltf_rig.notices, *more]
     notices += _left_out(gltf, animation)
-    moving = sampler(gltf, made, animation)
+    moving = sampler(gltf, gltf_rig, animation)
     frames = frames_of(animation, rate, str(path), moving.numbers)
     notices += frames.notices
     names = distinct_clip_names(gltf.animations)
-    stream = clip_stream(made, moving, frames)
+    stream = clip_stream(gltf_rig, moving, frames)
     stream.notices[:] = notices
     if index >= 0:
         name = distinct_clip_names(gltf.animations)[index]
         last = gltf.animations[index].span[1]
-        stream.curve = _keyed(stream, name, made, moving, frames, last)
+        stream.curve = _keyed(stream, name, gltf_rig, moving, frames, last)
     stream.details = {
         "format": "glTF",
         "units": unit_name(meters.meters),
@@ -89,7 +88,7 @@ def read_gltf(
 
 
 def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
-    """Return the rig of a glTF with its meshes and shapes.
+    """Return the rig of a glTF with meshes and shapes.
 
     Its notices say what a rig has no place for.
 
@@ -102,14 +101,14 @@ def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
     """
     gltf = open_gltf(path)
     character, notices = chosen(gltf, prim_path)
-    made = build_rig(gltf, character, path.stem)
-    notices = [*gltf.notes.notices, *notices, *made.notices]
-    notices += scale_notice(made, str(path))
-    return replace(made.rig, notices=tuple(notices))
+    gltf_rig = build_rig(gltf, character, path.stem)
+    notices = [*gltf.notes.notices, *notices, *gltf_rig.notices]
+    notices += scale_notice(gltf_rig, str(path))
+    return replace(gltf_rig.rig, notices=tuple(notices))
 
 
 def take_names(path: Path) -> list[str]:
-    """Return the names of the clips of a glTF, in its order.
+    """Return the names of a glTF's animations, in file order.
 
     Raises:
         FormatError: As `read_gltf` does.
@@ -120,27 +119,27 @@ def take_names(path: Path) -> list[str]:
 def _keyed(
     stream: TakeStream,
     name: str,
-    made: GltfRig,
-    moving: Sampler,
-    frames: Frames,
+    gltf_rig: GltfRig,
+    moving: GltfSampler,
+    frames: GltfFrames,
     last: float,
 ) -> MotionCurve:
-    """Return the motion of a stream at any time, with the keys that it is of.
+    """Attach the clip with the file's keys to a stream.
 
     last: when the last of them is [s].
     """
 
     def clip() -> Clip:
-        found, notices = clip_of_gltf(name, made, moving, frames)
-        return replace(found, notices=tuple(notices))
+        clip_, notices = clip_of_gltf(name, gltf_rig, moving, frames)
+        return replace(clip_, notices=tuple(notices))
 
     assert stream.curve is not None
     native = NativeKeys(moving, frames, last)
     return KeyedCurve(stream.curve, clip, foreign=True, native=native)
 
 
-def _clip(gltf: Gltf, made: GltfRig, take: str | None) -> tuple[int, list[Fault]]:
-    """Return which clip is read, -1 for none, and a note of the others."""
+def _clip(gltf: Gltf, gltf_rig: GltfRig, take: str | None) -> tuple[int, list[Fault]]:
+    """Return the index of the animation to read, -1 for none, and a note."""
     path, names = str(gltf.path), distinct_clip_names(gltf.animations)
     if take is not None:
         if take in names:
@@ -150,7 +149,9 @@ def _clip(gltf: Gltf, made: GltfRig, take: str | None) -> tuple[int, list[Fault]
     if not names:
         message = "has no animation: the rig is read at rest"
         return -1, [Fault("GLT116", message, path, severity=Severity.NOTE)]
-    index = next((i for i, one in enumerate(gltf.animations) if moves(made, one)), 0)
+    index = next(
+        (i for i, one in enumerate(gltf.animations) if moves(gltf_rig, one)), 0
+    )
     if len(names) == 1:
         return index, []
     message = f"reading clip {names[index]!r} of {counted(len(names), 'clip')}"
@@ -159,10 +160,10 @@ def _clip(gltf: Gltf, made: GltfRig, take: str | None) -> tuple[int, list[Fault]
 
 
 def _left_out(gltf: Gltf, animation: Animation | None) -> list[Fault]:
-    """Say once what of the file no take holds."""
+    """Return one notice about file contents that takes cannot hold."""
     names = [left_out_text(gltf)] if gltf.left_out else []
     tracks = () if animation is None else animation.tracks
-    if any(track.path is Moved.VISIBLE for track in tracks):
+    if any(track.path is TargetPath.VISIBLE for track in tracks):
         names.append("animated visibility")
     nodes = enumerate(gltf.nodes)
     hidden = [node.name or f"node_{i}" for i, node in nodes if not node.visible]

@@ -1,4 +1,4 @@
-"""The keys of samples that linear interpolation needs within a tolerance."""
+"""Key reduction: samples needed for linear interpolation within a tolerance."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from animtool.maths import so3
 
 
 def linear_keys(keys: Keys, tolerance: float) -> Keys:
-    """Return those of the keys that give the others back within a tolerance.
+    """Return keys that reproduce all others within a tolerance.
 
     Each step takes the sample that is farthest off, until none is (Ramer, 1972;
     Douglas and Peucker, 1973). Of rotations the tolerance is an angle [rad].
@@ -28,8 +28,8 @@ def linear_keys(keys: Keys, tolerance: float) -> Keys:
         if b - a < 2:
             continue
         inner = slice(a + 1, b)
-        share = (times[inner] - times[a]) / (times[b] - times[a])
-        off = _off(values[a], values[b], share, values[inner])
+        fraction = (times[inner] - times[a]) / (times[b] - times[a])
+        off = _off(values[a], values[b], fraction, values[inner])
         worst = int(off.argmax())
         if off[worst] > tolerance:
             middle = a + 1 + worst
@@ -39,11 +39,11 @@ def linear_keys(keys: Keys, tolerance: float) -> Keys:
 
 
 def _off(
-    a: FloatArray, b: FloatArray, share: FloatArray, values: FloatArray
+    a: FloatArray, b: FloatArray, fraction: FloatArray, values: FloatArray
 ) -> FloatArray:
-    """Return how far samples are from the straight way between two of them."""
+    """Return the distance of samples from the segment between two of them."""
     if values.shape[1] == 4:
-        between = so3.slerp(a[None], b[None], share)
+        between = so3.slerp(a[None], b[None], fraction)
         return so3.angle_between(between, values)
-    straight = a + share[:, None] * (b - a)
+    straight = a + fraction[:, None] * (b - a)
     return np.asarray(np.abs(values - straight).max(axis=1))

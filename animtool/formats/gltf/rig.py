@@ -1,4 +1,4 @@
-"""A character of a glTF as a rig: joints, bind pose, meshes and shapes."""
+"""A glTF character as a rig: joints, bind pose, meshes and shapes."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from animtool.core.quantities import CONTROL
 from animtool.core.record import dataclass
 from animtool.core.similar import distinct
 from animtool.core.units import UpAxis
-from animtool.formats.gltf.animations import Path as Moved
+from animtool.formats.gltf.animations import TargetPath
 from animtool.formats.gltf.binding import Binder
-from animtool.formats.gltf.characters import Character
+from animtool.formats.gltf.characters import CharacterNodes
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.nodes import Node
 from animtool.formats.gltf.surfaces import mesh_parts
@@ -31,7 +31,7 @@ _CONTROL = re.compile(f"[{CONTROL}]")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfRig:
-    """A rig, and what of the file its joints and shapes are.
+    """A rig with the nodes its joints and shapes come from.
 
     Attributes:
         rig: J joints.
@@ -55,7 +55,7 @@ class GltfRig:
 
 def build_rig(
     gltf: Gltf,
-    character: Character,
+    character: CharacterNodes,
     name: str,
     meters_per_unit: float = 1.0,
     up: UpAxis = UpAxis.Y,
@@ -80,26 +80,26 @@ def build_rig(
     joints[kept] = np.arange(len(kept))
     folded = _folded(gltf, character)
     names, renamed = joint_names([gltf.nodes[node] for node in kept], kept)
-    made = []
+    joint_list = []
     bones = {node: bone for bone, node in reversed(humanoid_bones(gltf))}
     for node, called in zip(kept, names, strict=True):
-        own = gltf.nodes[node]
-        above = 1.0 if own.parent < 0 else float(folded[own.parent])
-        x, y, z = (value * above * meters_per_unit for value in own.translation)
-        original = own.name or ""
-        made.append(
+        entry = gltf.nodes[node]
+        above = 1.0 if entry.parent < 0 else float(folded[entry.parent])
+        x, y, z = (value * above * meters_per_unit for value in entry.translation)
+        original = entry.name or ""
+        joint_list.append(
             Joint(
                 called,
-                -1 if own.parent < 0 else int(joints[own.parent]),
+                -1 if entry.parent < 0 else int(joints[entry.parent]),
                 translation=(x, y, z),
-                rotation=own.rotation,
+                rotation=entry.rotation,
                 source_name="" if original == called else original,
                 humanoid=bones.get(node, ""),
             )
         )
     scales = np.array([gltf.nodes[node].scale for node in kept], np.float64)
     scales = np.where(folded_nodes(gltf)[kept][:, None], 1.0, scales)
-    bare = Rig(name, tuple(made), meters_per_unit, up)
+    bare = Rig(name, tuple(joint_list), meters_per_unit, up)
     notices = _name_notice(renamed, gltf)
     meshes: tuple[Mesh, ...] = ()
     shapes: tuple[Shape, ...] = ()
@@ -107,18 +107,18 @@ def build_rig(
     rig, nodes = bare, np.array(kept, np.int64)
     if surfaces:
         binder = Binder(gltf, bare, joints, folded, scales)
-        meshes, shapes, keys, odd = mesh_parts(gltf, character, binder)
+        meshes, shapes, keys, mesh_notices = mesh_parts(gltf, character, binder)
         rig, nodes = binder.rig(meshes, shapes), binder.nodes(nodes)
-        notices += [*odd, *binder.notices]
+        notices += [*mesh_notices, *binder.notices]
         scales = np.concatenate([scales, np.ones((len(nodes) - len(scales), 3))])
     else:
         keys, shapes = shape_keys(gltf, character)
-        rig = Rig(name, tuple(made), meters_per_unit, up, shapes=shapes)
+        rig = Rig(name, tuple(joint_list), meters_per_unit, up, shapes=shapes)
     return GltfRig(rig, nodes, joints, folded, scales, keys, notices)
 
 
 def shape_keys(
-    gltf: Gltf, character: Character
+    gltf: Gltf, character: CharacterNodes
 ) -> tuple[tuple[tuple[int, int], ...], tuple[Shape, ...]]:
     """Return node and target of each shape, and the shapes without arrays."""
     from animtool.formats.gltf.surfaces import mesh_names, shape_names
@@ -133,59 +133,59 @@ def shape_keys(
 
 
 def _only_a_skin(gltf: Gltf, node: int) -> bool:
-    """Return whether a node is that of a skinned mesh, and nothing else."""
-    own = gltf.nodes[node]
-    if own.skin < 0 or own.children or own.mesh < 0:
+    """Return whether a node only carries a skinned mesh."""
+    entry = gltf.nodes[node]
+    if entry.skin < 0 or entry.children or entry.mesh < 0:
         return False
-    primitives = gltf.meshes[own.mesh].primitives
+    primitives = gltf.meshes[entry.mesh].primitives
     skinned = bool(primitives) and all(part.joints for part in primitives)
     return skinned and not any(node in skin.joints for skin in gltf.skins)
 
 
 def _only_above(gltf: Gltf, node: int) -> bool:
-    """Return whether animtool put a node above the roots of a rig, and it stays so."""
-    own = gltf.nodes[node]
-    if not own.above or own.parent >= 0:
+    """Return whether a node is animtool's identity node above several roots."""
+    entry = gltf.nodes[node]
+    if not entry.above or entry.parent >= 0:
         return False
     if any(node in skin.joints for skin in gltf.skins):
         return False
     if any(track.node == node for one in gltf.animations for track in one.tracks):
         return False
-    still = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
-    return (own.translation, own.rotation, own.scale) == still
+    identity = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
+    return (entry.translation, entry.rotation, entry.scale) == identity
 
 
 def folded_nodes(gltf: Gltf) -> BoolArray:
-    """Return which nodes have an even scale that never moves ``(N,)``."""
+    """Return which nodes have a uniform static scale ``(N,)``."""
     scales = np.array([node.scale for node in gltf.nodes]).reshape(-1, 3)
     low, high = scales.min(axis=1), scales.max(axis=1)
     even = (low > 0) & (high - low <= SAME_SCALE * np.abs(high))
     for animation in gltf.animations:
         for track in animation.tracks:
-            if track.path is Moved.SCALE and even[track.node]:
-                own = scales[track.node]
-                off = np.abs(track.values - own).max()
+            if track.path is TargetPath.SCALE and even[track.node]:
+                scale = scales[track.node]
+                off = np.abs(track.values - scale).max()
                 slopes = [part for part in (track.ins, track.outs) if part is not None]
                 moves = any(np.abs(part).max() > SAME_SCALE for part in slopes)
-                even[track.node] = not moves and off <= SAME_SCALE * own.max()
+                even[track.node] = not moves and off <= SAME_SCALE * scale.max()
     return np.asarray(even)
 
 
-def _folded(gltf: Gltf, character: Character) -> FloatArray:
-    """Return the product of even scales from the root to each node ``(N,)``."""
+def _folded(gltf: Gltf, character: CharacterNodes) -> FloatArray:
+    """Return the product of uniform scales from the root to each node ``(N,)``."""
     even = folded_nodes(gltf)
     folded = np.ones(len(gltf.nodes))
     for node in character.nodes:
-        own = gltf.nodes[node]
-        above = 1.0 if own.parent < 0 else folded[own.parent]
-        folded[node] = above * (float(np.mean(own.scale)) if even[node] else 1.0)
+        entry = gltf.nodes[node]
+        above = 1.0 if entry.parent < 0 else folded[entry.parent]
+        folded[node] = above * (float(np.mean(entry.scale)) if even[node] else 1.0)
     return folded
 
 
 def joint_names(
     nodes: list[Node], numbers: list[int]
 ) -> tuple[list[str], list[tuple[str, str]]]:
-    """Return distinct names, and those that are not as in the file, with what is.
+    """Return distinct joint names, and those that differ from the file's.
 
     Characters that no file of text holds are replaced.
     """
@@ -211,10 +211,10 @@ def _name_notice(renamed: list[tuple[str, str]], gltf: Gltf) -> list[Fault]:
 
 
 def scale_notice(of_gltf: GltfRig, where: str) -> list[Fault]:
-    """Name the joints whose scale at rest a rig does not hold."""
+    """Return a notice of joint scales that a rig cannot hold."""
     rig = of_gltf.rig
-    odd = np.abs(of_gltf.scales - 1.0).max(axis=1) > 1e-4
-    names = [rig.names[j] for j in np.flatnonzero(odd).tolist()]
+    scaled = np.abs(of_gltf.scales - 1.0).max(axis=1) > 1e-4
+    names = [rig.names[j] for j in np.flatnonzero(scaled).tolist()]
     if not names:
         return []
     message = "scales at rest that a rig cannot store: "

@@ -1,4 +1,4 @@
-"""A clip of a glTF as motion of a rig, at any times."""
+"""glTF animations sampled as rig motion at any times."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.record import dataclass
-from animtool.formats.gltf.animations import Animation, Track, between
-from animtool.formats.gltf.animations import Path as Moved
+from animtool.formats.gltf.animations import Animation, GltfTrack, TargetPath, between
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.rig import GltfRig, folded_nodes
-from animtool.formats.gltf.timing import Frames
+from animtool.formats.gltf.timing import GltfFrames
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
@@ -29,54 +28,56 @@ BLOCK, PIECE = 16384, 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moving:
-    """A track, and the row of a channel that it moves."""
+class MovingRow:
+    """A track and the channel row that it animates."""
 
     row: int
-    track: Track
+    track: GltfTrack
     factor: float = 1.0  # of its values, as the rig has them
 
 
 @dataclass(slots=True, eq=False)
-class Sampler:
-    """The motion of a rig by one clip, at any times."""
+class GltfSampler:
+    """Sampler of an animation's rig motion at any times."""
 
-    rest: dict[Moved, FloatArray]  # of each channel ``(rows, width)``
-    moving: dict[Moved, list[Moving]]
+    rest: dict[TargetPath, FloatArray]  # of each channel ``(rows, width)``
+    moving: dict[TargetPath, list[MovingRow]]
     scaled: bool  # whether there is a scale
     _grids: dict[int, tuple[IntArray | slice, FloatArray]] = field(default_factory=dict)
 
     @property
     def numbers(self) -> int:
-        """Numbers of a frame that change."""
-        counts = {Moved.ROTATION: 4, Moved.WEIGHTS: 1}
-        return sum(counts.get(path, 3) * len(own) for path, own in self.moving.items())
+        """Count of animated numbers per frame."""
+        counts = {TargetPath.ROTATION: 4, TargetPath.WEIGHTS: 1}
+        return sum(
+            counts.get(path, 3) * len(tracks) for path, tracks in self.moving.items()
+        )
 
     def at(self, times: FloatArray) -> Motion:
         """Return the motion at times ``(F,)`` [s]."""
         self._grids.clear()
         channels = {path: self._channel(path, times) for path in self.rest}
-        shapes = len(self.rest[Moved.WEIGHTS])
+        shapes = len(self.rest[TargetPath.WEIGHTS])
         return Motion(
-            channels[Moved.TRANSLATION],
-            channels[Moved.ROTATION],
-            channels[Moved.SCALE] if self.scaled else None,
-            channels[Moved.WEIGHTS] if shapes else None,
+            channels[TargetPath.TRANSLATION],
+            channels[TargetPath.ROTATION],
+            channels[TargetPath.SCALE] if self.scaled else None,
+            channels[TargetPath.WEIGHTS] if shapes else None,
         )
 
-    def _channel(self, path: Moved, times: FloatArray) -> Channel:
+    def _channel(self, path: TargetPath, times: FloatArray) -> Channel:
         rest, moving = self.rest[path], self.moving[path]
         rows = np.array([one.row for one in moving], np.int64)
-        if path is Moved.ROTATION and moving:
+        if path is TargetPath.ROTATION and moving:
             keys = [self._keys(one.track, times) for one in moving]
-            own = [found for found in keys if found is not None]
-            if len(own) == len(keys):
-                return Channel(rest, rows, _kernels.unpack_rotations(own, None))
+            packed = [each for each in keys if each is not None]
+            if len(packed) == len(keys):
+                return Channel(rest, rows, _kernels.unpack_rotations(packed, None))
         values = np.empty((len(times), len(moving), rest.shape[1]))
         groups = _groups(moving)
         factors = np.array([one.factor for one in moving])[:, None]
         scaled = bool((factors != 1.0).any())
-        # A piece stays in the cache of the processor.
+        # A piece stays in the processor's cache.
         for at in range(0, len(times) if moving else 0, PIECE):
             part = slice(at, min(at + PIECE, len(times)))
             for columns in groups:
@@ -84,7 +85,7 @@ class Sampler:
                 values[part, columns] = self._values(tracks, times, part)
             if scaled:
                 values[part] *= factors
-            if path is Moved.ROTATION:
+            if path is TargetPath.ROTATION:
                 _unit(values[part])
                 _continue(values[part], values[at - 1] if at else None)
         return Channel(rest, rows, values)
@@ -92,13 +93,15 @@ class Sampler:
     def _grid(
         self, keys: FloatArray, times: FloatArray
     ) -> tuple[IntArray | slice, FloatArray]:
-        """Return `segments`; tracks with the same keys look once."""
+        """Return `segments`, cached for tracks with the same keys."""
         if id(keys) not in self._grids:
             self._grids[id(keys)] = segments(keys, times)
         return self._grids[id(keys)]
 
-    def _keys(self, track: Track, times: FloatArray) -> npt.NDArray[np.float32] | None:
-        """Return the keys that a track has at times that are successive keys.
+    def _keys(
+        self, track: GltfTrack, times: FloatArray
+    ) -> npt.NDArray[np.float32] | None:
+        """Return a track's keys if the times are successive keys of it.
 
         None where the times are others, or the file does not have floats.
         """
@@ -110,26 +113,26 @@ class Sampler:
         return np.require(track.values[low], "f4", ["C", "A"])
 
     def _values(
-        self, tracks: list[Track], times: FloatArray, part: slice
+        self, tracks: list[GltfTrack], times: FloatArray, part: slice
     ) -> FloatArray:
-        """Return the values ``(F, N, W)`` of tracks of a group at a part of the times.
+        """Return values ``(F, N, W)`` of a group of tracks at some times.
 
         Rotations may have any length.
         """
         keys = tracks[0].times
         if len(keys) == 1:
             return np.stack([track.at(times[part]) for track in tracks], axis=1)
-        low, own = self._grid(keys, times)
+        low, fractions = self._grid(keys, times)
         if isinstance(low, slice):
             at = slice(low.start + part.start, low.start + part.stop)
             return np.stack([track.values[at] for track in tracks], axis=1)
-        if own is _ON_KEYS:
+        if fractions is _ON_KEYS:
             return np.stack([track.values[low[part]] for track in tracks], axis=1)
-        return between(tracks, low[part], own[part])
+        return between(tracks, low[part], fractions[part])
 
 
-def _groups(moving: list[Moving]) -> list[list[int]]:
-    """Return the columns of tracks that share key times and interpolation."""
+def _groups(moving: list[MovingRow]) -> list[list[int]]:
+    """Group columns of tracks with common key times and interpolation."""
     groups: dict[tuple[int, str], list[int]] = {}
     for k, one in enumerate(moving):
         key = id(one.track.times), str(one.track.interpolation)
@@ -139,10 +142,10 @@ def _groups(moving: list[Moving]) -> list[list[int]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NativeKeys:
-    """The tracks of a clip, when its frames are, and its last key [s]."""
+    """Tracks of an animation, its start frame, and its last key [s]."""
 
-    sampler: Sampler
-    frames: Frames
+    sampler: GltfSampler
+    frames: GltfFrames
     last: float
 
 
@@ -152,7 +155,7 @@ _ON_KEYS = np.zeros(0)
 def segments(
     keys: FloatArray, times: FloatArray
 ) -> tuple[IntArray | slice, FloatArray]:
-    """Return the key before each time, and the times, those near a key as the key.
+    """Return the key before each time; times near a key are set to the key.
 
     Where all of them are keys, or outside of these, the times are `_ON_KEYS` and the
     indices those of the keys.
@@ -175,13 +178,13 @@ def segments(
 
 
 def _unit(rotations: FloatArray) -> None:
-    """Bring rotations ``(F, J, 4)`` to unit length, in place."""
+    """Normalise rotations ``(F, J, 4)`` in place."""
     squares = np.einsum("fjc,fjc->fj", rotations, rotations)
     np.divide(rotations, np.sqrt(squares)[:, :, None], out=rotations)
 
 
 def _continue(rotations: FloatArray, before: FloatArray | None) -> None:
-    """Make signs continuous along time, in place.
+    """Make quaternion signs continuous over time, in place.
 
     before: the rotations before the first ``(J, 4)``; None begins with w above 0.
     """
@@ -192,31 +195,33 @@ def _continue(rotations: FloatArray, before: FloatArray | None) -> None:
         rotations[:] = so3.align_signs(rotations, before)
 
 
-def sampler(gltf: Gltf, made: GltfRig, animation: Animation | None) -> Sampler:
-    """Return the motion of a rig by a clip; by None it is at rest."""
-    rig = made.rig
+def sampler(gltf: Gltf, gltf_rig: GltfRig, animation: Animation | None) -> GltfSampler:
+    """Return the sampler of a rig's animation; None is at rest."""
+    rig = gltf_rig.rig
     rest = {
-        Moved.TRANSLATION: rig.rest_translations.copy(),
-        Moved.ROTATION: rig.rest_rotations.copy(),
-        Moved.SCALE: made.scales.copy(),
-        Moved.WEIGHTS: rest_weights(gltf, made),
+        TargetPath.TRANSLATION: rig.rest_translations.copy(),
+        TargetPath.ROTATION: rig.rest_rotations.copy(),
+        TargetPath.SCALE: gltf_rig.scales.copy(),
+        TargetPath.WEIGHTS: rest_weights(gltf, gltf_rig),
     }
-    moving: dict[Moved, list[Moving]] = {path: [] for path in rest}
+    moving: dict[TargetPath, list[MovingRow]] = {path: [] for path in rest}
     even = folded_nodes(gltf)
-    for path, one in _rows(gltf, made, animation.tracks if animation else (), even):
+    for path, one in _rows(gltf, gltf_rig, animation.tracks if animation else (), even):
         if _is_static(one.track):
             value = one.track.at(one.track.times[:1])[0] * one.factor
             rest[path][one.row] = value
         else:
             moving[path].append(one)
-    for own in moving.values():
-        own.sort(key=lambda one: one.row)
-    scaled = bool(moving[Moved.SCALE]) or bool((rest[Moved.SCALE] != 1.0).any())
-    return Sampler(rest, moving, scaled)
+    for rows in moving.values():
+        rows.sort(key=lambda one: one.row)
+    scaled = bool(moving[TargetPath.SCALE]) or bool(
+        (rest[TargetPath.SCALE] != 1.0).any()
+    )
+    return GltfSampler(rest, moving, scaled)
 
 
-def _is_static(track: Track) -> bool:
-    """Return whether a track has one value for all times."""
+def _is_static(track: GltfTrack) -> bool:
+    """Return whether a track's value never changes."""
     slopes = [part for part in (track.ins, track.outs) if part is not None]
     if len(track.times) == 1:
         return True
@@ -226,63 +231,67 @@ def _is_static(track: Track) -> bool:
     return bool((values[-1] == values[0]).all() and (values == values[:1]).all())
 
 
-def rest_weights(gltf: Gltf, made: GltfRig) -> FloatArray:
-    """Return the weights of the shapes without a clip ``(S, 1)``."""
-    weights = np.zeros((len(made.shapes), 1))
-    for row, (node, target) in enumerate(made.shapes):
-        own = gltf.nodes[node].weights
-        usual = gltf.meshes[gltf.nodes[node].mesh].weights
-        weights[row] = usual[target] if own is None else own[target]
+def rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
+    """Return the shape weights without an animation ``(S, 1)``."""
+    weights = np.zeros((len(gltf_rig.shapes), 1))
+    for row, (node, target) in enumerate(gltf_rig.shapes):
+        node_weights = gltf.nodes[node].weights
+        mesh_weights = gltf.meshes[gltf.nodes[node].mesh].weights
+        weights[row] = (
+            mesh_weights[target] if node_weights is None else node_weights[target]
+        )
     return weights
 
 
 def _rows(
-    gltf: Gltf, made: GltfRig, tracks: Sequence[Track], even: BoolArray
-) -> list[tuple[Moved, Moving]]:
-    """Return the rows of channels that tracks move."""
-    rows: list[tuple[Moved, Moving]] = []
-    of_meshes: list[Track] = []
+    gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack], even: BoolArray
+) -> list[tuple[TargetPath, MovingRow]]:
+    """Return the channel rows that tracks animate."""
+    rows: list[tuple[TargetPath, MovingRow]] = []
+    of_meshes: list[GltfTrack] = []
     for track in tracks:
-        if track.path is Moved.WEIGHTS:
+        if track.path is TargetPath.WEIGHTS:
             of_meshes.append(track)
             continue
-        joint = int(made.joints[track.node])
-        if joint < 0 or track.path is Moved.VISIBLE:
+        joint = int(gltf_rig.joints[track.node])
+        if joint < 0 or track.path is TargetPath.VISIBLE:
             continue
-        if track.path is Moved.SCALE and even[track.node]:
+        if track.path is TargetPath.SCALE and even[track.node]:
             continue
         factor = 1.0
-        if track.path is Moved.TRANSLATION:
+        if track.path is TargetPath.TRANSLATION:
             above = gltf.nodes[track.node].parent
-            factor = 1.0 if above < 0 else float(made.folded[above])
-            factor *= made.rig.meters_per_unit
-        rows.append((track.path, Moving(joint, track, factor)))
-    rows += _weight_rows(gltf, made, of_meshes)
+            factor = 1.0 if above < 0 else float(gltf_rig.folded[above])
+            factor *= gltf_rig.rig.meters_per_unit
+        rows.append((track.path, MovingRow(joint, track, factor)))
+    rows += _weight_rows(gltf, gltf_rig, of_meshes)
     return rows
 
 
 def _weight_rows(
-    gltf: Gltf, made: GltfRig, tracks: Sequence[Track]
-) -> list[tuple[Moved, Moving]]:
-    """Return the shapes that tracks of weights move, those of nodes before meshes."""
-    found: dict[int, Track] = {}
+    gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack]
+) -> list[tuple[TargetPath, MovingRow]]:
+    """Return animated shapes; tracks of nodes come before those of meshes."""
+    by_row: dict[int, GltfTrack] = {}
     for track in sorted(tracks, key=lambda one: (one.node < 0, one.part < 0)):
-        for row, (node, target) in enumerate(made.shapes):
-            own = gltf.nodes[node]
-            by_mesh = track.mesh == own.mesh and own.weights is None
+        for row, (node, target) in enumerate(gltf_rig.shapes):
+            entry = gltf.nodes[node]
+            by_mesh = track.mesh == entry.mesh and entry.weights is None
             if (track.node == node or (track.node < 0 and by_mesh)) and (
                 track.part in {-1, target}
             ):
-                found.setdefault(row, _one_weight(track, target))
-    return [(Moved.WEIGHTS, Moving(row, track)) for row, track in found.items()]
+                by_row.setdefault(row, _one_weight(track, target))
+    return [
+        (TargetPath.WEIGHTS, MovingRow(row, track)) for row, track in by_row.items()
+    ]
 
 
-def _one_weight(track: Track, target: int) -> Track:
-    """Return the keys of one weight."""
+def _one_weight(track: GltfTrack, target: int) -> GltfTrack:
+    """Return the keys of one weight of a track."""
     if track.part >= 0 or track.values.shape[1] == 1:
         return track
     one = slice(target, target + 1)
-    return Track(
+    return GltfTrack(
         track.node,
         track.mesh,
         track.path,
@@ -295,13 +304,15 @@ def _one_weight(track: Track, target: int) -> Track:
     )
 
 
-def clip_stream(made: GltfRig, moving: Sampler, frames: Frames) -> TakeStream:
-    """Return a clip on its rig, drawn block by block."""
+def clip_stream(
+    gltf_rig: GltfRig, moving: GltfSampler, frames: GltfFrames
+) -> TakeStream:
+    """Return an animation as a stream, sampled block by block."""
 
     def curve(codes: FloatArray) -> Motion:
         return moving.at(frames.seconds(codes))
 
-    rig = made.rig
+    rig = gltf_rig.rig
     blocks = _blocks(moving, frames)
     return TakeStream(
         rig,
@@ -314,24 +325,24 @@ def clip_stream(made: GltfRig, moving: Sampler, frames: Frames) -> TakeStream:
     )
 
 
-def _blocks(moving: Sampler, frames: Frames) -> Iterator[Motion]:
+def _blocks(moving: GltfSampler, frames: GltfFrames) -> Iterator[Motion]:
     clock = Clock(frames.fps, frames.first, Fraction(1), frames.count)
     seconds = frames.seconds(clock.times)
     previous: FloatArray | None = None
     for at in range(0, frames.count, BLOCK):
         block = moving.at(seconds[at : at + BLOCK])
-        turns = block.rotations
-        if len(turns.animated):
+        rotations = block.rotations
+        if len(rotations.animated):
             if previous is not None:
-                _continue(turns.values, previous)
-            previous = turns.values[-1].copy()
+                _continue(rotations.values, previous)
+            previous = rotations.values[-1].copy()
         yield block
 
 
-def moves(made: GltfRig, animation: Animation) -> bool:
-    """Return whether a clip moves something of a rig."""
-    shapes = {node for node, _ in made.shapes}
+def moves(gltf_rig: GltfRig, animation: Animation) -> bool:
+    """Return whether an animation moves the rig."""
+    shapes = {node for node, _ in gltf_rig.shapes}
     return any(
-        track.mesh >= 0 or made.joints[track.node] >= 0 or track.node in shapes
+        track.mesh >= 0 or gltf_rig.joints[track.node] >= 0 or track.node in shapes
         for track in animation.tracks
     )

@@ -1,4 +1,4 @@
-"""Meshes and morph targets of a glTF as those of a rig."""
+"""glTF meshes and morph targets as rig meshes and shapes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.record import dataclass
 from animtool.core.similar import distinct
 from animtool.formats.gltf.binding import Binder
-from animtool.formats.gltf.characters import Character
+from animtool.formats.gltf.characters import CharacterNodes
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.meshes import Primitive, skin_weights, triangles
 from animtool.rig.parts import HeldArray, Mesh, Shape, Skin, Subdivision
@@ -20,8 +20,8 @@ ShapeKey = tuple[int, int]  # node and morph target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """Vertices that primitives of a mesh share, and where they begin in the whole."""
+class _SharedVertices:
+    """Vertices common to several primitives, with their offset in the mesh."""
 
     primitive: Primitive
     first: int
@@ -29,9 +29,9 @@ class _Part:
 
 
 def mesh_parts(
-    gltf: Gltf, character: Character, binder: Binder
+    gltf: Gltf, character: CharacterNodes, binder: Binder
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], tuple[ShapeKey, ...], list[Fault]]:
-    """Return meshes and shapes of a character, what shapes are of, and notices."""
+    """Return a character's meshes and shapes, the shapes' keys, and notices."""
     nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
     names = mesh_names(gltf, nodes)
     meshes: list[Mesh] = []
@@ -58,8 +58,8 @@ def mesh_parts(
         name, deltas, normals = next(of_node)
         for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
             shape = next(called)
-            held = (deltas[target], normals[target]) if name else (None, None)
-            shapes.append(Shape(shape, name, *held))
+            arrays = (deltas[target], normals[target]) if name else (None, None)
+            shapes.append(Shape(shape, name, *arrays))
     notices = []
     if empty:
         message = f"{counted(len(empty), 'mesh', 'meshes')} with only points or lines, "
@@ -69,12 +69,12 @@ def mesh_parts(
 
 
 def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
-    """Return distinct names of the meshes that nodes have, after the nodes."""
+    """Return distinct mesh names, from the nodes that carry them."""
     named = []
     for node in nodes:
-        own = gltf.nodes[node]
-        mesh = gltf.meshes[own.mesh]
-        plain = mesh.called or own.name or mesh.name or f"mesh_{node}"
+        entry = gltf.nodes[node]
+        mesh = gltf.meshes[entry.mesh]
+        plain = mesh.called or entry.name or mesh.name or f"mesh_{node}"
         named.append("".join(c if c.isprintable() else "_" for c in plain).strip())
     names = distinct(name or "mesh" for name in named)
     return dict(zip(nodes, names, strict=True))
@@ -83,11 +83,11 @@ def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
 def shape_names(
     gltf: Gltf, keys: Sequence[ShapeKey], meshes: dict[int, str]
 ) -> list[str]:
-    """Return distinct names of shapes; one that two meshes have gets its mesh's."""
+    """Return distinct shape names, prefixed with the mesh if ambiguous."""
     taken: dict[str, None] = {}
     for node, target in keys:
-        given = gltf.meshes[gltf.nodes[node].mesh].target_names
-        plain = given[target] if given else f"{meshes[node]}_{target}"
+        names = gltf.meshes[gltf.nodes[node].mesh].target_names
+        plain = names[target] if names else f"{meshes[node]}_{target}"
         plain = "".join(c if c.isprintable() else "_" for c in plain).strip()
         name = plain or f"{meshes[node]}_{target}"
         if name in taken:
@@ -99,35 +99,37 @@ def shape_names(
     return list(taken)
 
 
-def _shared(gltf: Gltf, node: int) -> list[_Part]:
-    """Return the vertices of a mesh, those that primitives share once."""
-    parts: dict[object, _Part] = {}
+def _shared(gltf: Gltf, node: int) -> list[_SharedVertices]:
+    """Return a mesh's vertices, each shared set once."""
+    parts: dict[object, _SharedVertices] = {}
     first = 0
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
         if primitive.position >= 0 and primitive.vertices not in parts:
             count = gltf.accessors.get(primitive.position).count
-            parts[primitive.vertices] = _Part(primitive, first, count)
+            parts[primitive.vertices] = _SharedVertices(primitive, first, count)
             first += count
     return list(parts.values())
 
 
 def vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
-    """Return where the vertices of a primitive begin in the mesh of a node."""
-    own = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive]
+    """Return the offset of a primitive's vertices in a node's mesh."""
+    searched = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive]
     parts = _shared(gltf, node)
-    return next(one.first for one in parts if one.primitive.vertices == own.vertices)
+    return next(
+        one.first for one in parts if one.primitive.vertices == searched.vertices
+    )
 
 
 def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
-    """Return the mesh of a node; None where it has no faces."""
+    """Return the mesh of a node; None without faces."""
     parts = _shared(gltf, node)
     starts = {part.primitive.vertices: part.first for part in parts}
     faces = []
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
         if primitive.position >= 0:
             count = gltf.accessors.get(primitive.position).count
-            own = triangles(primitive, count, gltf.accessors)
-            faces.append(own + starts[primitive.vertices])
+            corners = triangles(primitive, count, gltf.accessors)
+            faces.append(corners + starts[primitive.vertices])
     if not sum(map(len, faces)):
         return None
     points = [gltf.accessors.floats(part.primitive.position) for part in parts]
@@ -144,7 +146,7 @@ def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
     )
 
 
-def _normals(gltf: Gltf, parts: list[_Part]) -> HeldArray | None:
+def _normals(gltf: Gltf, parts: list[_SharedVertices]) -> HeldArray | None:
     if any(part.primitive.normal < 0 for part in parts):
         return None
     accessors = gltf.accessors
@@ -153,9 +155,9 @@ def _normals(gltf: Gltf, parts: list[_Part]) -> HeldArray | None:
 
 
 def _skin(
-    gltf: Gltf, node: int, parts: list[_Part], binder: Binder
+    gltf: Gltf, node: int, parts: list[_SharedVertices], binder: Binder
 ) -> tuple[Skin, FloatArray]:
-    """Return what a mesh follows: joints of its skin, or the node that has it."""
+    """Return the skin of a mesh: its joints, or the node that carries it."""
     index = gltf.nodes[node].skin
     if index >= 0 and all(part.primitive.joints for part in parts):
         geometry, joints = binder.skin(index)
@@ -182,27 +184,27 @@ def _skin(
 
 
 def _wide(values: FloatArray | IntArray, width: int) -> FloatArray:
-    whole = np.zeros((len(values), width))
-    whole[:, : values.shape[1]] = values
-    return whole
+    padded = np.zeros((len(values), width))
+    padded[:, : values.shape[1]] = values
+    return padded
 
 
 def _targets(gltf: Gltf, node: int) -> tuple[list[HeldArray], list[HeldArray | None]]:
-    """Return what each morph target adds to the points and normals of a mesh."""
+    """Return point and normal offsets of each morph target."""
     parts = _shared(gltf, node)
     deltas: list[HeldArray] = []
     normals: list[HeldArray | None] = []
     with_normals = _normals(gltf, parts) is not None
     for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
         moves: list[FloatArray] = []
-        turns: list[FloatArray] = []
+        normal_rows: list[FloatArray] = []
         for part in parts:
-            own = part.primitive.targets[target]
-            for index, rows in ((own.position, moves), (own.normal, turns)):
-                given = index >= 0
+            morph = part.primitive.targets[target]
+            for index, rows in ((morph.position, moves), (morph.normal, normal_rows)):
+                is_stored = index >= 0
                 nothing = np.zeros((part.count, 3))
-                rows.append(gltf.accessors.floats(index) if given else nothing)
+                rows.append(gltf.accessors.floats(index) if is_stored else nothing)
         deltas.append(HeldArray(np.concatenate(moves)))
-        turned = np.concatenate(turns)
+        turned = np.concatenate(normal_rows)
         normals.append(HeldArray(turned) if with_normals and turned.any() else None)
     return deltas, normals

@@ -1,4 +1,4 @@
-"""The frames of a glTF's clip: its keys are in seconds, and it states no rate."""
+"""Frame rate and range of a glTF animation, whose keys are in seconds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RATES = (
     *(Fraction(n * 1000, 1001) for n in (24, 30, 60)),
     *(Fraction(n) for n in (90, 72, 240, 200, 144, 1000)),
 )
-USUAL = Fraction(30)
+DEFAULT_RATE = Fraction(30)
 # A key is on a frame that is nearer than this, and than the digits of its time [frame].
 ON_FRAME, DIGITS = 1e-3, 4e-7
 # What a take is held with: numbers that change, of all frames.
@@ -31,8 +31,8 @@ MAX_VALUES = 60_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Frames:
-    """When the frames of a clip are."""
+class GltfFrames:
+    """Frame range and rate of an animation."""
 
     fps: Fraction
     start: Fraction  # time code of time 0
@@ -41,14 +41,14 @@ class Frames:
     notices: tuple[Fault, ...] = ()
 
     def seconds(self, codes: FloatArray) -> FloatArray:
-        """Return times of time codes [s]."""
+        """Return times of frame numbers [s]."""
         return np.asarray((codes - float(self.start)) / float(self.fps))
 
 
 def frames_of(
     animation: Animation | None, fps: Fraction | None, path: str, width: int
-) -> Frames:
-    """Return the frames of a clip.
+) -> GltfFrames:
+    """Return the frame range and rate of an animation.
 
     Time 0 is frame 0, unless animtool wrote the file, which then says.
 
@@ -59,10 +59,12 @@ def frames_of(
         width: Numbers of a frame.
     """
     if animation is None or not animation.tracks:
-        return Frames(fps or RATES[0], Fraction(0), Fraction(0), 1)
+        return GltfFrames(fps or RATES[0], Fraction(0), Fraction(0), 1)
     stated, start = _stated(animation.extras)
     times = key_times(animation)
-    rate = fps or stated or next((one for one in RATES if _fits(times, one)), USUAL)
+    rate = (
+        fps or stated or next((one for one in RATES if _fits(times, one)), DEFAULT_RATE)
+    )
     first, last = animation.span
     low = math.floor(first * float(rate) + _room(first, rate)) if first < 0 else 0
     high = max(low, math.ceil(last * float(rate) - _room(last, rate)))
@@ -75,11 +77,11 @@ def frames_of(
             Fault("GLT013", message, path, (), hint, where=animation.where)
         )
     notices = () if _fits(times, rate) else (_between(times, rate, path, animation),)
-    return Frames(rate, start, start + low, count, notices)
+    return GltfFrames(rate, start, start + low, count, notices)
 
 
 def key_times(animation: Animation) -> FloatArray:
-    """Return the times of all keys, each once [s]."""
+    """Return all distinct key times [s]."""
     distinct: dict[int, FloatArray] = {id(t.times): t.times for t in animation.tracks}
     return np.unique(np.concatenate(list(distinct.values())))
 
@@ -89,7 +91,7 @@ def _room(time: float, rate: Fraction) -> float:
 
 
 def _off(times: FloatArray, rate: Fraction) -> FloatArray:
-    """Return how far keys are off frames, less what their digits leave open [frame]."""
+    """Return the distance of keys from frames beyond float rounding [frame]."""
     frames = times * float(rate)
     return np.asarray(np.abs(frames - np.round(frames)) - DIGITS * np.abs(frames))
 
@@ -111,20 +113,20 @@ def _between(
 
 
 def _stated(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]:
-    """Return rate and time code of time 0 that animtool wrote of a clip."""
-    own = extras.get("animtool")
-    if not isinstance(own, dict):
+    """Return rate and start frame that animtool wrote to the animation."""
+    entry = extras.get("animtool")
+    if not isinstance(entry, dict):
         return None, Fraction(0)
     try:
-        rate = parse_rate(str(own["fps"]))
-        start = Fraction(str(own.get("start", 0)))
+        rate = parse_rate(str(entry["fps"]))
+        start = Fraction(str(entry.get("start", 0)))
     except (KeyError, ValueError, ArithmeticError):
         return None, Fraction(0)
     return rate, start if abs(start) < 10**9 else Fraction(0)
 
 
 def distinct_clip_names(animations: Iterable[Animation]) -> list[str]:
-    """Return a name for every clip; those without one are numbered."""
+    """Return a distinct name for every animation; unnamed ones are numbered."""
     from animtool.core.similar import distinct
 
     plain = [

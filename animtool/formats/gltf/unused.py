@@ -1,4 +1,4 @@
-"""Parts of a glTF that only pictures and materials use: nothing wrong there counts."""
+"""Parts of a glTF used only by images and materials, which are not checked."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from animtool.core.record import dataclass
-from animtool.formats.gltf.places import is_number
+from animtool.formats.gltf.json_items import is_number
 
 # Of a primitive: what moves, and what faces are made of.
 _READ = re.compile(r"POSITION|NORMAL|(?:JOINTS|WEIGHTS)_(?:0|[1-9]\d{0,3})")
@@ -16,7 +16,7 @@ _LOOKS = re.compile(r"TANGENT|(?:TEXCOORD|COLOR)_(?:0|[1-9]\d*)|_.*", re.DOTALL)
 
 @dataclass(frozen=True, slots=True)
 class Unused:
-    """Indices of what only pictures and materials use."""
+    """Indices used only by images and materials."""
 
     accessors: frozenset[int]
     views: frozenset[int]
@@ -24,7 +24,7 @@ class Unused:
 
 
 def unused_parts(root: dict[str, Any]) -> Unused:
-    """Return what is named by parts that are not read, and by no others."""
+    """Return indices referenced only by parts that are not read."""
     read: set[int] = set()
     other: set[int] = set()
     for primitive in _primitives(root):
@@ -44,13 +44,13 @@ def unused_parts(root: dict[str, Any]) -> Unused:
     }
     views = frozenset((images | of_other) - of_read)
     named = list(enumerate(_dicts(root.get("bufferViews"))))
-    own = {_index(view.get("buffer")) for i, view in named if i not in views}
+    kept = {_index(view.get("buffer")) for i, view in named if i not in views}
     theirs = {_index(view.get("buffer")) for i, view in named if i in views}
-    return Unused(accessors, views, frozenset(theirs - own - {-1}))
+    return Unused(accessors, views, frozenset(theirs - kept - {-1}))
 
 
 def is_read(attribute: str) -> bool:
-    """Return whether an attribute of a vertex is read.
+    """Return whether a vertex attribute is read.
 
     >>> is_read("JOINTS_1"), is_read("TEXCOORD_0")
     (True, False)
@@ -59,7 +59,7 @@ def is_read(attribute: str) -> bool:
 
 
 def is_known(attribute: str) -> bool:
-    """Return whether an attribute of a vertex is one of the format, or an own one.
+    """Return whether a vertex attribute is standard or application-specific.
 
     >>> is_known("COLOR_0"), is_known("_PAINT"), is_known("TEXCOORD_00")
     (True, True, False)
@@ -68,7 +68,7 @@ def is_known(attribute: str) -> bool:
 
 
 def _dicts(value: Any) -> Iterator[dict[str, Any]]:
-    """Yield the entries of a list; an empty one for what is no object."""
+    """Yield the entries of a list; an empty dict for other values."""
     for entry in value if isinstance(value, list) else ():
         yield entry if isinstance(entry, dict) else {}
 

@@ -1,4 +1,4 @@
-"""A rig and its takes as one .glb file."""
+"""glTF writer: a rig and its takes as one .glb or .gltf file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from animtool.motion.take_files import TakeFiles, WriteOptions
 
 
 def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
-    """Return a rig and its takes as a GLB: skin, shapes, and every clip by its name.
+    """Return a rig and its takes as glTF: skin, shapes, named animations.
 
     Args:
         take: The first take; its rig has the meshes.
@@ -37,34 +37,34 @@ def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     if not rig.joints and not rig.meshes:
         message = f"{rig.name!r} has no joints and no meshes"
         raise OptionError(Fault("RIG044", message, hint="write USD, or a .clip.yaml"))
-    made = GlbBuilder({"asset": {"version": "2.0", "generator": "animtool"}})
+    builder = GlbBuilder({"asset": {"version": "2.0", "generator": "animtool"}})
     scales = _rest_scales(first)
-    written = write_rig(made, rig, scales, _rest_weights(first))
+    written = write_rig(builder, rig, scales, _rest_weights(first))
     names = options.names or (path.stem,)
     notices = list(written.notices)
     for one, name in zip(takes, names, strict=True):
-        notices += write_clip(made, one, name, written, scales, options.tolerance)
+        notices += write_clip(builder, one, name, written, scales, options.tolerance)
     clock = take.clock
     span = FrameSpan(clock.span.first, clock.span.last, clock.span.fps)
-    contents = {path: _contents(made, path)}
+    contents = {path: _contents(builder, path)}
     return TakeFiles(contents, span, len(rig.joints), notices)
 
 
-def _contents(made: GlbBuilder, path: Path) -> Any:
+def _contents(builder: GlbBuilder, path: Path) -> Any:
     if path.suffix.lower() == ".gltf":
-        return made.text_parts()
-    return made.parts()
+        return builder.text_parts()
+    return builder.parts()
 
 
 def _upright(take: Take) -> Take:
-    """Return a take with Y up, as glTF has it."""
+    """Return a take rotated to Y up."""
     if take.rig.up is UpAxis.Y:
         return take
     return reorient(TakeStream.of(take), UpAxis.Y).collect()
 
 
 def _rest_scales(take: Take) -> FloatArray:
-    """Return the scales of the joints while they do not move ``(J, 3)``."""
+    """Return static joint scales ``(J, 3)``."""
     scales = take.motion.scales
     if scales is None:
         return np.ones((len(take.rig.joints), 3))

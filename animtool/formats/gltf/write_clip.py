@@ -1,4 +1,4 @@
-"""A take as an animation of a glTF: sampled, reduced, or with the keys of its clip."""
+"""A take as a glTF animation: sampled, reduced, or with its clip's keys."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ SAME = 1e-9
 
 @dataclass(slots=True)
 class _Animation:
-    """Collects samplers and channels."""
+    """Builder of an animation's samplers and channels."""
 
-    made: GlbBuilder
+    builder: GlbBuilder
     samplers: list[dict[str, Any]] = field(default_factory=list)
     channels: list[dict[str, Any]] = field(default_factory=list)
     parts: list[tuple[int, str, Keys]] = field(default_factory=list)
@@ -37,10 +37,10 @@ class _Animation:
     inputs: dict[int, tuple[FloatArray, int]] = field(default_factory=dict)
 
     def input(self, times: FloatArray) -> int:
-        """Return the accessor of times; those of several channels are stored once."""
+        """Return the accessor of key times; equal times are stored once."""
         if id(times) not in self.inputs:
             rows = times.astype(np.float32)[:, None]
-            self.inputs[id(times)] = (times, self.made.accessor(rows, bounds=True))
+            self.inputs[id(times)] = (times, self.builder.accessor(rows, bounds=True))
         return self.inputs[id(times)][1]
 
     def add(self, node: int, path: str, keys: Keys) -> None:
@@ -48,7 +48,7 @@ class _Animation:
         self.parts.append((node, path, keys))
 
     def lasts_until(self, end: float) -> bool:
-        """Return whether keys last until a time [s], one that stands still among them.
+        """Return whether keys last until a time [s], static ones extended.
 
         The latter is given a second key there, where it is needed.
         """
@@ -57,8 +57,8 @@ class _Animation:
         for k, (node, path, keys) in enumerate(self.parts):
             if len(keys.times) == 1:
                 times = np.array([keys.times[0], end])
-                held = Keys(times, np.repeat(keys.values, 2, axis=0))
-                self.parts[k] = (node, path, held)
+                extended = Keys(times, np.repeat(keys.values, 2, axis=0))
+                self.parts[k] = (node, path, extended)
                 return True
         return False
 
@@ -71,7 +71,7 @@ class _Animation:
         rows = keys.rows(scalars=path == "weights")
         sampler: dict[str, Any] = {
             "input": self.input(keys.times),
-            "output": self.made.accessor(rows.astype(np.float32, copy=False)),
+            "output": self.builder.accessor(rows.astype(np.float32, copy=False)),
         }
         if keys.interpolation != "LINEAR":
             sampler["interpolation"] = keys.interpolation
@@ -81,21 +81,21 @@ class _Animation:
 
 
 def write_clip(
-    made: GlbBuilder,
+    builder: GlbBuilder,
     take: Take,
     name: str,
     written: WrittenRig,
     scales: FloatArray,
     tolerance: float | None,
 ) -> list[Fault]:
-    """Write a take; return what glTF has no place for.
+    """Write a take as an animation; return notices about lost data.
 
     The first frame is time 0. What stands still is a channel with one key, where it is
     not as the node has it. A take that is still what the keys of its clip say has these
     keys; others have a key a frame, or with a tolerance those that linear keys need.
 
     Args:
-        made: What it is added to.
+        builder: What it is added to.
         take: Y up.
         name: Of the animation.
         written: Where the rig is in it.
@@ -104,8 +104,8 @@ def write_clip(
     """
     clock = take.clock
     seconds = (clock.times - float(clock.start)) / float(clock.fps)
-    animation = _Animation(made)
-    keyed = {} if tolerance is not None else _own_keys(take)
+    animation = _Animation(builder)
+    keyed = {} if tolerance is not None else _source_keys(take)
     bounds = None
     if tolerance is not None:
         bounds = joint_bounds(take.rig, tolerance, {})
@@ -135,7 +135,7 @@ def write_clip(
         native = getattr(take.curve, "native", None)
         end = native.last if isinstance(native, NativeKeys) else end
     if not animation.lasts_until(end):
-        # A clip without a channel is none: a joint that rests holds name and length.
+        # glTF requires a channel: a static joint keeps the name and length of the clip.
         _hold(animation, take, written, seconds[:1])
         animation.lasts_until(end)
     animation.write()
@@ -145,12 +145,12 @@ def write_clip(
         "samplers": animation.samplers,
         "extras": {"animtool": _stated(clock.fps, clock.start)},
     }
-    made.add("animations", entry)
+    builder.add("animations", entry)
     return left
 
 
-def _own_keys(take: Take) -> dict[tuple[int, str], Keys]:
-    """Return the keys of the clip or the glTF that a take is still of."""
+def _source_keys(take: Take) -> dict[tuple[int, str], Keys]:
+    """Return the keys of the clip or glTF that a take still equals."""
     start = take.clock.start
     if not is_of_curve(take):
         return {}
@@ -164,7 +164,7 @@ def _own_keys(take: Take) -> dict[tuple[int, str], Keys]:
 def _hold(
     animation: _Animation, take: Take, written: WrittenRig, times: FloatArray
 ) -> None:
-    """Add a key of a joint where it rests, of the first part of one that has none."""
+    """Add a static key for a joint, of the first part without keys."""
     rig = take.rig
     taken = {(node, path) for node, path, _ in animation.parts}
     rests = {"translation": rig.rest_translations, "rotation": rig.rest_rotations}
@@ -178,7 +178,7 @@ def _hold(
 
 
 def _stated(fps: Fraction, start: Fraction) -> dict[str, Any]:
-    """Return what a reader of ours needs to have the frames back."""
+    """Return the extras from which the reader restores the frames."""
     return {"fps": str(fps), "start": str(start)}
 
 
@@ -187,7 +187,7 @@ def _one(row: FloatArray, times: FloatArray) -> Keys:
 
 
 def _by_joint(channel: Channel, *, narrow: bool) -> dict[int, FloatArray]:
-    """Return the samples of each joint that moves ``(F, K)``, one after another.
+    """Yield samples of each animated joint ``(F, K)``.
 
     narrow: whether they are float32, as files have them.
     """
@@ -199,7 +199,7 @@ def _by_joint(channel: Channel, *, narrow: bool) -> dict[int, FloatArray]:
 
 
 def _by_column(values: FloatArray, kind: type[np.floating[Any]]) -> Any:
-    """Return samples ``(F, J, K)`` as ``(J, F, K)`` of a type.
+    """Return samples ``(F, J, K)`` as ``(J, F, K)`` of a dtype.
 
     Numbers of a joint go as one element, some frames at a time, which stay in the
     cache of the processor.
@@ -219,7 +219,7 @@ _FRAMES = 256
 def _joint_keys(
     path: str, values: FloatArray, rest: FloatArray, seconds: FloatArray
 ) -> Keys | None:
-    """Return the keys of a joint's samples; None where the node says it all."""
+    """Return the keys of a joint's samples; None if equal to the node."""
     first = values[0]
     if len(values) > 1 and (values[-1] != first).any():
         return Keys(seconds, values)
@@ -232,15 +232,15 @@ def _joint_keys(
 
 
 def _tolerance(path: str, joint: int, bounds: FloatArray, take: Take) -> float:
-    """Return how far keys of a joint may be off: [m], [rad] or [1]."""
-    own = float(bounds[joint])
+    """Return the key tolerance of a joint: [m], [rad] or [1]."""
+    bound = float(bounds[joint])
     if path == "translation":
-        return own
-    return own / max(SHELL, float(_reach(take)[joint]))
+        return bound
+    return bound / max(SHELL, float(_reach(take)[joint]))
 
 
 def _reach(take: Take) -> FloatArray:
-    """Return how far below each joint the joints are that it turns ``(J,)`` [m]."""
+    """Return the distance from each joint to its farthest descendant ``(J,)`` [m]."""
     rig = take.rig
     reach = np.zeros(len(rig.joints))
     lengths = np.linalg.norm(rig.rest_translations, axis=1)
@@ -259,13 +259,13 @@ def _weights(
     keyed: dict[tuple[int, str], Keys],
     tolerance: float | None,
 ) -> list[Fault]:
-    """Write the weights of the morph targets of each mesh."""
+    """Write morph target weights of each mesh."""
     weights = take.motion.weights
     if weights is None:
         return []
     names = [shape.name for shape in take.rig.shapes]
     dense = weights.dense()[:, :, 0]
-    rest = animation.made.json
+    rest = animation.builder.json
     for node, shapes in written.targets.items():
         rows = [names.index(shape) for shape in shapes]
         values = dense[:, rows]
@@ -302,15 +302,15 @@ def _same_times(one: Keys, other: Keys) -> bool:
     return same and np.array_equal(one.times, other.times)
 
 
-def _still(like: Keys, value: float) -> Keys:
-    """Return keys of one value at the times of others."""
+def _static_keys(like: Keys, value: float) -> Keys:
+    """Return keys of one value at another track's times."""
     values = np.full((len(like.times), 1), value)
     slopes = None if like.ins is None else np.zeros_like(values)
     return Keys(like.times, values, like.interpolation, slopes, slopes)
 
 
 def _merged(parts: list[Keys]) -> Keys | None:
-    """Return linear or stepped keys of several weights, at the times of them all."""
+    """Return linear or stepped weight keys at the union of their times."""
     how = parts[0].interpolation
     if how == "CUBICSPLINE" or any(one.interpolation != how for one in parts):
         return None
@@ -327,26 +327,28 @@ def _merged(parts: list[Keys]) -> Keys | None:
 
 
 def _joined(parts: list[Keys | None], samples: FloatArray) -> Keys | None:
-    """Return the keys of several weights as one; None where glTF has none such.
+    """Return several weights as one track; None if glTF has none such.
 
     samples: of the weights ``(F, S)``; those that stand still take the times of others.
     """
     first = next((part for part in parts if part is not None), None)
     if first is None:
         return None
-    still = (samples == samples[:1]).all(axis=0).tolist()
+    static = (samples == samples[:1]).all(axis=0).tolist()
     parts = [
-        _still(first, float(samples[0, k])) if part is None and still[k] else part
+        _static_keys(first, float(samples[0, k]))
+        if part is None and static[k]
+        else part
         for k, part in enumerate(parts)
     ]
-    found = [part for part in parts if part is not None]
-    if len(found) < len(parts):
+    present = [part for part in parts if part is not None]
+    if len(present) < len(parts):
         return None
-    if not all(_same_times(one, first) for one in found):
-        return _merged(found)
+    if not all(_same_times(one, first) for one in present):
+        return _merged(present)
 
     def columns(name: str) -> FloatArray | None:
-        rows = [getattr(one, name) for one in found]
+        rows = [getattr(one, name) for one in present]
         return None if rows[0] is None else np.concatenate(rows, axis=1)
 
     values = columns("values")

@@ -1,4 +1,4 @@
-"""Live Link Face recordings (CSV): a row of weights and angles a captured frame."""
+"""Live Link Face recordings (CSV): blend shape weights and angles per frame."""
 
 from animtool.formats.livelink.read import read_livelink, read_livelink_rig
 from animtool.formats.livelink.write import write_livelink

@@ -1,4 +1,4 @@
-"""The columns of a Live Link Face recording, and the numbers below them."""
+"""Columns of a Live Link Face recording, and their values."""
 
 from __future__ import annotations
 
@@ -64,17 +64,17 @@ _ANGLES = {name.lower(): name for name in ANGLES}
 
 @dataclass(slots=True)
 class Recording:
-    """A recording as its file has it: rows in its order.
+    """The rows of a recording, in file order.
 
     Attributes:
         path: The file.
         shapes: Name of each column of weights, ARKit's spelling where it is one.
-        angles: Which of `ANGLES` there are, in the order of ``turns``.
+        angles: Which of `ANGLES` there are, in the order of ``rotations``.
         labels: Time code of each row, as written.
         lines: 1-based line of each row ``(R,)``.
         weights: Of the shapes ``(R, S)``; NaN where the file has none.
-        turns: Angles [rad] ``(R, A)``, as ``weights``.
-        notices: What is odd.
+        rotations: Angles [rad] ``(R, A)``, as ``weights``.
+        notices: Warnings about the file.
     """
 
     path: Path
@@ -83,12 +83,12 @@ class Recording:
     labels: list[str]
     lines: IntArray
     weights: FloatArray
-    turns: FloatArray
+    rotations: FloatArray
     notices: list[Fault] = field(default_factory=list)
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a recording.
+    """Read the rows of a recording.
 
     Raises:
         FormatError: It cannot be read (IO001), is no recording (LLF001), names a
@@ -119,7 +119,7 @@ def _lines(path: Path) -> list[str]:
 
 
 class _Table:
-    """The columns that a header names."""
+    """The columns named by a header."""
 
     def __init__(self, path: Path, header: str, line: int) -> None:
         self.path, self.line = path, line
@@ -147,20 +147,20 @@ class _Table:
         if faults:
             raise FormatError(faults)
         rest = [i for i in range(len(lower)) if i not in (self.time, self.count)]
-        self.turns = [i for i in rest if lower[i] in _ANGLES]
+        self.angle_columns = [i for i in rest if lower[i] in _ANGLES]
         self.shapes = [i for i in rest if lower[i] not in _ANGLES and self.names[i]]
 
     def _cells(self, line: str) -> list[str]:
         return line.split(self.delimiter)
 
     def _fault(self, code: str, cell: int, message: str, line: int = 0) -> Fault:
-        """Return a fault of a cell; its column is that of the table, from 1."""
+        """Return a fault of a cell; columns count from 1."""
         return Fault(
             code, message, str(self.path), (line or self.line,), column=cell + 1
         )
 
     def read(self, rows: list[tuple[int, str]]) -> Recording:
-        """Return the rows below the header."""
+        """Parse the rows below the header."""
         width = len(self.names)
         notices: list[Fault] = []
         cells = [(number, self._cells(line)) for number, line in rows]
@@ -194,37 +194,37 @@ class _Table:
             raise FormatError(Fault("LLF001", message, str(self.path), (self.line,)))
         values = self._numbers(cells)
         lines = np.array([number for number, _ in cells], np.int64)
-        found = Recording(
+        recording = Recording(
             self.path,
             tuple(arkit_name(self.names[i]) or self.names[i] for i in self.shapes),
-            tuple(_ANGLES[self.names[i].lower()] for i in self.turns),
+            tuple(_ANGLES[self.names[i].lower()] for i in self.angle_columns),
             [row[self.time].strip().strip('"') for _, row in cells],
             lines,
             values[:, self.shapes],
-            values[:, self.turns],
+            values[:, self.angle_columns],
             notices,
         )
-        if not (set(found.shapes) & set(ARKIT_SHAPES)) and not self.shapes:
+        if not (set(recording.shapes) & set(ARKIT_SHAPES)) and not self.shapes:
             message = "has no weight columns"
             raise FormatError(Fault("LLF001", message, str(self.path), (self.line,)))
         notices += self._count_notice(values, lines)
-        return found
+        return recording
 
     def _numbers(self, cells: Sequence[tuple[int, list[str]]]) -> FloatArray:
-        """Return all values ``(R, C)``, NaN where there is none."""
-        columns = [*self.shapes, *self.turns]
+        """Return all values ``(R, C)``; NaN where one is missing."""
+        columns = [*self.shapes, *self.angle_columns]
         if self.count is not None:
             columns.append(self.count)
-        made = np.full((len(cells), len(self.names)), np.nan)
+        values = np.full((len(cells), len(self.names)), np.nan)
         faults: list[Fault] = []
         for r, (number, row) in enumerate(cells):
             try:
-                made[r, columns] = [float(row[c]) for c in columns]
+                values[r, columns] = [float(row[c]) for c in columns]
             except ValueError:
                 for c in columns:
                     text = row[c].strip().strip('"')
                     try:
-                        made[r, c] = float(text) if text else np.nan
+                        values[r, c] = float(text) if text else np.nan
                     except ValueError:
                         message = f"{self.names[c]}: {excerpt(text)} is not a number"
                         faults.append(self._fault("LLF004", c, message, number))
@@ -232,19 +232,19 @@ class _Table:
                 break
         if faults:
             raise FormatError(faults[:MAX_FAULTS])
-        made[~(np.abs(made) <= MAX_VALUE)] = np.nan
-        return made
+        values[~(np.abs(values) <= MAX_VALUE)] = np.nan
+        return values
 
     def _count_notice(self, values: FloatArray, lines: IntArray) -> list[Fault]:
-        """Return a warning where rows do not have as many values as they say."""
+        """Return a warning about rows whose BlendshapeCount is wrong."""
         if self.count is None:
             return []
-        has = {len(self.shapes) + len(self.turns), len(self.shapes)}
+        has = {len(self.shapes) + len(self.angle_columns), len(self.shapes)}
         stated = values[:, self.count]
-        odd: BoolArray = np.isfinite(stated) & ~np.isin(stated, list(has))
-        if not odd.any():
+        mismatched: BoolArray = np.isfinite(stated) & ~np.isin(stated, list(has))
+        if not mismatched.any():
             return []
-        row = int(np.flatnonzero(odd)[0])
+        row = int(np.flatnonzero(mismatched)[0])
         message = (
             f"{COUNT} is {stated[row]:g}, but the row has {counted(max(has), 'value')}"
         )

@@ -1,4 +1,4 @@
-"""A Live Link Face recording as a take."""
+"""Live Link Face reader: a recording as a take."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from animtool.core.errors import Fault, OptionError, Severity, counted, listed, 
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
 from animtool.formats.livelink.columns import AXES, PARTS, Recording, read_recording
-from animtool.formats.livelink.timecodes import RowFrames, row_frames
+from animtool.formats.livelink.timecodes import TimecodeFrames, row_frames
 from animtool.maths.euler import to_quaternion
-from animtool.maths.filters import fill_gaps
+from animtool.maths.filters import put_between
 from animtool.maths.so3 import align_signs, slerp
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
@@ -30,10 +30,10 @@ Dropped: TypeAlias = Literal["interpolate", "hold", "close"]
 DROPPED: tuple[Dropped, ...] = ("interpolate", "hold", "close")
 MAX_NAMED = 12
 _JOINTS = dict(zip(PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
-# What an own rig calls them, and where they are in metres: of no picture, but apart.
-_OWN = {HEAD: "head", LEFT_EYE: "eye_l", RIGHT_EYE: "eye_r"}
-_PLACES = {HEAD: (0.0, 0.0, 0.0), LEFT_EYE: (0.032, 0.03, 0.08)}
-_PLACES[RIGHT_EYE] = (-0.032, 0.03, 0.08)
+# Joint names and positions [m] of the default rig; they only need to be distinct.
+_JOINT_NAMES = {HEAD: "head", LEFT_EYE: "eye_l", RIGHT_EYE: "eye_r"}
+_POSITIONS = {HEAD: (0.0, 0.0, 0.0), LEFT_EYE: (0.032, 0.03, 0.08)}
+_POSITIONS[RIGHT_EYE] = (-0.032, 0.03, 0.08)
 
 
 def read_livelink(
@@ -52,7 +52,7 @@ def read_livelink(
 
     Args:
         path: The file.
-        rig: The rig that it is for; None is one of its own, with its columns as shapes.
+        rig: The rig to move; None builds one with the columns as shapes.
         fps: Labels a second that its time code counts; None finds it.
         remap: A remap file, for shapes with other names.
         dropped: What becomes of frames without a row: values between those of their
@@ -72,7 +72,7 @@ def read_livelink(
     clock = None if fps is None else rate_option(fps)
     recording = read_recording(path)
     frames = row_frames(recording.labels, recording.lines, str(path), clock)
-    target = own_rig(recording) if rig is None else Rig.load(Path(rig))
+    target = face_rig(recording) if rig is None else Rig.load(Path(rig))
     table = None if remap is None else load_remap(remap)
     links = link_shapes(
         recording.shapes, [shape.name for shape in target.shapes], table
@@ -106,18 +106,18 @@ def read_livelink(
 
 
 def read_livelink_rig(path: Path) -> Rig:
-    """Return a rig with the shapes of a recording, and joints of its head and eyes."""
-    return own_rig(read_recording(path))
+    """Return a rig with a recording's shapes, and joints for head and eyes."""
+    return face_rig(read_recording(path))
 
 
-def own_rig(recording: Recording) -> Rig:
-    """Return the rig of a recording: its shapes without meshes, a head, and eyes."""
+def face_rig(recording: Recording) -> Rig:
+    """Return the default rig of a recording: shapes without meshes, head, eyes."""
     parts = [
         part for part in PARTS if part == "Head" or part in _turned_parts(recording)
     ]
     joints = tuple(
-        Joint(_OWN[_JOINTS[part]], -1 if part == "Head" else 0, JointType.BALL,
-              _PLACES[_JOINTS[part]])
+        Joint(_JOINT_NAMES[_JOINTS[part]], -1 if part == "Head" else 0, JointType.BALL,
+              _POSITIONS[_JOINTS[part]])
         for part in parts
     )  # fmt: skip
     shapes = tuple(Shape(name) for name in recording.shapes)
@@ -125,25 +125,25 @@ def own_rig(recording: Recording) -> Rig:
 
 
 def _turned_parts(recording: Recording) -> list[str]:
-    """Return the parts whose three angles are there."""
+    """Return the parts (head, eyes) that have all three angles."""
     return [
         part for part in PARTS if all(part + axis in recording.angles for axis in AXES)
     ]
 
 
 def _turned(recording: Recording) -> dict[str, FloatArray]:
-    """Return yaw, pitch and roll of head and eyes by part [deg] ``(R, 3)``."""
-    found = {}
+    """Return yaw, pitch and roll of head and eyes by joint [deg] ``(R, 3)``."""
+    angles_of = {}
     for part in _turned_parts(recording):
         columns = [recording.angles.index(part + axis) for axis in AXES]
-        angles = np.degrees(recording.turns[:, columns])
-        found[_JOINTS[part]] = angles
-    return found
+        angles = np.degrees(recording.rotations[:, columns])
+        angles_of[_JOINTS[part]] = angles
+    return angles_of
 
 
 def _motion(
     recording: Recording,
-    frames: RowFrames,
+    frames: TimecodeFrames,
     rig: Rig,
     links: ShapeLinks,
     joints: dict[str, int],
@@ -151,23 +151,23 @@ def _motion(
 ) -> Motion:
     times = frames.frames if dropped != "close" else np.arange(len(frames.frames))
     at = np.arange(int(times[-1]) + 1)
-    raw = fill_gaps(recording.weights[frames.rows], times)
+    raw = put_between(recording.weights[frames.rows], times)
     moved = links.apply(raw, len(rig.shapes))
     weights = np.stack(
         [_between(column, times, at, dropped) for column in moved.T], axis=-1
     ) if len(rig.shapes) else np.zeros((len(at), 0))  # fmt: skip
-    rotations = Channel.static(rig.rest_rotations, len(at))
+    channel = Channel.static(rig.rest_rotations, len(at))
     for part, angles in _turned(recording).items():
         if part not in joints:
             continue
-        turns = to_quaternion(fill_gaps(angles[frames.rows], times), "YXZ")
-        local = local_rotations(rig, joints[part], turns)
-        values = _turns_between(align_signs(local), times, at, dropped)
+        rotations = to_quaternion(put_between(angles[frames.rows], times), "YXZ")
+        local = local_rotations(rig, joints[part], rotations)
+        values = _slerped(align_signs(local), times, at, dropped)
         which = np.array([joints[part]])
-        rotations = rotations.put(which, values[:, None])
+        channel = channel.put(which, values[:, None])
     return Motion(
         Channel.static(rig.rest_translations, len(at)),
-        rotations.compact(),
+        channel.compact(),
         weights=Channel.from_dense(weights[..., None]) if len(rig.shapes) else None,
     )
 
@@ -176,30 +176,32 @@ def _between(
     values: FloatArray, times: IntArray, at: IntArray, dropped: Dropped
 ) -> FloatArray:
     if dropped == "hold":
-        held: FloatArray = values[np.searchsorted(times, at, side="right") - 1]
-        return held
+        previous: FloatArray = values[np.searchsorted(times, at, side="right") - 1]
+        return previous
     return np.interp(at, times, values)
 
 
-def _turns_between(
-    turns: FloatArray, times: IntArray, at: IntArray, dropped: Dropped
+def _slerped(
+    rotations: FloatArray, times: IntArray, at: IntArray, dropped: Dropped
 ) -> FloatArray:
     before = np.searchsorted(times, at, side="right") - 1
     if dropped == "hold" or len(times) == 1:
-        return turns[before]
+        return rotations[before]
     after = np.minimum(before + 1, len(times) - 1)
     span = np.maximum(times[after] - times[before], 1)
-    share = (at - times[before]) / span
-    made = slerp(turns[before], turns[after], share)
-    exact: BoolArray = share == 0
-    made[exact] = turns[before[exact]]
-    return made
+    fraction = (at - times[before]) / span
+    between = slerp(rotations[before], rotations[after], fraction)
+    exact: BoolArray = fraction == 0
+    between[exact] = rotations[before[exact]]
+    return between
 
 
-def _notices(recording: Recording, frames: RowFrames, dropped: Dropped) -> list[Fault]:
-    """Return warnings of what is missing or odd in the numbers."""
+def _notices(
+    recording: Recording, frames: TimecodeFrames, dropped: Dropped
+) -> list[Fault]:
+    """Return warnings about missing columns and unusual values."""
     path = str(recording.path)
-    made = []
+    notices = []
     gaps = frames.dropped
     if len(gaps):
         what = {
@@ -212,10 +214,10 @@ def _notices(recording: Recording, frames: RowFrames, dropped: Dropped) -> list[
             f"first, frames {listed((gaps).tolist(), MAX_NAMED)}"
         )
         hint = f"choose with {argument('source.dropped')}: interpolate, hold or close"
-        made.append(Fault("LLF101", message, path, (), hint, Severity.WARNING))
+        notices.append(Fault("LLF101", message, path, (), hint, Severity.WARNING))
     for values, names in (
         (recording.weights, recording.shapes),
-        (recording.turns, recording.angles),
+        (recording.rotations, recording.angles),
     ):
         missing = ~np.isfinite(values)
         for c in np.flatnonzero(missing.any(axis=0)).tolist():
@@ -225,8 +227,8 @@ def _notices(recording: Recording, frames: RowFrames, dropped: Dropped) -> list[
                 how = "set to 0"
             message = f"{names[c]} has no value in {counted(len(lines), 'row')}: {how}"
             fault = Fault("LLF102", message, path, tuple(lines[:MAX_NAMED]))
-            made.append(replace(fault, severity=Severity.WARNING))
-    # Nothing is changed: some rigs go further, and percents show.
+            notices.append(replace(fault, severity=Severity.WARNING))
+    # Values are kept: some rigs go beyond 1, and percentages are recognised.
     with np.errstate(invalid="ignore"):
         beyond = (recording.weights < -1e-6) | (recording.weights > 1 + 1e-6)
     if beyond.any():
@@ -237,8 +239,8 @@ def _notices(recording: Recording, frames: RowFrames, dropped: Dropped) -> list[
         )
         line = (int(recording.lines[row]),)
         hint = "set gain and clamp in a remap file"
-        made.append(Fault("LLF109", message, path, line, hint, Severity.WARNING))
-    return made
+        notices.append(Fault("LLF109", message, path, line, hint, Severity.WARNING))
+    return notices
 
 
 def _unmatched(
@@ -248,24 +250,26 @@ def _unmatched(
     joints: dict[str, int],
     named: bool,
 ) -> list[Fault]:
-    """Return notices of what only the recording, or only the rig has."""
+    """Return notices of names only in the recording or only in the rig."""
     path = str(recording.path)
-    made = []
+    notices = []
     if named and links.lost:
-        still = {
+        static = {
             name
             for name, column in zip(recording.shapes, recording.weights.T, strict=True)
             if not np.nan_to_num(column).any()
         }
-        lost = [name for name in links.lost if name not in still]
+        lost = [name for name in links.lost if name not in static]
         if lost:
             message = f"{len(lost)} shapes are not in the rig: "
             hint = f"map them to its shapes with {argument('source.remap')}"
-            made.append(naming("LLF108", message, lost, path, hint, Severity.WARNING))
+            notices.append(
+                naming("LLF108", message, lost, path, hint, Severity.WARNING)
+            )
     for part, angles in turned.items():
         if part not in joints and np.nan_to_num(angles).any():
             message = f"the rig has no joint for the {part}: its rotation is skipped"
-            made.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
+            notices.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
     lone = {
         angle
         for angle in recording.angles
@@ -273,5 +277,5 @@ def _unmatched(
     }
     if lone:
         message = f"{listed(sorted(lone))} without the two others: skipped"
-        made.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
-    return made
+        notices.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
+    return notices

@@ -1,4 +1,4 @@
-"""A take as a Live Link Face recording (CSV)."""
+"""Live Link Face writer: a take as a recording (CSV)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, face_rotations, head_jo
 from animtool.rig.shapes import arkit_name
 
 # As the app prints them.
-PLACES = 10
+DECIMALS = 10
 _JOINTS = dict(zip(PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
 
 
@@ -47,7 +47,7 @@ def write_livelink(
 
 
 def livelink_text(take: Take) -> TakeText:
-    """Return a take as a recording: ARKit's 52 weights, rotations of head and eyes.
+    """Return a take as CSV: ARKit's 52 weights, head and eye rotations.
 
     The first frame is 00:00:00:00 of a clock of the take's rate, drop-frame at 29.97
     and 59.94. What the rig lacks is 0. Other shapes and joints have no place in the
@@ -91,7 +91,7 @@ def livelink_text(take: Take) -> TakeText:
 
 def _angles(take: Take) -> FloatArray:
     """Return yaw, pitch and roll of head, left eye and right eye [rad] ``(F, 9)``."""
-    made = np.zeros((take.clock.count, len(ANGLES)))
+    angles = np.zeros((take.clock.count, len(ANGLES)))
     joints = head_joints(take.rig)
     for k, part in enumerate(PARTS):
         joint = joints.get(_JOINTS[part])
@@ -99,21 +99,21 @@ def _angles(take: Take) -> FloatArray:
             continue
         local = take.motion.rotations.gather(np.array([joint]))[:, 0]
         turned = align_signs(face_rotations(take.rig, joint, local))
-        made[:, 3 * k : 3 * k + 3] = np.radians(from_quaternion(turned, "YXZ"))
-    return made
+        angles[:, 3 * k : 3 * k + 3] = np.radians(from_quaternion(turned, "YXZ"))
+    return angles
 
 
 def _rows(weights: FloatArray, angles: FloatArray, rate: Fraction) -> Iterator[bytes]:
     count = len(APP_SHAPES) + len(ANGLES)
-    row = f"%s,{count}," + ",".join([f"%.{PLACES}f"] * count) + "\n"
-    # No minus in front of a zero.
-    values = np.round(np.concatenate([weights, angles], axis=1), PLACES) + 0.0
+    row = f"%s,{count}," + ",".join([f"%.{DECIMALS}f"] * count) + "\n"
+    # Adding 0 removes negative zeros.
+    values = np.round(np.concatenate([weights, angles], axis=1), DECIMALS) + 0.0
     for frame, numbers in enumerate(values.tolist()):
         yield (row % (timecode(frame, rate), *numbers)).encode()
 
 
 def timecode(frame: int, rate: Fraction) -> str:
-    """Return the label of a frame counted from midnight, with parts of a frame.
+    """Return the timecode of a frame counted from midnight, with fractions.
 
     >>> timecode(1800, Fraction(30000, 1001)), timecode(61, Fraction(60))
     ('00:01:00;02.000', '00:00:01:01.000')

@@ -1,4 +1,4 @@
-"""MJCF, the models of MuJoCo: bodies and their joints as a rig.
+"""MJCF (MuJoCo models): bodies and joints as a rig.
 
 References:
     MuJoCo documentation, ``XML reference`` and ``Computation: kinematics``.

@@ -1,4 +1,4 @@
-"""A compiled MJCF as a robot: bodies as links, with their joints in order."""
+"""A compiled MJCF as a robot: bodies as links with their joints."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
-from animtool.formats.mjcf.equality import Ties
-from animtool.formats.mjcf.reduced import LEAST_MASS, Reduced, place
-from animtool.formats.robots.notes import LARGEST, Notes
+from animtool.formats.mjcf.equality import JointEqualities
+from animtool.formats.mjcf.reduced import MIN_MASS, Reduced, label_of
+from animtool.formats.robots.notes import MAX_VALUE, XmlNotes
 from animtool.formats.robots.parts import (
     UNTURNED,
     Link,
     Move,
     Robot,
-    Solid,
+    SimpleShape,
     Triangles,
     Weight,
     quaternion,
@@ -39,13 +39,13 @@ _TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.PIN)
 _FREE, _BALL, _SLIDE, _HINGE = range(4)
 # No body weighs more, nor has more inertia [kg], [kg m²].
 HEAVIEST = 1e30
-# Geoms of this group and above, MuJoCo does not show either.
+# MuJoCo hides geoms of this group and above.
 HIDDEN = 3
 _SOLIDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
 
 
-def compiled(reduced: Reduced, notes: Notes) -> Any:
-    """Return MuJoCo's model of a reduced MJCF.
+def compiled(reduced: Reduced, notes: XmlNotes) -> Any:
+    """Compile a reduced MJCF with MuJoCo.
 
     Raises:
         OptionError: MuJoCo is not installed (MJC005).
@@ -57,7 +57,7 @@ def compiled(reduced: Reduced, notes: Notes) -> Any:
         message = "MJCF is read by MuJoCo's own parser, which is not installed"
         fault = Fault("MJC005", message, str(notes.path), (), _EXTRA)
         raise OptionError(fault) from error
-    # Its warnings are of simulations; it would print them, and write them to a file.
+    # MuJoCo prints and logs its warnings, which are about simulation.
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:
@@ -70,59 +70,63 @@ def compiled(reduced: Reduced, notes: Notes) -> Any:
     raise AssertionError
 
 
-def _refused(text: str, reduced: Reduced, notes: Notes) -> None:
-    """Note what MuJoCo says, at the line of the file and not of the reduced text."""
-    found = _LINE.search(text)
+def _refused(text: str, reduced: Reduced, notes: XmlNotes) -> None:
+    """Record a MuJoCo error at its line in the source file."""
+    match = _LINE.search(text)
     element, body = None, ""
-    if found is not None and 0 < int(found[1]) <= len(reduced.elements):
-        element = reduced.elements[int(found[1]) - 1]
-        body = reduced.bodies[int(found[1]) - 1]
+    if match is not None and 0 < int(match[1]) <= len(reduced.elements):
+        element = reduced.elements[int(match[1]) - 1]
+        body = reduced.bodies[int(match[1]) - 1]
     message = _LINE.sub("", _START.sub("", text)).strip()
     message = re.sub(r"\s*\n\s*", ", ", message)
     message = re.sub(r",? *Element (name )?'[^']*'(, id \d+)?,?", "", message)
-    where = None if element is None else place(element)
+    where = None if element is None else label_of(element)
     if where is None and element is not None and body:
         where = f"{element.tag} of body {excerpt(body)}"
     notes.add("MJC008", element, f"MuJoCo refuses it: {message}", where=where)
 
 
-def robot_of(model: Any, reduced: Reduced, notes: Notes) -> Robot:
-    """Return the robot of a compiled model; what a rig holds otherwise is noted."""
+def robot_of(model: Any, reduced: Reduced, notes: XmlNotes) -> Robot:
+    """Return the robot of a compiled model; record what a rig cannot hold."""
     _check_sizes(model, notes)
-    ties = Ties.of(model, notes)
+    ties = JointEqualities.of(model, notes)
     notes.check()
     links = [_link(model, body, ties, reduced) for body in range(1, model.nbody)]
     for site in range(model.nsite):
         body, name = int(model.site_bodyid[site]), model.site(site).name
         if name and body > 0:
-            pose = vector(model.site_pos[site]), turn_of(model.site_quat[site])
+            pose = vector(model.site_pos[site]), rotation_of(model.site_quat[site])
             links[body - 1].sites.append((name, *pose))
     _note(model, reduced, ties, notes)
     return Robot(str(model.names[: model.names.index(b"\0")], "utf-8"), links)
 
 
-def _check_sizes(model: Any, notes: Notes) -> None:
-    """Note numbers of a compiled model that no position may have."""
+def _check_sizes(model: Any, notes: XmlNotes) -> None:
+    """Record numbers of a compiled model that are out of range."""
     for name in ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "qpos0", "geom_size",
                  "geom_pos", "site_pos"):  # fmt: skip
         values = np.asarray(getattr(model, name), np.float64)
-        if not (np.isfinite(values).all() and np.abs(values).max(initial=0) <= LARGEST):
-            message = f"the compiled model has {name} beyond {LARGEST:g}, or not finite"
+        if not (
+            np.isfinite(values).all() and np.abs(values).max(initial=0) <= MAX_VALUE
+        ):
+            message = (
+                f"the compiled model has {name} beyond {MAX_VALUE:g}, or not finite"
+            )
             hint = "lengths are in metres: look at positions, sizes and scales"
             notes.add("MJC007", None, message, hint)
             return
 
 
-def turn_of(wxyz: FloatArray) -> Quaternion:
-    """Return a rotation (x, y, z, w) of MuJoCo's (w, x, y, z)."""
+def rotation_of(wxyz: FloatArray) -> Quaternion:
+    """Return a quaternion (x, y, z, w) from MuJoCo's (w, x, y, z)."""
     w, x, y, z = np.asarray(wxyz, np.float64)
     return quaternion(np.array([x, y, z, w]))
 
 
-def _link(model: Any, body: int, ties: Ties, reduced: Reduced) -> Link:
-    """Return a body: each joint turns about its own place in the body's frame."""
+def _link(model: Any, body: int, ties: JointEqualities, reduced: Reduced) -> Link:
+    """Return the link of a body; joints pivot at positions in the body frame."""
     position = np.array(model.body_pos[body])
-    rotation = np.array(turn_of(model.body_quat[body]))
+    rotation = np.array(rotation_of(model.body_quat[body]))
     name = model.body(body).name
     link = Link(name, int(model.body_parentid[body]) - 1)
     before = np.zeros(3)
@@ -137,21 +141,25 @@ def _link(model: Any, body: int, ties: Ties, reduced: Reduced) -> Link:
     if link.moves:
         link.after = vector(-before)
     else:
-        still = Move("", JointType.FIXED, vector(position), quaternion(rotation))
-        link.moves.append(still)
+        fixed = Move("", JointType.FIXED, vector(position), quaternion(rotation))
+        link.moves.append(fixed)
     link.solids, link.shown = _solids(model, body)
     mass = float(model.body_mass[body])
     heavy = [mass, *model.body_inertia[body], *model.body_ipos[body]]
-    stated = mass > 2 * LEAST_MASS and name not in reduced.unweighed
+    stated = mass > 2 * MIN_MASS and name not in reduced.unweighed
     if stated and np.isfinite(heavy).all() and np.abs(heavy).max() < HEAVIEST:
         link.weight = _weight(model, body, mass)
     return link
 
 
 def _move(
-    model: Any, joint: int, translation: FloatArray, rotation: FloatArray, ties: Ties
+    model: Any,
+    joint: int,
+    translation: FloatArray,
+    rotation: FloatArray,
+    ties: JointEqualities,
 ) -> Move:
-    """Return a joint, whose coordinate is MuJoCo's qpos, but for that of a free one.
+    """Return a joint whose coordinate is MuJoCo's qpos (except free joints).
 
     A hinge or slide is at 0 where qpos is 0, and so not at ``ref``, where the file has
     it. A free joint is at rest where the file has it.
@@ -184,9 +192,9 @@ def _move(
     )
 
 
-def _solids(model: Any, body: int) -> tuple[list[Solid], list[Triangles]]:
-    """Return the simple geoms of a body that collide, and those that are shown."""
-    found, shown = [], []
+def _solids(model: Any, body: int) -> tuple[list[SimpleShape], list[Triangles]]:
+    """Return a body's simple geoms: colliding ones, and visible ones."""
+    colliding, shown = [], []
     first = int(model.body_geomadr[body])
     for geom in range(first, first + int(model.body_geomnum[body])):
         kind = _SOLIDS.get(int(model.geom_type[geom]))
@@ -199,29 +207,33 @@ def _solids(model: Any, body: int) -> tuple[list[Solid], list[Triangles]]:
             "cylinder": [half[0], 2 * half[1]],
             "box": [2 * side for side in half],
         }[kind]
-        place_: Vector = vector(model.geom_pos[geom])
-        solid = Solid(kind, tuple(size), place_, turn_of(model.geom_quat[geom]))
+        position: Vector = vector(model.geom_pos[geom])
+        solid = SimpleShape(
+            kind, tuple(size), position, rotation_of(model.geom_quat[geom])
+        )
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
-            found.append(solid)
+            colliding.append(solid)
         if model.geom_group[geom] < HIDDEN and model.geom_rgba[geom][3] > 0:
             shown.append(triangles_of(solid))
-    return found, shown
+    return colliding, shown
 
 
 def _weight(model: Any, body: int, mass: float) -> Weight:
-    turn = so3.to_matrix(np.array(turn_of(model.body_iquat[body])))
-    moments = np.array(model.body_inertia[body])
-    return Weight(mass, vector(model.body_ipos[body]), turn @ np.diag(moments) @ turn.T)
+    rotation = so3.to_matrix(np.array(rotation_of(model.body_iquat[body])))
+    inertia = np.array(model.body_inertia[body])
+    return Weight(
+        mass, vector(model.body_ipos[body]), rotation @ np.diag(inertia) @ rotation.T
+    )
 
 
-def _note(model: Any, reduced: Reduced, ties: Ties, notes: Notes) -> None:
-    """Note what a rig holds otherwise, and joints that nothing drives."""
+def _note(model: Any, reduced: Reduced, ties: JointEqualities, notes: XmlNotes) -> None:
+    """Record what a rig holds differently, and joints without actuators."""
     names = [model.joint(joint).name for joint in range(model.njnt)]
 
-    def add(code: str, found: list[int], message: str, hint: str) -> None:
-        if found:
-            shown = [excerpt(names[j]) if names[j] else "one unnamed" for j in found]
-            message = message.format(counted(len(found), "joint"))
+    def add(code: str, joints: list[int], message: str, hint: str) -> None:
+        if joints:
+            shown = [excerpt(names[j]) if names[j] else "one unnamed" for j in joints]
+            message = message.format(counted(len(joints), "joint"))
             message += f": {listed(shown, MAX_NAMED)}"
             notes.add(code, None, message, hint, severity=Severity.NOTE)
 

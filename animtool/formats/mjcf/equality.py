@@ -1,4 +1,4 @@
-"""Equality of joints: one is a polynomial of another, a mimic where that is linear."""
+"""Joint equality constraints: linear ones are mimics, others drivers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.errors import circle, excerpt
 from animtool.core.record import dataclass
-from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.notes import XmlNotes
 from animtool.rig.drivers import ANGLE, SLIDE, Driver
 from animtool.rig.expressions import parse_expression
 from animtool.rig.skeleton import Mimic
@@ -19,15 +19,15 @@ _SLIDE = 2
 
 
 @dataclass(slots=True, eq=False)
-class Ties:
-    """What joints are tied to, by index of the joint."""
+class JointEqualities:
+    """Leader joint and polynomial of each constrained joint, by joint index."""
 
     mimics: dict[int, Mimic] = field(default_factory=dict)
     drivers: dict[int, Driver] = field(default_factory=dict)
 
     @staticmethod
-    def of(model: Any, notes: Notes) -> Ties:
-        """Return the active ties of a model; those that no rig holds are noted."""
+    def of(model: Any, notes: XmlNotes) -> JointEqualities:
+        """Return the active equalities of a model; record unsupported ones."""
         rows: dict[int, tuple[int, list[float]]] = {}
         for tie in range(model.neq):
             if model.eq_type[tie] != _EQ_JOINT:
@@ -43,7 +43,7 @@ class Ties:
                 notes.add("MJC010", None, message, hint, joint=name)
                 continue
             rows[one] = (other, np.array(model.eq_data[tie][:5]).tolist())
-        ties = Ties()
+        ties = JointEqualities()
         if not _rings(model, rows, notes):
             for one in rows:
                 ties._add(model, one, rows)
@@ -52,7 +52,7 @@ class Ties:
     def _add(
         self, model: Any, one: int, rows: dict[int, tuple[int, list[float]]]
     ) -> None:
-        """Add what moves a joint: by a linear tie, whatever moves that one in turn."""
+        """Add a follower; a linear leader is replaced by its own leader."""
         other, polynomial = rows[one]
         offset, gain = _linear(model, one, other, polynomial)
         curved = other >= 0 and any(polynomial[2:])
@@ -60,15 +60,15 @@ class Ties:
             further, inner = rows[other]
             if further < 0 or any(inner[2:]):
                 break
-            own, factor = _linear(model, other, further, inner)
-            offset, gain, other = offset + gain * own, gain * factor, further
+            linear, factor = _linear(model, other, further, inner)
+            offset, gain, other = offset + gain * linear, gain * factor, further
         if other < 0:
             text = repr(offset)
             self.drivers[one] = Driver(parse_expression(text, coordinates=True))
         elif curved:
             self.drivers[one] = _driver(model, one, other, polynomial)
         elif other in rows:
-            # Linear of what is not: a driver of a driver.
+            # Linear in a joint that has a driver: a driver of a driver.
             polynomial = [polynomial[0], polynomial[1], 0.0, 0.0, 0.0]
             self.drivers[one] = _driver(model, one, rows[one][0], polynomial)
         else:
@@ -90,7 +90,7 @@ def _linear(
 
 
 def _driver(model: Any, one: int, other: int, polynomial: list[float]) -> Driver:
-    """Return a tie as a driver, by Horner's scheme."""
+    """Return a polynomial as a driver, by Horner's scheme."""
     part = SLIDE if model.jnt_type[other] == _SLIDE else ANGLE
     read = repr(f"{model.joint(other).name}.{part}")
     x = f"({read} - {_ref(model, other)!r})"
@@ -104,10 +104,12 @@ def _driver(model: Any, one: int, other: int, polynomial: list[float]) -> Driver
     return Driver(parse_expression(text, coordinates=True))
 
 
-def _rings(model: Any, rows: dict[int, tuple[int, list[float]]], notes: Notes) -> bool:
-    """Note joints that are tied in a ring, and return whether there are any."""
+def _rings(
+    model: Any, rows: dict[int, tuple[int, list[float]]], notes: XmlNotes
+) -> bool:
+    """Record cycles of constrained joints; return whether there are any."""
     done: set[int] = set()
-    found = False
+    has_rings = False
     for start in rows:
         path: list[int] = []
         one = start
@@ -117,9 +119,9 @@ def _rings(model: Any, rows: dict[int, tuple[int, list[float]]], notes: Notes) -
                 message = f"joints are tied in a ring: {circle([*names, names[0]])}"
                 hint = "remove one of these equalities"
                 notes.add("MJC010", None, message, hint, joint=names[0])
-                found = True
+                has_rings = True
                 break
             path.append(one)
             one = rows[one][0]
         done.update(path)
-    return found
+    return has_rings

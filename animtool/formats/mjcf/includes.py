@@ -1,4 +1,4 @@
-"""An MJCF and the files that it includes, as one tree: read here, and not by MuJoCo."""
+"""MJCF includes, resolved to one tree without MuJoCo opening files."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from pathlib import Path
 
 from animtool.core.errors import excerpt
 from animtool.core.files.reading import is_there, nearest_file
-from animtool.formats.robots.notes import Notes
-from animtool.formats.robots.packages import OutsideError, Places
-from animtool.formats.robots.xml import MAX_ELEMENTS, Element, XmlCodes, read_xml
+from animtool.formats.robots.notes import XmlNotes
+from animtool.formats.robots.packages import OutsideError, PackageFolders
+from animtool.formats.robots.xml import MAX_ELEMENTS, XmlCodes, XmlElement, read_xml
 
 CODES = XmlCodes("MJC001", "MJC002", "MJC003")
 ROOT = "mujoco"
 MAX_INCLUDES = 1000
 
 
-def read_model(path: Path, notes: Notes) -> tuple[Element, Places]:
-    """Return the root of a model, with what it includes in place of each include.
+def read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders]:
+    """Return the root of a model with all includes replaced by their content.
 
     Raises:
         FormatError: A file is no MJCF in XML, or an include leads out of the project,
@@ -33,22 +33,22 @@ def read_model(path: Path, notes: Notes) -> tuple[Element, Places]:
         message = f"no MJCF: its root element is <{root.tag[:60]}>"
         notes.add("MJC004", root, message, hint)
         notes.check()
-    places = Places.of(path, CODES)
-    _Including(path, places, notes).run(root)
+    folders = PackageFolders.of(path, CODES)
+    _Including(path, folders, notes).run(root)
     notes.check()
-    return root, places
+    return root, folders
 
 
 class _Including:
-    """Puts the content of files in the place of elements that include them."""
+    """Replaces include elements with the content of their files."""
 
-    def __init__(self, path: Path, places: Places, notes: Notes) -> None:
-        self._places, self._notes = places, notes
+    def __init__(self, path: Path, folders: PackageFolders, notes: XmlNotes) -> None:
+        self._folders, self._notes = folders, notes
         self._known = {path.resolve()}
         self._count = 0
 
-    def run(self, root: Element) -> None:
-        """Include all that is included below an element."""
+    def run(self, root: XmlElement) -> None:
+        """Resolve all includes below an element."""
         waiting = [root]
         while waiting and not self._notes.faults:
             element = waiting.pop()
@@ -57,7 +57,7 @@ class _Including:
                 message = f"more than {MAX_ELEMENTS:,} elements with all includes"
                 self._notes.add("MJC003", element, message)
                 return
-            children: list[Element] = []
+            children: list[XmlElement] = []
             left = list(reversed(element.children))
             while left and not self._notes.faults:
                 child = left.pop()
@@ -68,10 +68,10 @@ class _Including:
             element.children = children
             waiting += reversed(children)
 
-    def _included(self, element: Element) -> list[Element]:
-        """Return what an include stands for."""
+    def _included(self, element: XmlElement) -> list[XmlElement]:
+        """Return the elements that replace an include."""
         name = element.attributes.get("file", "")
-        path = self._found(element, name)
+        path = self._path_of(element, name)
         if path is None:
             return []
         if path in self._known:
@@ -88,17 +88,17 @@ class _Including:
         self._known.add(path)
         return read_xml(path, CODES).children
 
-    def _found(self, element: Element, name: str) -> Path | None:
-        """Return the file of an include, seen from the model, else from its file."""
+    def _path_of(self, element: XmlElement, name: str) -> Path | None:
+        """Return the path of an include, relative to the model, else to its file."""
         if not name:
             message = "an include without file"
             self._notes.add("MJC006", element, message, 'write file="parts/legs.xml"')
             return None
         try:
-            path = self._places.find(name)
+            path = self._folders.find(name)
             if path is None:
                 inner = element.path.resolve().parent / name
-                path = self._places.find(str(inner))
+                path = self._folders.find(str(inner))
         except OutsideError as error:
             message = f"{excerpt(name, 100)} is not included: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
@@ -106,7 +106,7 @@ class _Including:
             return None
         if path is None or not is_there(path):
             message = f"{excerpt(name, 100)} does not exist"
-            near = nearest_file(Path(name), self._places.folder)
+            near = nearest_file(Path(name), self._folders.folder)
             self._notes.add("MJC006", element, message, near)
             return None
         return path

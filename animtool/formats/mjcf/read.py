@@ -1,4 +1,4 @@
-"""An MJCF as a rig, and as a take of one frame."""
+"""MJCF reader: a rig, and a take of one frame."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from animtool.formats.mjcf.compiled import compiled, robot_of
 from animtool.formats.mjcf.includes import read_model
 from animtool.formats.mjcf.reduced import reduced_model
 from animtool.formats.robots.build import RobotCodes, build_rig
-from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.robots.standing import standing
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
@@ -32,9 +32,9 @@ def read_mjcf_rig(path: Path | str) -> Rig:
         OptionError: MuJoCo is not installed (MJC005).
     """
     path = Path(path)
-    notes = Notes(path, "MJC007")
-    root, places = read_model(path, notes)
-    reduced = reduced_model(root, places, notes)
+    notes = XmlNotes(path, "MJC007")
+    root, folders = read_model(path, notes)
+    reduced = reduced_model(root, folders, notes)
     notes.check()
     model = compiled(reduced, notes)
     robot = robot_of(model, reduced, notes)
@@ -47,7 +47,7 @@ def read_mjcf_rig(path: Path | str) -> Rig:
 
 
 def read_mjcf(path: Path | str) -> TakeStream:
-    """Open an MJCF as a take of one frame: its joints at 0, or their nearest limit.
+    """Open an MJCF as a take of one frame, joints at 0 or the nearest limit.
 
     Args:
         path: A .xml or .mjcf file.

@@ -1,4 +1,4 @@
-"""What of an MJCF moves, as a text that MuJoCo compiles without opening a file."""
+"""An MJCF reduced to moving parts, which MuJoCo compiles without other files."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from xml.sax.saxutils import quoteattr
 
 from animtool.core.errors import Severity, counted, excerpt
 from animtool.core.record import dataclass
-from animtool.formats.robots.notes import Notes, to_number
-from animtool.formats.robots.packages import OutsideError, Places
-from animtool.formats.robots.xml import Element
+from animtool.formats.robots.notes import XmlNotes, to_number
+from animtool.formats.robots.packages import OutsideError, PackageFolders
+from animtool.formats.robots.xml import XmlElement
 
-# Sections that a rig has no place for, and what they are called.
+# Sections that a rig cannot hold, and their labels.
 _SECTIONS = {
     "actuator": "actuators",
     "asset": "assets",
@@ -30,8 +30,8 @@ _SECTIONS = {
 }
 _IN_BODIES = {"camera": "cameras", "light": "lights", "plugin": "plugins"}
 _IN_DEFAULTS = frozenset({"default", "joint", "geom", "site"})
-# Parts that MuJoCo makes from others, with files of their own or by plug-ins.
-_MADE = frozenset({"attach", "composite", "flexcomp"})
+# Parts that MuJoCo generates from other files or by plug-ins.
+_GENERATED = frozenset({"attach", "composite", "flexcomp"})
 # Attributes that name what is left out, or change which bodies there are.
 _DROPPED = {
     "geom": ("material", "mesh", "hfield", "user"),
@@ -51,13 +51,13 @@ _TEXTS = frozenset(
         *("angle", "eulerseq", "model", "prefix"),
     }
 )
-# A body of less mass has none of its own [kg], [kg m²].
-LEAST_MASS, LEAST_INERTIA = 1e-9, 1e-13
+# Lower masses and inertias count as zero [kg], [kg m²].
+MIN_MASS, MIN_INERTIA = 1e-9, 1e-13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """A model of bodies, joints and simple shapes alone.
+    """A model of only bodies, joints and simple shapes.
 
     Attributes:
         text: The XML.
@@ -69,29 +69,31 @@ class Reduced:
     """
 
     text: str
-    elements: list[Element]
+    elements: list[XmlElement]
     bodies: list[str]
     unweighed: frozenset[str]
     idle: bool
     driven: frozenset[str]
 
 
-def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
-    """Return what of a model moves; what is left out and what is wrong is noted."""
-    _check_files(root, places, notes)
+def reduced_model(
+    root: XmlElement, packages: PackageFolders, notes: XmlNotes
+) -> Reduced:
+    """Return a model's moving parts; record omissions and faults."""
+    _check_files(root, packages, notes)
     _name_bodies(root)
     meshes = _MeshClasses(root)
     lines: list[str] = []
-    elements: list[Element] = []
+    elements: list[XmlElement] = []
     bodies: list[str] = []
     unweighed: set[str] = set()
 
-    def put(element: Element, text: str, body: str = "") -> None:
+    def put(element: XmlElement, text: str, body: str = "") -> None:
         lines.append(text)
         elements.append(element)
         bodies.append(body)
 
-    def write(element: Element, inside: str, classes: str, body: str) -> None:
+    def write(element: XmlElement, inside: str, classes: str, body: str) -> None:
         tag = element.tag
         kept = [
             child
@@ -112,11 +114,11 @@ def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
             write(child, inside or child.tag, classes, body)
         put(element, f"</{tag}>", body)
 
-    bound = Element("compiler", {}, root.path, root.line, root.column)
+    bound = XmlElement("compiler", {}, root.path, root.line, root.column)
     model = root.attributes.get("model")
     put(root, "<mujoco>" if model is None else f"<mujoco model={quoteattr(model)}>")
-    # Before the file's own, which may say more.
-    put(bound, f'<compiler boundmass="{LEAST_MASS}" boundinertia="{LEAST_INERTIA}"/>')
+    # Before the file's defaults, which may override these.
+    put(bound, f'<compiler boundmass="{MIN_MASS}" boundinertia="{MIN_INERTIA}"/>')
     for section in root.children:
         if section.tag in _SECTIONS:
             notes.leave_out(filter(None, [_SECTIONS[section.tag]]))
@@ -145,8 +147,10 @@ def reduced_model(root: Element, places: Places, notes: Notes) -> Reduced:
     )
 
 
-def _is_kept(parent: Element, child: Element, section: str, notes: Notes) -> bool:
-    """Return whether a part of a section moves; what does not is noted."""
+def _is_kept(
+    parent: XmlElement, child: XmlElement, section: str, notes: XmlNotes
+) -> bool:
+    """Return whether a part of a section is kept; record it if not."""
     tag = child.tag
     match section:
         case "worldbody":
@@ -160,10 +164,10 @@ def _is_kept(parent: Element, child: Element, section: str, notes: Notes) -> boo
     return section != "compiler"
 
 
-def _is_of_body(parent: Element, child: Element, notes: Notes) -> bool:
-    """Return whether a part of a body moves; what does not is noted."""
+def _is_of_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
+    """Return whether a part of a body is kept; record it if not."""
     tag, left_out = child.tag, _IN_BODIES.get(child.tag)
-    if tag in _MADE:
+    if tag in _GENERATED:
         message = f"<{tag}> makes bodies from other parts, which is not read"
         hint = "compile the model, and save it by mujoco.mj_saveLastXML"
         notes.add("MJC009", child, message, hint)
@@ -176,8 +180,8 @@ def _is_of_body(parent: Element, child: Element, notes: Notes) -> bool:
     return parent.tag not in {"geom", "joint", "site", "inertial"}
 
 
-def _attributes(element: Element, section: str, notes: Notes) -> str:
-    """Return the attributes of an element that are kept, as XML."""
+def _attributes(element: XmlElement, section: str, notes: XmlNotes) -> str:
+    """Return the kept attributes of an element as XML."""
     dropped: tuple[str, ...] = _DROPPED.get(element.tag, ())
     if section == "default" and element.attributes.get("type") in _MESHES:
         dropped = (*dropped, "type")
@@ -193,19 +197,19 @@ def _attributes(element: Element, section: str, notes: Notes) -> str:
     return "".join(parts)
 
 
-def _check_numbers(element: Element, name: str, value: str, notes: Notes) -> None:
-    """Note a number that is not finite: MuJoCo would take it."""
+def _check_numbers(element: XmlElement, name: str, value: str, notes: XmlNotes) -> None:
+    """Record numbers that are not finite, which MuJoCo would accept."""
     for word in value.split():
         number = to_number(word)
         if number is not None and not math.isfinite(number):
             message = f"{name} of <{element.tag}> is {excerpt(value)}: "
             message += f"{excerpt(word)} is not finite"
-            notes.add("MJC007", element, message, where=place(element))
+            notes.add("MJC007", element, message, where=label_of(element))
             return
 
 
-def _check_range(element: Element, value: str, notes: Notes) -> None:
-    """Note a range that is reversed: without ``limited`` MuJoCo would drop it."""
+def _check_range(element: XmlElement, value: str, notes: XmlNotes) -> None:
+    """Record reversed ranges, which MuJoCo would drop without ``limited``."""
     ends = [to_number(word) for word in value.split()]
     low, high = (*ends, None, None)[:2]
     if low is None or high is None or not low > high:
@@ -213,17 +217,17 @@ def _check_range(element: Element, value: str, notes: Notes) -> None:
     if element.attributes.get("limited") != "false":
         message = f"range {excerpt(value)} is reversed: {low:g} is above {high:g}"
         hint = f'write range="{high:g} {low:g}" if they are swapped'
-        notes.add("MJC011", element, message, hint, where=place(element))
+        notes.add("MJC011", element, message, hint, where=label_of(element))
 
 
-def place(element: Element) -> str | None:
-    """Return what a fault calls an element; None where it has no name."""
+def label_of(element: XmlElement) -> str | None:
+    """Return an element's label for messages; None without a name."""
     name = element.attributes.get("name")
     return None if name is None else f"{element.tag} {excerpt(name)}"
 
 
-def _name_bodies(root: Element) -> None:
-    """Give bodies without a name one that no other has."""
+def _name_bodies(root: XmlElement) -> None:
+    """Give unnamed bodies unique names."""
     bodies = [
         element
         for section in root.all("worldbody")
@@ -241,42 +245,42 @@ def _name_bodies(root: Element) -> None:
 
 
 class _MeshClasses:
-    """Which geoms are of meshes, by themselves or by their default class."""
+    """Which geoms are meshes, directly or by their default class."""
 
-    def __init__(self, root: Element) -> None:
+    def __init__(self, root: XmlElement) -> None:
         self._classes: dict[str, bool] = {}
         for default in root.all("default"):
-            own = default.attributes.get("class", "main")
-            self._add(default, own, inherited=self._classes.get("main", False))
+            name = default.attributes.get("class", "main")
+            self._add(default, name, inherited=self._classes.get("main", False))
         self._main = self._classes.get("main", False)
 
-    def _add(self, default: Element, name: str, *, inherited: bool) -> None:
+    def _add(self, default: XmlElement, name: str, *, inherited: bool) -> None:
         waiting = [(default, name, inherited)]
         while waiting:
-            element, own, mesh = waiting.pop()
+            element, class_name, mesh = waiting.pop()
             for geom in element.all("geom"):
                 mesh = _mesh_or(geom, mesh)
-            self._classes[own] = mesh
+            self._classes[class_name] = mesh
             waiting += [
                 (child, child.attributes.get("class", ""), mesh)
                 for child in element.all("default")
             ]
 
-    def is_mesh(self, geom: Element, childclass: str) -> bool:
-        """Return whether a geom of a body is of a mesh."""
+    def is_mesh(self, geom: XmlElement, childclass: str) -> bool:
+        """Return whether a body's geom is a mesh."""
         name = geom.attributes.get("class", childclass)
         return _mesh_or(geom, self._classes.get(name, self._main))
 
 
-def _mesh_or(geom: Element, inherited: bool) -> bool:
-    """Return whether a geom is of a mesh; what it inherits where it does not say."""
+def _mesh_or(geom: XmlElement, inherited: bool) -> bool:
+    """Return whether a geom is a mesh; unstated, the inherited value."""
     if geom.attributes.get("type") in _MESHES or "mesh" in geom.attributes:
         return True
     return inherited and "type" not in geom.attributes
 
 
-def _check_files(root: Element, places: Places, notes: Notes) -> None:
-    """Note files outside of the project; none of them is opened."""
+def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) -> None:
+    """Record file names outside the project; no file is opened."""
     folders = {
         name: value
         for compiler in root.all("compiler")
@@ -289,20 +293,20 @@ def _check_files(root: Element, places: Places, notes: Notes) -> None:
         key = "texturedir" if element.tag == "texture" else "meshdir"
         folder = folders.get(key, folder)
         try:
-            if places.find(f"{folder}/{name}" if folder else name) is None:
+            if packages.find(f"{folder}/{name}" if folder else name) is None:
                 missing += 1
         except OutsideError as error:
             message = f"file {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
-            notes.add("MJC016", element, message, hint, where=place(element))
+            notes.add("MJC016", element, message, hint, where=label_of(element))
     if missing:
         message = f"{counted(missing, 'file')} of its assets not found"
         hint = "motion needs none of them"
         notes.add("MJC103", None, message, hint, severity=Severity.NOTE)
 
 
-def _files(root: Element) -> Iterator[tuple[Element, str]]:
+def _files(root: XmlElement) -> Iterator[tuple[XmlElement, str]]:
     for element in root.walk():
         for name, value in element.attributes.items():
             if name.startswith("file") and value and element.tag != "include":

@@ -1,4 +1,4 @@
-"""OpenSim motion (MOT, STO): a row of joint coordinates a time."""
+"""OpenSim motion (MOT, STO): joint coordinates over time."""
 
 from animtool.formats.mot.read import read_mot, read_mot_rig
 from animtool.formats.mot.write import write_mot

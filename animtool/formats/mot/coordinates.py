@@ -1,4 +1,4 @@
-"""What columns of a motion file are called, and the joint coordinates they are."""
+"""Joint coordinates of a motion file's columns, and column names of a rig."""
 
 from __future__ import annotations
 
@@ -22,35 +22,35 @@ _SLIDE = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """One number of a joint."""
+    """One scalar coordinate of a joint."""
 
     joint: int  # its index
     part: str  # ``angle``, ``slide``, ``rotation`` or ``translation``
     axis: int = 0  # of a rotation or translation
 
     @property
-    def turns(self) -> bool:
+    def is_angle(self) -> bool:
         """Whether it is an angle."""
         return self.part in {"angle", "rotation"}
 
 
 def coordinates_of(rig: Rig) -> list[Coordinate]:
-    """Return the coordinates of a rig's joints, in the order of its joints."""
-    found = []
+    """Return the coordinates of a rig, in joint order."""
+    coordinates = []
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.PIN:
-            found.append(Coordinate(j, "angle"))
+            coordinates.append(Coordinate(j, "angle"))
         if joint.type is JointType.PRISMATIC:
-            found.append(Coordinate(j, "slide"))
+            coordinates.append(Coordinate(j, "slide"))
         if joint.type in (JointType.BALL, JointType.FREE):
-            found += [Coordinate(j, "rotation", axis) for axis in range(3)]
+            coordinates += [Coordinate(j, "rotation", axis) for axis in range(3)]
         if joint.type is JointType.FREE:
-            found += [Coordinate(j, "translation", axis) for axis in range(3)]
-    return found
+            coordinates += [Coordinate(j, "translation", axis) for axis in range(3)]
+    return coordinates
 
 
 def spellings(rig: Rig) -> dict[str, Coordinate]:
-    """Return every name that a column may have, and the coordinate that it is.
+    """Return all accepted column names with their coordinates.
 
     ``knee.angle`` and ``knee`` of a pin, ``lift.slide`` and ``lift`` of a prismatic
     joint, ``hip.rotation.x`` and ``hip_x`` of a ball or free joint, and
@@ -61,20 +61,20 @@ def spellings(rig: Rig) -> dict[str, Coordinate]:
     >>> list(spellings(door))
     ['hinge.angle', 'hinge']
     """
-    found: dict[str, Coordinate] = {}
+    names: dict[str, Coordinate] = {}
     coordinates = coordinates_of(rig)
     for one in coordinates:
-        found[_dotted(rig, one)] = one
+        names[_dotted(rig, one)] = one
     for one in sorted(coordinates, key=lambda one: one.part not in {"angle", "slide"}):
-        found.setdefault(_usual(rig, one), one)
-    return found
+        names.setdefault(_short(rig, one), one)
+    return names
 
 
 def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
-    """Return names that `spellings` finds coordinates by, short ones where it can."""
+    """Return column names that `spellings` resolves, short ones if unique."""
     known = spellings(rig)
     return [
-        usual if known[usual := _usual(rig, one)] == one else _dotted(rig, one)
+        short if known[short := _short(rig, one)] == one else _dotted(rig, one)
         for one in coordinates
     ]
 
@@ -86,14 +86,14 @@ def _dotted(rig: Rig, one: Coordinate) -> str:
     return f"{name}.{'xyz'[one.axis]}"
 
 
-def _usual(rig: Rig, one: Coordinate) -> str:
+def _short(rig: Rig, one: Coordinate) -> str:
     name, axis = rig.joints[one.joint].name, "xyz"[one.axis]
     suffix = {"rotation": f"_{axis}", "translation": f"_t{axis}"}.get(one.part, "")
     return f"{name}{suffix}"
 
 
 def plain_name(column: str) -> str | None:
-    """Return the coordinate that a column of states is of; None where it is of none.
+    """Return the coordinate name of a states column; None if it has none.
 
     >>> plain_name("/jointset/knee_r/knee_angle_r/value"), plain_name("knee_angle_r")
     ('knee_angle_r', 'knee_angle_r')
@@ -105,20 +105,20 @@ def plain_name(column: str) -> str | None:
     return parts[-2] if parts[-1] == "value" and parts[-2] else None
 
 
-def own_rig(name: str, columns: list[str]) -> Rig:
+def rig_of_columns(name: str, columns: list[str]) -> Rig:
     """Return a rig with a joint for each column.
 
     It is a pin about Z, or a prismatic joint where the name ends like one of a
     translation: ``pelvis_tx``, ``box_transX``.
 
-    >>> rig = own_rig("run", ["knee", "pelvis_ty"])
+    >>> rig = rig_of_columns("run", ["knee", "pelvis_ty"])
     >>> [(joint.type.value, joint.axis) for joint in rig.joints]
     [('pin', (0.0, 0.0, 1.0)), ('prismatic', (0.0, 1.0, 0.0))]
     """
-    return Rig(name, tuple(_own_joint(column) for column in columns))
+    return Rig(name, tuple(_joint_of_column(column) for column in columns))
 
 
-def _own_joint(column: str) -> Joint:
+def _joint_of_column(column: str) -> Joint:
     for match in _SLIDE.finditer(column):
         if match.end() == len(column):
             axes = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
@@ -135,40 +135,42 @@ def rows_to_coordinates(
     What no column gives is as in the rest pose.
     """
     slices = coordinate_slices(rig)
-    made = np.zeros((len(values), slices[-1].stop if slices else 0))
-    turns: dict[int, FloatArray] = {}
-    for joint, place in zip(rig.joints, slices, strict=True):
+    coordinates = np.zeros((len(values), slices[-1].stop if slices else 0))
+    rotations: dict[int, FloatArray] = {}
+    for joint, slice_ in zip(rig.joints, slices, strict=True):
         if joint.type in (JointType.BALL, JointType.FREE):
-            made[:, place.stop - 1] = 1.0
+            coordinates[:, slice_.stop - 1] = 1.0
     for one, column in zip(columns, values.T, strict=True):
-        place = slices[one.joint]
+        slice_ = slices[one.joint]
         if one.part == "rotation":
-            angles = turns.setdefault(one.joint, np.zeros((len(values), 3)))
+            angles = rotations.setdefault(one.joint, np.zeros((len(values), 3)))
             angles[:, one.axis] = column
         else:
-            at = place.start + (one.axis if one.part == "translation" else 0)
-            made[:, at] = np.radians(column) if one.turns else column
-    for j, angles in turns.items():
+            at = slice_.start + (one.axis if one.part == "translation" else 0)
+            coordinates[:, at] = np.radians(column) if one.is_angle else column
+    for j, angles in rotations.items():
         stop = slices[j].stop
-        made[:, stop - 4 : stop] = euler.to_quaternion(angles, ORDER)
-    return made
+        coordinates[:, stop - 4 : stop] = euler.to_quaternion(angles, ORDER)
+    return coordinates
 
 
 def rows_of_coordinates(
-    rig: Rig, columns: list[Coordinate], made: FloatArray
+    rig: Rig, columns: list[Coordinate], coordinates: FloatArray
 ) -> FloatArray:
     """Return columns ``(F, C)`` [deg, m] of joint coordinates ``(F, Q)``."""
     slices = coordinate_slices(rig)
-    values = np.zeros((len(made), len(columns)))
-    turns: dict[int, FloatArray] = {}
+    values = np.zeros((len(coordinates), len(columns)))
+    rotations: dict[int, FloatArray] = {}
     for c, one in enumerate(columns):
-        place = slices[one.joint]
+        slice_ = slices[one.joint]
         if one.part == "rotation":
-            if one.joint not in turns:
-                quaternions = made[:, place.stop - 4 : place.stop]
-                turns[one.joint] = euler.from_quaternion(quaternions, ORDER)
-            values[:, c] = turns[one.joint][:, one.axis]
+            if one.joint not in rotations:
+                quaternions = coordinates[:, slice_.stop - 4 : slice_.stop]
+                rotations[one.joint] = euler.from_quaternion(quaternions, ORDER)
+            values[:, c] = rotations[one.joint][:, one.axis]
         else:
-            at = place.start + (one.axis if one.part == "translation" else 0)
-            values[:, c] = np.degrees(made[:, at]) if one.turns else made[:, at]
+            at = slice_.start + (one.axis if one.part == "translation" else 0)
+            values[:, c] = (
+                np.degrees(coordinates[:, at]) if one.is_angle else coordinates[:, at]
+            )
     return values

@@ -1,4 +1,4 @@
-"""An OpenSim table of vectors (STO, DataType=Vec3) as marker trajectories."""
+"""OpenSim tables of vectors (STO, DataType=Vec3) as marker trajectories."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from animtool.motion.markers import Markers
 
 
 def holds_points(path: Path) -> bool:
-    """Return whether a file is a table of vectors; False where it cannot be read."""
+    """Return whether a file is a table of vectors; False if it is unreadable."""
     try:
         return read_header(path, read_lines(path)).has_points
     except AnimtoolError:
@@ -50,7 +50,7 @@ def read_points(
     fps: FractionLike | None = None,
     subject: str | None = None,
 ) -> Markers:
-    """Return the vectors of a table as markers; one with a NaN was not seen.
+    """Return a table's vectors as markers; NaN means not visible.
 
     Time 0 is frame 1. Frames without a row have no position; rows at uneven times
     become even by straight lines between them.
@@ -104,27 +104,29 @@ def _frames(
     rounding: float,
     fps: FractionLike | None,
 ) -> RowFrames:
-    """Return the frames of rows; what is odd about their times is a warning."""
+    """Return the frames of rows; record warnings about their times."""
     stated, count = header.counts.get("rate"), len(times)
     if fps is not None or count == 1:
         rate, at = file.rate(stated, fps), np.arange(count, dtype=np.float64)
         return _from(times, rate, at, rounding)
     steps = find_steps(times, None, stated, rounding)
     between = int(steps.frames[-1]) if steps.even else 1
-    found = rate_of_step(steps.step, rounding, between)
-    if found is None:
+    exact_rate = rate_of_step(steps.step, rounding, between)
+    if exact_rate is None:
         raise file.error(
             "MOF006",
             f"has a row every {steps.step:g} s",
             f"set the rate with {argument('source.fps')}",
         )
     if stated is not None and is_rate_of(stated, steps, rounding):
-        found = file.rate(stated, None)
+        exact_rate = file.rate(stated, None)
     elif stated is not None:
-        message = f"states DataRate {stated:g}, but its times are at {float(found):g}"
+        message = (
+            f"states DataRate {stated:g}, but its times are at {float(exact_rate):g}"
+        )
         file.warn("MOF101", f"{message} fps: using the times")
     with np.errstate(over="ignore"):
-        at = (times - times[0]) * float(found)
+        at = (times - times[0]) * float(exact_rate)
     if steps.even:
         at = steps.frames.astype(np.float64)
     if not has_room(at, len(header.names)):
@@ -132,12 +134,12 @@ def _frames(
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise file.error("MOF006", message, hint)
     if not steps.even:
-        message = f"times are uneven: resampled at {float(found):g} fps, linearly "
+        message = f"times are uneven: resampled at {float(exact_rate):g} fps, linearly "
         file.warn("MOF105", f"{message}between rows, but not over gaps")
     elif (absent := int(at[-1]) + 1 - count) > 0:
         message = f"{counted(absent, 'frame')} without a row: no marker is seen there"
         file.warn("MOF105", message)
-    return _from(times, found, at, rounding)
+    return _from(times, exact_rate, at, rounding)
 
 
 def _from(

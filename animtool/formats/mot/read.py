@@ -1,4 +1,4 @@
-"""An OpenSim motion file as a take."""
+"""OpenSim motion reader: a take of joint coordinates."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from animtool.core.similar import similar
 from animtool.core.units import unit_name
 from animtool.formats.mot.coordinates import (
     Coordinate,
-    own_rig,
     plain_name,
+    rig_of_columns,
     rows_to_coordinates,
     spellings,
 )
@@ -25,9 +25,9 @@ from animtool.formats.row_times import (
     EVEN,
     LAST_START,
     fit_frames,
+    median_step,
     rate_of_step,
     rounding_of,
-    usual_step,
 )
 from animtool.ik.sub_rig import following
 from animtool.maths.filters import fill_gaps
@@ -57,7 +57,7 @@ def read_mot(
 
     Args:
         path: The file.
-        rig: The rig that it is for; None is one of its own, a joint for each column.
+        rig: The rig to move; None builds one with a joint for each column.
         fps: Rows a second, where the times are wrong; None is what the times say.
 
     Raises:
@@ -66,10 +66,10 @@ def read_mot(
             rate (SCN022).
     """
     path = Path(path)
-    given = None if fps is None else rate_option(fps)
+    option = None if fps is None else rate_option(fps)
     table = read_table(path)
     notices = list(table.notices)
-    target = _own(table) if rig is None else at_origin(Rig.load(Path(rig)))
+    target = _default_rig(table) if rig is None else at_origin(Rig.load(Path(rig)))
     at, columns, lost = _matched(table, target)
     if rig is None:
         message = "names no rig: each coordinate became a joint"
@@ -89,9 +89,9 @@ def read_mot(
         notices.append(Fault("MOF107", message, str(path), (), hint, warning))
     values = fill_gaps(table.values[:, at], table.times)
     if not degrees:
-        turning = [one.turns for one in columns]
+        turning = [one.is_angle for one in columns]
         values[:, turning] = np.degrees(values[:, turning])
-    rate, values, odd = _even(table, values, given)
+    rate, values, even_notices = _even(table, values, option)
     motion = _motion(target, columns, values)
     details: dict[str, object] = {
         "format": "OpenSim motion",
@@ -107,27 +107,33 @@ def read_mot(
     first = float(table.times[0]) * float(rate)
     start = Fraction(round(first) + 1) if abs(first) < LAST_START else None
     return TakeStream(
-        target, rate, start, Fraction(1), iter([motion]), [*notices, *odd], details
+        target,
+        rate,
+        start,
+        Fraction(1),
+        iter([motion]),
+        [*notices, *even_notices],
+        details,
     )
 
 
 def read_mot_rig(path: Path) -> Rig:
     """Return a rig with a joint for each coordinate of a motion file."""
-    return _own(read_table(path))
+    return _default_rig(read_table(path))
 
 
-def _own(table: MotionTable) -> Rig:
+def _default_rig(table: MotionTable) -> Rig:
     names = dict.fromkeys(filter(None, map(plain_name, table.names)))
     if not names:
         message = "has no column with a coordinate"
         raise FormatError(Fault("MOF002", message, str(table.path)))
-    return own_rig(table.path.stem, list(names))
+    return rig_of_columns(table.path.stem, list(names))
 
 
 def _matched(
     table: MotionTable, rig: Rig
 ) -> tuple[list[int], list[Coordinate], list[str]]:
-    """Return the columns that the rig has, what they are, and the names of others."""
+    """Return columns known to the rig, their coordinates, and unknown names."""
     known = spellings(rig)
     at, columns, lost = [], [], []
     for c, name in enumerate(table.names):
@@ -147,12 +153,12 @@ def _matched(
 
 
 def _even(
-    table: MotionTable, values: FloatArray, given: Fraction | None
+    table: MotionTable, values: FloatArray, option: Fraction | None
 ) -> tuple[Fraction, FloatArray, list[Fault]]:
-    """Return the rate, and values at even times."""
+    """Return the rate, and values resampled to constant steps."""
     times, path = table.times, str(table.path)
-    if given is not None:
-        return given, values, []
+    if option is not None:
+        return option, values, []
     if len(times) == 1:
         message, hint = (
             "has one row, which gives no rate",
@@ -164,20 +170,20 @@ def _even(
     steps = fit_frames(times, np.arange(len(times)), rounding)
     if steps.even:
         return _rate(path, steps.step, rounding, len(times) - 1), values, []
-    rate = _rate(path, usual_step(times), rounding, 1)
+    rate = _rate(path, median_step(times), rounding, 1)
     count = span * float(rate) + 1
     if count > MAX_FRAMES_EACH * len(times):
         message = f"has {len(times)} rows for {count:.3g} frames at {float(rate):g} fps"
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise FormatError(Fault("MOF006", message, path, (), hint))
     at = times[0] + np.arange(int(count + EVEN)) / float(rate)
-    made = np.stack([np.interp(at, times, column) for column in values.T], axis=-1)
+    resampled = np.stack([np.interp(at, times, column) for column in values.T], axis=-1)
     message = (
         f"times are uneven, up to {steps.off:.3g} s off: resampled at "
         f"{float(rate):g} fps, linearly between rows"
     )
     hint = f"{argument('source.fps')} reads each row as a frame"
-    return rate, made, [Fault("MOF105", message, path, (), hint, Severity.WARNING)]
+    return rate, resampled, [Fault("MOF105", message, path, (), hint, Severity.WARNING)]
 
 
 def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
@@ -190,9 +196,9 @@ def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
 
 
 def _motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:
-    made = rows_to_coordinates(rig, columns, values)
+    coordinates = rows_to_coordinates(rig, columns, values)
     moved = {rig.joints[one.joint].name for one in columns}
-    local = local_from_coordinates(rig, following(rig, made, moved))
+    local = local_from_coordinates(rig, following(rig, coordinates, moved))
     return Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)
     )

@@ -1,4 +1,4 @@
-"""The table of an OpenSim motion file: columns with names over time."""
+"""The table of an OpenSim motion file: named columns over time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt,
 from animtool.core.record import dataclass
 from animtool.formats.delimited import (
     BLANK,
-    Rows,
+    TextRows,
     decoded,
     gather_rows,
     number_of,
@@ -44,7 +44,7 @@ _YES = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": 
 
 @dataclass(frozen=True, slots=True)
 class MotionTable:
-    """What a motion file holds.
+    """Header, times and columns of a motion file.
 
     Attributes:
         path: The file.
@@ -54,7 +54,7 @@ class MotionTable:
         decimals: Places after the point of the times, at most.
         lines: Line of each row ``(R,)``, from 1.
         degrees: Whether angles are degrees; None where the file does not say.
-        notices: What is odd.
+        notices: Warnings about the file.
     """
 
     path: Path
@@ -68,7 +68,7 @@ class MotionTable:
 
 
 def read_table(path: Path) -> MotionTable:
-    """Return the table of a MOT or STO file.
+    """Read the table of a MOT or STO file.
 
     Cells are separated by tabs, semicolons, commas or blanks.
 
@@ -85,8 +85,8 @@ def read_table(path: Path) -> MotionTable:
     rows = read_rows(path, lines, header, len(names) + 1, notices)
     decimals, numbers = rows.decimals(0), rows.lines
     values = numbers_of(path, rows, len(names) + 1)
-    wanted = {"rows": len(values), "columns": len(names) + 1}
-    for what, count in wanted.items():
+    counts = {"rows": len(values), "columns": len(names) + 1}
+    for what, count in counts.items():
         if what in stated and stated[what] != count:
             message = f"states {stated[what]:g} {what}, but has {count}"
             warning = Severity.WARNING
@@ -109,7 +109,7 @@ def _error(code: str, path: Path, message: str, line: int | None = None) -> Form
 
 @dataclass(frozen=True, slots=True)
 class MotHeader:
-    """What the lines above the rows state.
+    """Header values above the rows.
 
     Attributes:
         names: Of the C columns, the time left out.
@@ -136,7 +136,7 @@ class MotHeader:
 
 
 def read_header(path: Path, lines: list[bytes]) -> MotHeader:
-    """Return the header (MOF001) and the names of columns (MOF002, MOF004)."""
+    """Return the header (MOF001) and column names (MOF002, MOF004)."""
     at = _end_of_header(path, lines)
     counts, degrees, texts = _header(lines[:at])
     head = next((i for i in range(at + 1, len(lines)) if lines[i].strip(BLANK)), None)
@@ -159,7 +159,7 @@ def _end_of_header(path: Path, lines: list[bytes]) -> int:
 def _header(
     lines: list[bytes],
 ) -> tuple[dict[str, float], bool | None, dict[str, str]]:
-    """Return counts of a header, whether angles are degrees, and what texts it has."""
+    """Parse counts, angle unit and texts of a header."""
     counts: dict[str, float] = {}
     texts: dict[str, str] = {}
     degrees = None
@@ -170,7 +170,7 @@ def _header(
         if not value:
             # As SIMM writes: datarows 250.
             key, _, value = (part.strip() for part in text.partition(" "))
-            # Which has degrees.
+            # SIMM files are in degrees.
             said = True if key in {"datarows", "datacolumns"} else said
         what = {
             "nrows": "rows",
@@ -215,7 +215,7 @@ def _names(path: Path, line: bytes, separator: bytes, number: int) -> tuple[str,
 def check_once(
     path: Path, keys: tuple[object, ...], names: tuple[str, ...], line: int | None
 ) -> None:
-    """Refuse columns of which two have the same key (MOF004)."""
+    """Raise for two columns with the same key (MOF004)."""
     first: dict[object, str] = {}
     for key, name in zip(keys, names, strict=True):
         if key in first:
@@ -227,7 +227,7 @@ def check_once(
 
 
 def _check_kind(path: Path, header: MotHeader, lines: list[bytes]) -> None:
-    """Refuse cells of several numbers each (MOF009): vectors, quaternions."""
+    """Raise for cells with several numbers (MOF009): vectors, quaternions."""
     kind, names, begin = header.kind, header.names, header.begin
     separator = header.separator
     row = next(
@@ -248,8 +248,8 @@ def _check_kind(path: Path, header: MotHeader, lines: list[bytes]) -> None:
     raise FormatError(Fault("MOF009", message, str(path), (row + 1,), hint))
 
 
-def numbers_of(path: Path, rows: Rows, width: int) -> FloatArray:
-    """Return the numbers of rows ``(R, width)`` (MOF003)."""
+def numbers_of(path: Path, rows: TextRows, width: int) -> FloatArray:
+    """Parse the numbers of rows ``(R, width)`` (MOF003)."""
     return rows.values(width, lambda text, line: _error("MOF003", path, text, line))
 
 
@@ -259,8 +259,8 @@ def read_rows(
     header: MotHeader,
     width: int,
     notices: list[Fault],
-) -> Rows:
-    """Return rows of one width; one that the file's end cuts is left out (MOF103)."""
+) -> TextRows:
+    """Return rows of equal width; a truncated last row is dropped (MOF103)."""
     rows = gather_rows(lines, header.begin, header.separator)
     warning = Severity.WARNING
     while len(rows.texts):
@@ -271,7 +271,7 @@ def read_rows(
         line, short = int(rows.lines[row]), rows.cells[row] < width
         count = int(rows.cells[row] if short else rows.filled[row])
         message = f"has {count} values instead of {width}"
-        # No line ends the last row of a file that is cut.
+        # The last row of a truncated file has no line end.
         last = row == len(rows.texts) - 1 and line == len(lines)
         if not (last and short and row):
             raise _error("MOF003", path, message, line)
@@ -288,7 +288,7 @@ def read_rows(
 
 
 def check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
-    """Refuse times that do not ascend (MOF005)."""
+    """Raise for times that do not ascend (MOF005)."""
     with np.errstate(invalid="ignore", over="ignore"):
         wrong = ~np.isfinite(times)
         wrong[1:] |= ~(np.diff(times) > 0)
@@ -303,7 +303,7 @@ def check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
 def _missing(
     path: Path, names: tuple[str, ...], values: FloatArray, lines: IntArray
 ) -> list[Fault]:
-    """Return a warning of the columns in which values are missing."""
+    """Return a warning about columns with missing values."""
     missing: BoolArray = np.isnan(values)
     columns = np.flatnonzero(missing.any(axis=0)).tolist()
     if not columns:

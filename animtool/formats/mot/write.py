@@ -1,4 +1,4 @@
-"""A take as an OpenSim motion file (MOT, STO)."""
+"""OpenSim motion writer: a take as MOT or STO."""
 
 from __future__ import annotations
 
@@ -65,9 +65,9 @@ def mot_text(take: Take) -> TakeText:
         raise OptionError(Fault("MOF008", message))
     translations, rotations, scales = take.motion.dense()
     local = LocalTransforms(translations, rotations)
-    made = coordinates_from_local(rig, local)
-    values = rows_of_coordinates(rig, columns, made)
-    still = {
+    coordinates = coordinates_from_local(rig, local)
+    values = rows_of_coordinates(rig, columns, coordinates)
+    static = {
         j
         for j in {one.joint for one in columns if one.part == "translation"}
         if not np.round(values[:, _translations(columns, j)], DECIMALS).any()
@@ -75,7 +75,7 @@ def mot_text(take: Take) -> TakeText:
     kept = [
         c
         for c, one in enumerate(columns)
-        if one.part != "translation" or one.joint not in still
+        if one.part != "translation" or one.joint not in static
     ]
     columns = [columns[c] for c in kept]
     values = values[:, kept]
@@ -84,9 +84,9 @@ def mot_text(take: Take) -> TakeText:
     begin = float((take.clock.start - 1) / take.clock.fps)
     times = begin + np.arange(take.clock.count) / rate
     rows = np.column_stack([times, values])
-    places = [DECIMALS] * rows.shape[1]
+    decimals = [DECIMALS] * rows.shape[1]
     return TakeText(
-        _head(rig, columns, len(rows)), number_rows(rows, places, tabs=True), notices
+        _head(rig, columns, len(rows)), number_rows(rows, decimals, tabs=True), notices
     )
 
 
@@ -120,12 +120,12 @@ def _lost(
     local: LocalTransforms,
     scales: FloatArray | None,
 ) -> list[Fault]:
-    """Return warnings of what the file has no place for."""
+    """Return warnings about motion that coordinates cannot hold."""
     rig, warning = take.rig, Severity.WARNING
     again = local_from_coordinates(rig, rows_to_coordinates(rig, columns, values))
     shift = np.abs(again.translations - local.translations).max(axis=(0, 2), initial=0)
-    turn = so3.multiply(so3.conjugate(again.rotations), local.rotations)
-    angle = 2 * np.abs(turn[..., :3]).max(axis=(0, 2), initial=0)
+    difference = so3.multiply(so3.conjugate(again.rotations), local.rotations)
+    angle = 2 * np.abs(difference[..., :3]).max(axis=(0, 2), initial=0)
     bent = [rig.joints[j].name for j in np.flatnonzero(np.maximum(shift, angle) > LOST)]
     notices = []
     if bent:

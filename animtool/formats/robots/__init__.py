@@ -1,1 +1,1 @@
-"""What URDF and MJCF share: XML, names, mass, colliders, and the rig of a robot."""
+"""Common parts of URDF and MJCF: XML, names, masses, colliders, rigs."""

@@ -1,4 +1,4 @@
-"""The rig of a robot: every link and every joint that moves is a joint of its name.
+"""Rig of a robot: a joint for every link and every moving joint.
 
 A joint that moves a link of the same name, in the same frame, is one with it; otherwise
 the link is a fixed joint below. What hangs from the link hangs from the joint that
@@ -18,7 +18,7 @@ from animtool.core.errors import Severity, counted, listed
 from animtool.core.quantities import CONTROL, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.robots.parts import ORIGIN, Link, Move, Robot
 from animtool.formats.robots.solids import capsule_of, masses_of
 from animtool.formats.robots.triangles import joined
@@ -34,7 +34,7 @@ _CONTROL = re.compile(f"[{CONTROL}]")
 
 @dataclass(frozen=True, slots=True)
 class RobotCodes:
-    """The codes of what a rig holds otherwise than the file."""
+    """Codes of notices about what a rig holds differently."""
 
     renamed: str
     approximate: str  # colliders
@@ -42,7 +42,7 @@ class RobotCodes:
 
 
 def legal_name(name: str) -> str:
-    r"""Return a name without what no text of a file may hold.
+    r"""Return a name without characters that text files cannot hold.
 
     >>> legal_name("a\x1bb"), legal_name("elbow flex")
     ('a_b', 'elbow flex')
@@ -50,8 +50,8 @@ def legal_name(name: str) -> str:
     return _CONTROL.sub("_", name)[:MAX_NAME]
 
 
-def build_rig(robot: Robot, notes: Notes, codes: RobotCodes) -> Rig:
-    """Return the rig of a robot in metres and radians, Z up, at rest at its zeros.
+def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
+    """Return a robot's rig: metres, radians, Z up, at rest at zero coordinates.
 
     Notices of ``notes`` are the rig's, and what is not read is added to them.
     """
@@ -75,18 +75,18 @@ def build_rig(robot: Robot, notes: Notes, codes: RobotCodes) -> Rig:
                 parent = len(joints) - 1
         frames.append(parent)
         for site, position, rotation in link.sites:
-            own = names.sites.get((i, site))
-            if own is not None:
+            site_name = names.sites.get((i, site))
+            if site_name is not None:
                 fixed = JointType.FIXED
-                joints.append(Joint(own, frames[i], fixed, position, rotation))
-        own_joint = joints[carrier if link.moves else parent].name
+                joints.append(Joint(site_name, frames[i], fixed, position, rotation))
+        joint_name = joints[carrier if link.moves else parent].name
         shift = link.after if link.moves else ORIGIN
         for solid in link.solids:
             capsule, far = capsule_of(solid, shift)
             off = max(off, far)
-            colliders.append(Collider(own_joint, capsule))
+            colliders.append(Collider(joint_name, capsule))
         if link.weight is not None:
-            masses.append(masses_of(own_joint, link.weight, shift))
+            masses.append(masses_of(joint_name, link.weight, shift))
     if off:
         _note_approximate(robot, notes, codes, off)
     meshes = _meshes(robot, names, joints)
@@ -106,7 +106,7 @@ def build_rig(robot: Robot, notes: Notes, codes: RobotCodes) -> Rig:
 
 
 def _meshes(robot: Robot, names: _Names, joints: list[Joint]) -> tuple[Mesh, ...]:
-    """Return a mesh for each link that looks like something, stiff on its joint."""
+    """Return one rigid mesh per visible link."""
     if not any(link.shown for link in robot.links):
         return ()
     rest = Rig("", tuple(joints))
@@ -115,10 +115,10 @@ def _meshes(robot: Robot, names: _Names, joints: list[Joint]) -> tuple[Mesh, ...
     for link, name in zip(robot.links, names.links, strict=True):
         if not link.shown:
             continue
-        whole, j = joined(link.shown), rest.index(name)
+        surface, j = joined(link.shown), rest.index(name)
         bind = np.eye(4)
         bind[:3, :3], bind[:3, 3] = world.linear[0, j], world.positions[0, j]
-        count = len(whole.points)
+        count = len(surface.points)
         skin = Skin(
             "linear",
             (name,),
@@ -128,8 +128,8 @@ def _meshes(robot: Robot, names: _Names, joints: list[Joint]) -> tuple[Mesh, ...
         meshes.append(
             Mesh(
                 name,
-                HeldArray(whole.points),
-                HeldArray(whole.faces.astype(np.float64)),
+                HeldArray(surface.points),
+                HeldArray(surface.faces.astype(np.float64)),
                 geom_bind=tuple(bind.ravel().tolist()),
                 skin=skin,
                 subdivision=Subdivision.NONE,
@@ -157,7 +157,7 @@ def _joint(move: Move, name: str, parent: int, known: Mapping[str, str]) -> Join
 
 @dataclass(frozen=True, slots=True)
 class _Names:
-    """What joints of the rig are called."""
+    """Joint names of the rig."""
 
     links: list[str]  # by link
     moves: list[list[str]]  # by link, of its moves
@@ -166,12 +166,12 @@ class _Names:
     of_file: dict[str, str]  # by the file's name of a joint
 
 
-def _names(robot: Robot, notes: Notes, codes: RobotCodes) -> _Names:
+def _names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _Names:
     taken: set[str] = set()
     numbers: dict[str, int] = {}
     changed: list[str] = []
 
-    def own(name: str, given: str, ending: str = "") -> str:
+    def unique_name(name: str, source: str, ending: str = "") -> str:
         """Return a name that is not taken; one that differs is noted."""
         unique = name
         if unique in taken and ending:
@@ -181,12 +181,12 @@ def _names(robot: Robot, notes: Notes, codes: RobotCodes) -> _Names:
             numbers[stem] = numbers.get(stem, 1) + 1
             unique = f"{stem}_{numbers[stem]}"
         taken.add(unique)
-        if given and unique != given:
-            changed.append(f"{given!r} is {unique!r}")
+        if source and unique != source:
+            changed.append(f"{source!r} is {unique!r}")
         return unique
 
-    links = [own(legal_name(link.name), link.name) for link in robot.links]
-    made: list[list[str]] = []
+    links = [unique_name(legal_name(link.name), link.name) for link in robot.links]
+    moves: list[list[str]] = []
     merged: list[bool] = []
     of_file: dict[str, str] = {}
     for link, name in zip(robot.links, links, strict=True):
@@ -198,15 +198,15 @@ def _names(robot: Robot, notes: Notes, codes: RobotCodes) -> _Names:
             if one and move is last:
                 new = name
             elif move.name:
-                new = own(legal_name(move.name), move.name, "_joint")
+                new = unique_name(legal_name(move.name), move.name, "_joint")
             else:
-                new = own(f"{name}_joint_{k + 1}", "")
+                new = unique_name(f"{name}_joint_{k + 1}", "")
             row.append(new)
             if move.name:
                 of_file[move.name] = new
-        made.append(row)
+        moves.append(row)
     sites = {
-        (i, site): own(legal_name(site), site, "_site")
+        (i, site): unique_name(legal_name(site), site, "_site")
         for i, link in enumerate(robot.links)
         for site, _, _ in link.sites
     }
@@ -214,16 +214,16 @@ def _names(robot: Robot, notes: Notes, codes: RobotCodes) -> _Names:
         message = f"{counted(len(changed), 'name')} changed, as links and joints "
         message += f"of a rig share their names: {listed(changed, MAX_NAMED)}"
         notes.add(codes.renamed, None, message, severity=Severity.NOTE)
-    return _Names(links, made, merged, sites, of_file)
+    return _Names(links, moves, merged, sites, of_file)
 
 
 def _is_link(link: Link, last: Move) -> bool:
-    """Return whether a link's last joint has its name and its frame."""
+    """Return whether a link's last joint has its name and frame."""
     return last.name in {"", link.name} and not np.any(link.after)
 
 
 def _note_approximate(
-    robot: Robot, notes: Notes, codes: RobotCodes, off: float
+    robot: Robot, notes: XmlNotes, codes: RobotCodes, off: float
 ) -> None:
     count = sum(
         solid.kind in {"box", "cylinder"}

@@ -1,4 +1,4 @@
-"""Meshes of robots: OBJ and STL as triangles."""
+"""Robot meshes: OBJ and STL as triangles."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("more", "<
 
 
 def read_mesh(path: Path) -> Triangles:
-    """Return the triangles of an OBJ or STL, in its own unit.
+    """Return the triangles of an OBJ or STL, in file units.
 
     Raises:
         ValueError: It is neither, is broken, or is larger than is read.
@@ -51,9 +51,9 @@ def _stl(content: bytes) -> Triangles:
     if content[:5].lower() != b"solid":
         raise ValueError("it is not an STL, or is truncated")
     words = content.split()
-    places = [i for i, word in enumerate(words) if word == b"vertex"]
+    vertices = [i for i, word in enumerate(words) if word == b"vertex"]
     try:
-        points = np.array([words[i + 1 : i + 4] for i in places], np.float64)
+        points = np.array([words[i + 1 : i + 4] for i in vertices], np.float64)
     except ValueError as error:
         raise ValueError(f"it has an invalid vertex: {error}") from error
     if len(points) % 3 or points.shape[1:] != (3,):
@@ -62,7 +62,7 @@ def _stl(content: bytes) -> Triangles:
 
 
 def _welded(points: FloatArray) -> Triangles:
-    """Return triangles of three points each as such: sides stay flat."""
+    """Return triangles from separate corners; flat sides stay flat."""
     return Triangles(points, np.arange(len(points), dtype=np.int64).reshape(-1, 3))
 
 
@@ -84,13 +84,15 @@ def _obj(content: bytes) -> Triangles:
             break
     if any(len(point) != 3 for point in points):
         raise ValueError("it has a point without three numbers")
-    found: IntArray = np.array(faces, np.int64).reshape(-1, 3)
-    if len(found) and not 0 <= found.min() <= found.max() < len(points):
+    triangles: IntArray = np.array(faces, np.int64).reshape(-1, 3)
+    if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(points):
         raise ValueError("it has a face of a point that it lacks")
-    return Triangles(np.array(points, np.float64).reshape(-1, 3), found)
+    return Triangles(np.array(points, np.float64).reshape(-1, 3), triangles)
 
 
 def _fan(corners: list[int], points: list[list[float]]) -> list[list[int]]:
     """Return the triangles of a face; negative corners count from the last point."""
-    own = [i - 1 if i > 0 else len(points) + i for i in corners]
-    return [[own[0], own[k], own[k + 1]] for k in range(1, len(own) - 1)]
+    indices = [i - 1 if i > 0 else len(points) + i for i in corners]
+    return [
+        [indices[0], indices[k], indices[k + 1]] for k in range(1, len(indices) - 1)
+    ]

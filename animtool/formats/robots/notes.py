@@ -1,4 +1,4 @@
-"""What is wrong with a robot file and what is odd, gathered with lines and names."""
+"""Faults and notices of a robot file, collected with lines and names."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from pathlib import Path
 
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt
 from animtool.core.record import dataclass
-from animtool.formats.robots.xml import Element
+from animtool.formats.robots.xml import XmlElement
 
 # More are of one cause.
 MAX_FAULTS = 50
 # No robot is larger [m], and no angle or weight says more.
-LARGEST = 1e9
+MAX_VALUE = 1e9
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclass(slots=True, eq=False)
-class Notes:
+class XmlNotes:
     """Faults and notices of a file.
 
     Attributes:
@@ -40,7 +40,7 @@ class Notes:
     def add(
         self,
         code: str,
-        element: Element | None,
+        element: XmlElement | None,
         message: str,
         hint: str | None = None,
         *,
@@ -48,7 +48,7 @@ class Notes:
         joint: str | None = None,
         severity: Severity = Severity.ERROR,
     ) -> None:
-        """Note what is wrong at an element; None is the whole file."""
+        """Record a fault at an element; None is the file."""
         path = self.path if element is None else element.path
         lines = () if element is None else (element.line,)
         column = None if element is None else element.column
@@ -58,7 +58,7 @@ class Notes:
         (self.faults if severity is Severity.ERROR else self.notices).append(fault)
 
     def check(self) -> None:
-        """Raise `FormatError` with every fault, where there are any."""
+        """Raise `FormatError` with all faults, if any."""
         if not self.faults:
             return
         shown = self.faults[:MAX_FAULTS]
@@ -71,14 +71,14 @@ class Notes:
 
     def numbers(
         self,
-        element: Element,
+        element: XmlElement,
         name: str,
         count: int,
         default: tuple[float, ...],
         where: str,
-        most: float = LARGEST,
+        most: float = MAX_VALUE,
     ) -> tuple[float, ...]:
-        """Return the numbers of an attribute; its default where it is left out.
+        """Return the numbers of an attribute, or its default.
 
         Those beyond ``most`` are noted, and all that are not finite.
         """
@@ -91,7 +91,7 @@ class Notes:
             problem = f"{counted(len(values), 'value')}, not {count}"
             if "," in text:
                 hint = "separate numbers by blanks, and write decimals with a point"
-        found = []
+        numbers = []
         for value in values:
             number = to_number(value)
             if number is None:
@@ -103,24 +103,26 @@ class Notes:
             elif abs(number) > most:
                 problem = problem or f"{excerpt(value)} is beyond {most:g}"
             else:
-                found.append(number)
+                numbers.append(number)
         if problem:
             message = f"{name} of <{element.tag}> is {excerpt(text)}: {problem}"
             self.add(self.number_code, element, message, hint, where=where)
             return default
-        return tuple(found)
+        return tuple(numbers)
 
-    def number(self, element: Element, name: str, default: float, where: str) -> float:
+    def number(
+        self, element: XmlElement, name: str, default: float, where: str
+    ) -> float:
         """Return the number of an attribute; see `numbers`."""
         return self.numbers(element, name, 1, (default,), where)[0]
 
     def leave_out(self, names: Iterable[str]) -> None:
-        """Note what is not read."""
+        """Record parts that are not read."""
         self.left_out.update(dict.fromkeys(names))
 
 
 def to_number(text: str) -> float | None:
-    """Return a decimal number, infinite or not a number too; None for other text.
+    """Parse a decimal number, including inf and nan; None for other text.
 
     >>> to_number("1e-3"), to_number("1_0"), to_number("0x1p3")
     (0.001, None, None)
@@ -133,7 +135,7 @@ def to_number(text: str) -> float | None:
 
 
 def named(kind: str, name: str) -> str:
-    """Return what a fault calls a joint or link.
+    """Return a joint's or link's label for messages.
 
     >>> named("joint", "elbow flex")
     "joint 'elbow flex'"

@@ -1,4 +1,4 @@
-"""Files that a robot names: inside the project, or never looked at."""
+"""Files that a robot names, restricted to the project's folders."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ MAX_PACKAGE_BYTES = 1_000_000
 
 
 class OutsideError(ValueError):
-    """A name leads out of the project; what it leads to was not looked at."""
+    """A name points outside the project; that file was not opened."""
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
-    """Where a robot may name files.
+class PackageFolders:
+    """Folders in which a robot may name files.
 
     Attributes:
         folder: Of the file; relative names are seen from it.
@@ -39,8 +39,8 @@ class Places:
     packages: dict[str, Path]
 
     @staticmethod
-    def of(path: Path, codes: XmlCodes) -> Places:
-        """Return the places of a file.
+    def of(path: Path, codes: XmlCodes) -> PackageFolders:
+        """Return the folders of a file.
 
         The package that a file is in is part of its project: the folder above it whose
         ``package.xml`` names it, or that has its name.
@@ -55,10 +55,10 @@ class Places:
                 packages.setdefault(name, above)
                 break
         roots = (*project_roots(path), *packages.values())
-        return Places(folder, tuple(root.resolve() for root in roots), packages)
+        return PackageFolders(folder, tuple(root.resolve() for root in roots), packages)
 
     def find(self, name: str) -> Path | None:
-        """Return the file that a name means; None where there is none.
+        """Return the path of a file name; None if missing.
 
         Raises:
             OutsideError: It leads out of the project.
@@ -71,31 +71,31 @@ class Places:
             return self._inside(Path("/" + rest.lstrip("/")), name)
         if kind not in _PACKAGES:
             raise OutsideError(f"{kind}:// is of a network, and is never opened")
-        # Some write a third slash.
+        # Some writers add a third slash.
         package, _, inner = rest.lstrip("/").partition("/")
         tried = [folder for folder in self._folders(package) if inner]
         for folder in tried:
-            found = self._inside(folder / inner, name)
-            if found is not None:
-                return found
+            path = self._inside(folder / inner, name)
+            if path is not None:
+                return path
         if not tried:
-            # What leads out does so in whichever folder the package is.
+            # A name that leaves one folder leaves all of them.
             self._inside(self.folder / package / inner, name)
         return None
 
     def _folders(self, package: str) -> list[Path]:
-        """Return folders that may be a package."""
-        found = []
+        """Return candidate folders of a package."""
+        folders = []
         if package in self.packages:
-            found.append(self.packages[package])
+            folders.append(self.packages[package])
         if package in {"", ".", ".."}:
-            return found
+            return folders
         for root in self.roots:
             above = [self.folder, *self.folder.parents]
             inside = [one for one in above if one.is_relative_to(root)]
-            found += [one for one in inside if one.name == package]
-            found += [one / package for one in inside]
-        return found
+            folders += [one for one in inside if one.name == package]
+            folders += [one / package for one in inside]
+        return folders
 
     def _inside(self, path: Path, name: str) -> Path | None:
         try:
@@ -112,7 +112,7 @@ def _shown(roots: Sequence[Path]) -> str:
 
 
 def _package_name(folder: Path, codes: XmlCodes) -> str:
-    """Return the name of the ROS package that a folder is; empty where it is none."""
+    """Return the ROS package name of a folder; empty if it is none."""
     file = folder / PACKAGE
     if not is_there(file):
         return ""

@@ -1,4 +1,4 @@
-"""A robot as both formats say it: links in a tree, each moved by some joints."""
+"""Robot description common to URDF and MJCF: a tree of links and joints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ UNTURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One joint of a rig: what a joint of the file does, or a part of that.
+    """A rig joint: all or part of a joint of the file.
 
     Attributes:
         name: The file's name of the joint; empty where it has none.
@@ -43,8 +43,8 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
-class Solid:
-    """A simple shape of a link, in its frame.
+class SimpleShape:
+    """A primitive shape in the frame of its link.
 
     Attributes:
         kind: ``box``, ``sphere``, ``cylinder`` or ``capsule``; the last two along z.
@@ -62,7 +62,7 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangles:
-    """A surface, in the frame of its link."""
+    """A triangle surface in the frame of its link."""
 
     points: FloatArray  # ``(V, 3)`` [m]
     faces: IntArray  # ``(N, 3)``
@@ -70,7 +70,7 @@ class Triangles:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weight:
-    """The mass of a link, in its frame."""
+    """Mass and inertia of a link in its frame."""
 
     mass: float  # [kg]
     centre: Vector  # [m]
@@ -79,7 +79,7 @@ class Weight:
 
 @dataclass(slots=True, eq=False)
 class Link:
-    """A link or body, which joints of the file move.
+    """A link or body with the joints that move it.
 
     Attributes:
         name: As the file names it.
@@ -96,7 +96,7 @@ class Link:
     parent: int
     moves: list[Move] = field(default_factory=list)
     after: Vector = ORIGIN
-    solids: list[Solid] = field(default_factory=list)
+    solids: list[SimpleShape] = field(default_factory=list)
     shown: list[Triangles] = field(default_factory=list)
     weight: Weight | None = None
     sites: list[tuple[str, Vector, Quaternion]] = field(default_factory=list)
@@ -104,7 +104,7 @@ class Link:
 
 @dataclass(slots=True, eq=False)
 class Robot:
-    """A robot.
+    """A tree of links.
 
     Attributes:
         name: What it is called.
@@ -116,12 +116,12 @@ class Robot:
 
 
 def vector(values: FloatArray) -> Vector:
-    """Return three numbers of an array, zeros without sign."""
+    """Return an array's three numbers without negative zeros."""
     x, y, z = (np.asarray(values, np.float64) + 0.0).tolist()
     return (x, y, z)
 
 
 def quaternion(values: FloatArray) -> Quaternion:
-    """Return the four numbers (x, y, z, w) of an array, zeros without sign."""
+    """Return an array's four numbers (x, y, z, w) without negative zeros."""
     x, y, z, w = (np.asarray(values, np.float64) + 0.0).tolist()
     return (x, y, z, w)

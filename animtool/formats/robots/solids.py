@@ -1,4 +1,4 @@
-"""Shapes and masses of links as colliders and masses of a rig."""
+"""Link shapes and masses as rig colliders and masses."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import math
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.formats.robots.parts import Solid, Weight, quaternion, vector
+from animtool.formats.robots.parts import SimpleShape, Weight, quaternion, vector
 from animtool.maths import so3
 from animtool.rig.mass_entries import moments_problem
 from animtool.rig.parts import Capsule, Mass, Vector
 
 
-def capsule_of(solid: Solid, shift: Vector) -> tuple[Capsule, float]:
-    """Return the capsule of a shape, and how far its surface is off [m].
+def capsule_of(solid: SimpleShape, shift: Vector) -> tuple[Capsule, float]:
+    """Return the capsule of a shape, and its surface error [m].
 
     A cylinder that is longer than wide has a capsule of its radius and length, a
     flatter one a ball of its volume; a box has a capsule along its longest side, as
     thick as its cross section in area. ``shift`` is from the joint to the link.
 
-    >>> rod = Solid("cylinder", (0.1, 1.0))
+    >>> rod = SimpleShape("cylinder", (0.1, 1.0))
     >>> capsule, off = capsule_of(rod, (0.0, 0.0, 0.0))
     >>> capsule.length, capsule.axis, round(off, 4)
     (0.8, (0.0, 0.0, 1.0), 0.0414)
@@ -42,7 +42,7 @@ def capsule_of(solid: Solid, shift: Vector) -> tuple[Capsule, float]:
 
 
 def _round(radius: float, height: float) -> tuple[float, float, float]:
-    """Return radius and length of a cylinder's capsule, and how far it is off."""
+    """Return radius, length and error of a cylinder's capsule."""
     if height >= 2 * radius:
         return radius, height - 2 * radius, (math.sqrt(2) - 1) * radius
     ball = (0.75 * radius * radius * height) ** (1 / 3)
@@ -50,7 +50,7 @@ def _round(radius: float, height: float) -> tuple[float, float, float]:
 
 
 def _square(thin: float, wide: float, long: float) -> tuple[float, float, float]:
-    """Return radius and length of a box's capsule, and how far it is off."""
+    """Return radius, length and error of a box's capsule."""
     radius = math.sqrt(thin * wide / math.pi)
     length = max(long - 2 * radius, 0.0)
     corner = math.hypot(thin / 2, wide / 2, (long - length) / 2)
@@ -58,18 +58,18 @@ def _square(thin: float, wide: float, long: float) -> tuple[float, float, float]
 
 
 def masses_of(joint: str, weight: Weight, shift: Vector) -> Mass:
-    """Return the mass of a joint of a rig; ``shift`` is from it to the link."""
-    moments, axes = np.linalg.eigh(weight.inertia)
+    """Return a rig joint's mass; ``shift`` is from joint to link."""
+    principal, axes = np.linalg.eigh(weight.inertia)
     if np.linalg.det(axes) < 0:
         axes[:, 0] = -axes[:, 0]
-    a, b, c = np.maximum(moments, 0.0).tolist()
+    a, b, c = np.maximum(principal, 0.0).tolist()
     centre = vector(np.array(weight.centre) + np.array(shift))
-    turn = quaternion(so3.from_matrix(axes))
-    return Mass(joint, weight.mass, centre, (a, b, c), turn)
+    rotation = quaternion(so3.from_matrix(axes))
+    return Mass(joint, weight.mass, centre, (a, b, c), rotation)
 
 
 def weight_problem(mass: float, inertia: FloatArray) -> str:
-    """Return why no body has a mass and inertia ``(3, 3)``; empty where one has."""
+    """Return why mass and inertia ``(3, 3)`` are impossible; empty if possible."""
     if not mass > 0:
         return f"its mass is {mass:g} kg"
     problem = moments_problem(np.linalg.eigvalsh(inertia).tolist())

@@ -1,4 +1,4 @@
-"""A robot that stands: a take of one frame, for files that hold no motion."""
+"""Robot at its zero pose: a take of one frame for files without motion."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
-# Any: a frame alone has none.
+# Arbitrary: one frame has no rate.
 RATE = Fraction(24)
 
 
 def zero_coordinates(rig: Rig) -> FloatArray:
-    """Return coordinates ``(1, Q)`` at 0, or at the limit nearest to it.
+    """Return coordinates ``(1, Q)`` at 0, or at the nearest limit.
 
     Joints that follow others are where those put them.
     """
     slices = coordinate_slices(rig)
     q = np.zeros((1, slices[-1].stop if slices else 0))
-    for joint, place in zip(rig.joints, slices, strict=True):
+    for joint, slice_ in zip(rig.joints, slices, strict=True):
         if joint.type in {JointType.FREE, JointType.BALL}:
-            q[0, place.stop - 1] = 1.0
+            q[0, slice_.stop - 1] = 1.0
         elif isinstance(joint.limits, RangeLimit):
-            q[0, place] = joint.limits.clamped(q[0, place])
+            q[0, slice_] = joint.limits.clamped(q[0, slice_])
     return following(rig, q, rig.names)
 
 
 def standing(rig: Rig, format_name: str) -> TakeStream:
-    """Return a take of one frame of a robot at its zeros."""
+    """Return a one-frame take of a robot at zero coordinates."""
     local = local_from_coordinates(rig, zero_coordinates(rig))
     motion = Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)

@@ -1,4 +1,4 @@
-"""Simple shapes as triangles, each side with points of its own."""
+"""Primitive shapes as triangles with flat sides."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.formats.robots.parts import Solid, Triangles
+from animtool.formats.robots.parts import SimpleShape, Triangles
 from animtool.maths import so3
 
 AROUND, ALONG = 24, 12  # corners of a circle, and of half of one
@@ -22,23 +22,23 @@ def joined(parts: list[Triangles]) -> Triangles:
     )
 
 
-def triangles_of(solid: Solid) -> Triangles:
-    """Return the surface of a shape where it is on its link.
+def triangles_of(solid: SimpleShape) -> Triangles:
+    """Return the surface of a shape, placed on its link.
 
-    >>> box = triangles_of(Solid("box", (1.0, 2.0, 3.0)))
+    >>> box = triangles_of(SimpleShape("box", (1.0, 2.0, 3.0)))
     >>> len(box.points), len(box.faces), box.points.max(axis=0).tolist()
     (24, 12, [0.5, 1.0, 1.5])
     """
     if solid.kind == "box":
-        made = _box(np.array(solid.size))
+        shape = _box(np.array(solid.size))
     elif solid.kind == "cylinder":
         radius, length = solid.size
-        made = _cylinder(radius, length)
+        shape = _cylinder(radius, length)
     else:
         length = solid.size[1] if solid.kind == "capsule" else 0.0
-        made = _round(solid.size[0], length)
-    points = so3.rotate(np.array(solid.rotation), made.points)
-    return Triangles(points + np.array(solid.position), made.faces)
+        shape = _round(solid.size[0], length)
+    points = so3.rotate(np.array(solid.rotation), shape.points)
+    return Triangles(points + np.array(solid.position), shape.faces)
 
 
 def _box(size: FloatArray) -> Triangles:
@@ -67,7 +67,7 @@ def _cylinder(radius: float, length: float) -> Triangles:
 
 
 def _band(below: int, above: int) -> IntArray:
-    """Return the faces between two rings, counterclockwise from outside."""
+    """Return faces between two rings, counterclockwise from outside."""
     k = np.arange(AROUND)
     after = (k + 1) % AROUND
     first = np.stack([below + k, below + after, above + after], axis=1)
@@ -76,7 +76,7 @@ def _band(below: int, above: int) -> IntArray:
 
 
 def _round(radius: float, length: float) -> Triangles:
-    """Return a ball, or a capsule along z."""
+    """Return a sphere, or a capsule along z."""
     heights = np.linspace(-math.pi / 2, math.pi / 2, ALONG + 1)
     rows = [(h, -0.5 if h <= 0 else 0.5) for h in heights]
     if length:

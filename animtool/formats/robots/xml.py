@@ -1,4 +1,4 @@
-"""XML as a tree of elements with their lines: no entities, nothing from outside."""
+"""XML as a tree of elements with line numbers; no entities, no external files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_TEXT = 1000
 
 
 @dataclass(slots=True, eq=False)
-class Element:
+class XmlElement:
     """An element of a file.
 
     Attributes:
@@ -40,15 +40,15 @@ class Element:
     path: Path
     line: int
     column: int
-    children: list[Element] = field(default_factory=list)
+    children: list[XmlElement] = field(default_factory=list)
     text: str = ""
 
-    def all(self, tag: str) -> list[Element]:
-        """Return the children of a name."""
+    def all(self, tag: str) -> list[XmlElement]:
+        """Return the children with a tag."""
         return [child for child in self.children if child.tag == tag]
 
-    def walk(self) -> Iterator[Element]:
-        """Yield it and all below it, in the order of the file."""
+    def walk(self) -> Iterator[XmlElement]:
+        """Yield the element and all descendants in file order."""
         waiting = [self]
         while waiting:
             element = waiting.pop()
@@ -58,7 +58,7 @@ class Element:
 
 @dataclass(frozen=True, slots=True)
 class XmlCodes:
-    """The codes of what is wrong with a file as XML."""
+    """Codes of XML faults."""
 
     malformed: str
     entities: str  # of a DTD, and so of entities
@@ -66,14 +66,14 @@ class XmlCodes:
 
 
 class _Refused(Exception):  # noqa: N818  # control flow inside this module
-    """What a handler refuses: a code, a message and a hint."""
+    """Raised by handlers: a code, a message and a hint."""
 
     def __init__(self, code: str, message: str, hint: str) -> None:
         self.code, self.message, self.hint = code, message, hint
         super().__init__(message)
 
 
-def read_xml(path: Path, codes: XmlCodes) -> Element:
+def read_xml(path: Path, codes: XmlCodes) -> XmlElement:
     """Return the root element of an XML file.
 
     Raises:
@@ -83,18 +83,18 @@ def read_xml(path: Path, codes: XmlCodes) -> Element:
     return parse_xml(read_input(path, MAX_TEXT_BYTES), path, codes)
 
 
-def parse_xml(content: bytes, path: Path, codes: XmlCodes) -> Element:
-    """Return the root element of the content of a file; see `read_xml`."""
+def parse_xml(content: bytes, path: Path, codes: XmlCodes) -> XmlElement:
+    """Return the root element of a file's content; see `read_xml`."""
     return _Parsing(path, codes).root_of(content)
 
 
 class _Parsing:
-    """Handlers of expat, which build the tree."""
+    """Expat handlers that build the tree."""
 
     def __init__(self, path: Path, codes: XmlCodes) -> None:
         self._path, self._codes = path, codes
-        self._open: list[Element] = []
-        self._root: Element | None = None
+        self._open: list[XmlElement] = []
+        self._root: XmlElement | None = None
         self._count = 0
         self._before = 0  # lines that the parser is not given
         parser = expat.ParserCreate()
@@ -108,8 +108,8 @@ class _Parsing:
         parser.ExternalEntityRefHandler = self._doctype
         self._parser = parser
 
-    def root_of(self, content: bytes) -> Element:
-        # A declaration behind blank lines is no XML, and many tools write it.
+    def root_of(self, content: bytes) -> XmlElement:
+        # A declaration after blank lines is invalid XML, but many tools write it.
         declared = content.lstrip(b" \t\r\n")
         if declared.startswith(b"<?xml"):
             self._before = content[: len(content) - len(declared)].count(b"\n")
@@ -121,14 +121,14 @@ class _Parsing:
         except expat.ExpatError as error:
             self._malformed(error)
         except (LookupError, ValueError, UnicodeError) as error:
-            # Of an encoding that Python does not know, or that is no encoding of text.
+            # An encoding that is unknown, or not a text encoding.
             message = f"cannot be decoded: {error}"
             self._fail(self._codes.malformed, message, "save it as UTF-8")
         assert self._root is not None
         return self._root
 
     def _malformed(self, error: expat.ExpatError) -> NoReturn:
-        """Raise what expat says, in words that name the element."""
+        """Raise expat's error with the element it is in."""
         reason = expat.ErrorString(error.code) or "malformed"
         hint = "export or copy the file again"
         errors = expat.errors
@@ -180,7 +180,7 @@ class _Parsing:
             raise _Refused(self._codes.limits, message, over)
         line = self._parser.CurrentLineNumber + self._before
         column = self._parser.CurrentColumnNumber + 1
-        element = Element(tag, attributes, self._path, line, column)
+        element = XmlElement(tag, attributes, self._path, line, column)
         if self._open:
             self._open[-1].children.append(element)
         else:
@@ -195,7 +195,7 @@ class _Parsing:
         if len(inner.text) < MAX_TEXT:
             inner.text += text[:MAX_TEXT]
 
-    def _doctype(self, *_given: object) -> int:
+    def _doctype(self, *_names: object) -> int:
         message = "it has a DTD, and so may have entities: these are not read"
         hint = "delete the DOCTYPE, and write out what its entities stand for"
         raise _Refused(self._codes.entities, message, hint)

@@ -1,4 +1,4 @@
-"""TRC: marker trajectories as rows of text, as OpenSim and others read them."""
+"""TRC: marker trajectories as text, used by OpenSim and others."""
 
 from animtool.formats.trc.read import read_trc
 from animtool.formats.trc.write import write_trc

@@ -1,4 +1,4 @@
-"""A TRC file as marker trajectories."""
+"""TRC reader: marker trajectories of a file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.delimited import (
     BLANK,
-    Rows,
+    TextRows,
     decoded,
     gather_rows,
     number_of,
@@ -31,14 +31,14 @@ from animtool.motion.markers import Markers
 # The first lines of a TRC file: what they state, and the names of markers.
 
 MAX_MARKERS = 10_000
-# Lines within which the names of markers stand.
+# The marker names are within these first lines.
 MAX_LINES = 12
 _NAMES = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
 class TrcHeader:
-    """What the first lines state.
+    """The values of the header lines.
 
     Attributes:
         rate: DataRate, None without a number [1/s].
@@ -62,7 +62,7 @@ class TrcHeader:
 
 
 def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
-    """Return what the first lines of a file state.
+    """Return the values of the header lines.
 
     Raises:
         FormatError: They are not those of a TRC (TRC001).
@@ -81,7 +81,7 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     assert start is not None
     names = _names_of_header(file, lines[at], start[1], at + 1)
     begin, axes = at + 1, 0
-    # Below the names stands X1 Y1 Z1, and sometimes an empty line.
+    # X1 Y1 Z1 follows the names, and sometimes an empty line.
     while begin < len(lines) and _is_heading(lines[begin]):
         cells = lines[begin].replace(b",", b" ").replace(b";", b" ").split()
         axes = max(axes, sum(cell[:1] in b"Xx" for cell in cells))
@@ -100,15 +100,15 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
 
 
 def _stated(above: bytes, below: bytes) -> dict[str, str]:
-    """Return the values below keys, which have no blanks in them."""
+    """Return the values below the header's keys."""
     separator = separator_of(above)
     keys = [
         key for cell in split_cells(above, separator) for key in cell.split() or [""]
     ]
     values = split_cells(below, row_separator(below, separator))
     if len(values) < len(keys):
-        apart = [each for value in values for each in value.split() or [""]]
-        values = apart if len(apart) <= len(keys) else values
+        words = [each for value in values for each in value.split() or [""]]
+        values = words if len(words) <= len(keys) else values
     lowered = [key.lower() for key in keys]
     unit = lowered.index("units") if "units" in lowered else len(values)
     if unit < len(values) == len(keys) - 1 and number_of(values[unit]) is not None:
@@ -119,7 +119,7 @@ def _stated(above: bytes, below: bytes) -> dict[str, str]:
 def _names_of_header(
     file: MarkerFile, line: bytes, separator: bytes, number: int
 ) -> list[str]:
-    """Return the names of markers, each over three columns or over one."""
+    """Return marker names, each above three columns or one."""
     if separator == b" " and (other := separator_of(line)) != b" ":
         separator = other
     if separator == b" ":
@@ -139,21 +139,21 @@ def _names_of_header(
 
 
 def _stems(cells: list[str]) -> list[str]:
-    """Return the names of columns called as their axis too; empty where they are not.
+    """Return marker names of columns such as ``head_X``; else empty.
 
     >>> _stems(["Hip_X", "Hip_Y", "Hip_Z", "kneeX", "kneeY", "kneeZ"])
     ['Hip', 'knee']
     """
     names = [cell[:-1].rstrip("_-. :") for cell in cells]
     axes = [cell[-1:].upper() for cell in cells]
-    whole = len(cells) % 3 == 0 and axes == list("XYZ") * (len(cells) // 3)
-    if not whole or names[::3] != names[1::3] or names[::3] != names[2::3]:
+    is_triples = len(cells) % 3 == 0 and axes == list("XYZ") * (len(cells) // 3)
+    if not is_triples or names[::3] != names[1::3] or names[::3] != names[2::3]:
         return []
     return names[::3]
 
 
 def _is_heading(line: bytes) -> bool:
-    """Return whether a line is not one of numbers."""
+    """Return whether a line is not a row of numbers."""
     word = line.strip(BLANK)
     return not word or word[:1].upper() in {b"X", b"Y", b"Z"}
 
@@ -161,7 +161,7 @@ def _is_heading(line: bytes) -> bool:
 def columns_of(
     file: MarkerFile, header: TrcHeader, filled: int
 ) -> tuple[list[str], int]:
-    """Return the names of the markers that rows have, and how many had none.
+    """Return the marker names of the rows' columns, and the count of unnamed.
 
     A count in the header that says otherwise is a warning (TRC101).
 
@@ -169,16 +169,16 @@ def columns_of(
     """
     rows = max(0, -(-(filled - 2) // 3))
     names, stated = header.names, header.markers
-    held = max(rows, header.axes if header.axes == stated else 0)
-    if header.separator == b" " and len(names) > held > 0 and held == stated:
-        message = f"names {len(names)} markers above the columns of {held}"
+    columns = max(rows, header.axes if header.axes == stated else 0)
+    if header.separator == b" " and len(names) > columns > 0 and columns == stated:
+        message = f"names {len(names)} markers above the columns of {columns}"
         hint = f"names between blanks have no blanks: {excerpt(' '.join(names))}"
         raise file.error("TRC001", message, hint)
-    if len(names) > held > 0 and held == stated:
-        message = f"names {len(names)} markers, but has columns of {held}"
+    if len(names) > columns > 0 and columns == stated:
+        message = f"names {len(names)} markers, but has columns of {columns}"
         file.warn("TRC101", f"{message}; the last names are ignored")
-        names = names[:held]
-    count = max(len(names), held)
+        names = names[:columns]
+    count = max(len(names), columns)
     if stated is not None and stated not in (count, len(header.names)):
         message = f"states {stated:g} markers, but has {count}"
         file.warn("TRC101", f"{message}; all of them are read")
@@ -194,7 +194,7 @@ def read_trc(
     fps: FractionLike | None = None,
     subject: str | None = None,
 ) -> Markers:
-    """Return the markers of a TRC file; an empty cell or NaN was not seen.
+    """Return the markers of a TRC file; an empty cell or NaN is not visible.
 
     Cells are separated by tabs, semicolons, commas or blanks. Columns beyond those with
     names are points without label. The Time of rows decides when they are, where
@@ -221,7 +221,9 @@ def read_trc(
     header = read_header(file, lines)
     rows = gather_rows(lines, header.begin, header.separator)
     names = _names(file, header, rows)
-    rows = _whole_rows(file, rows, len(lines) if lines[-1] else 0, 2 + 3 * len(names))
+    rows = _complete_rows(
+        file, rows, len(lines) if lines[-1] else 0, 2 + 3 * len(names)
+    )
 
     def fault(message: str, line: int) -> FormatError:
         return FormatError(Fault("TRC002", message, file.path, (line,)))
@@ -254,8 +256,8 @@ def read_trc(
     return Markers(labels, clock, positions, axis, notices=notices, begin=frames.begin)
 
 
-def _names(file: MarkerFile, header: TrcHeader, rows: Rows) -> list[str]:
-    """Return the names of the markers that rows have, empty where one has none."""
+def _names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
+    """Return marker names for the rows' columns, empty for unnamed markers."""
     if not rows.texts:
         if not header.names:
             raise file.error("MKR013", "has no markers")
@@ -265,7 +267,7 @@ def _names(file: MarkerFile, header: TrcHeader, rows: Rows) -> list[str]:
     if not names:
         raise file.error("MKR013", "has no markers")
     wide = rows.filled > 2 + 3 * len(header.names)
-    # A cell at the end may be closed by a separator.
+    # The last cell may end in a separator.
     ragged = ((rows.filled - 2) % 3 != 0) & ((rows.cells - 2) % 3 != 0)
     ragged &= (rows.cells == rows.filled) | ((rows.cells - 3) % 3 != 0)
     wrong = np.flatnonzero(wide & ragged)
@@ -295,15 +297,17 @@ def _names(file: MarkerFile, header: TrcHeader, rows: Rows) -> list[str]:
     return names
 
 
-def _whole_rows(file: MarkerFile, rows: Rows, unended: int, width: int) -> Rows:
-    """Return rows without one that the file's end cuts; warn of those cut (TRC109).
+def _complete_rows(
+    file: MarkerFile, rows: TextRows, unended: int, width: int
+) -> TextRows:
+    """Return rows without a truncated last one; warn about it (TRC109).
 
     unended: The line that the file ends in without an end of line, 0 without.
     """
     short = (rows.cells < width) & (rows.filled > 1)
     cut = np.flatnonzero(short & (rows.cells == rows.filled) & (rows.cells % 3 != 2))
     last = len(rows.texts) - 1
-    # Where others are short too, a row that ends behind a marker is no cut one.
+    # A row that ends after a marker is not truncated if others are short too.
     within = len(cut) > 0 and int(cut[-1]) == last
     alone = bool(short[last]) and int(short.sum()) == 1
     dropped = last > 0 and rows.lines[last] == unended and (within or alone)

@@ -1,4 +1,4 @@
-"""The frames of a TRC's rows: Time, Frame# and DataRate held against one another."""
+"""Frames of TRC rows: Time, Frame# and DataRate compared."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.formats.row_times import (
     EVEN,
     LAST_START,
     RowFrames,
-    Steps,
+    TimeSteps,
     find_steps,
     has_room,
     is_rate_of,
@@ -33,7 +33,7 @@ def frames_of_rows(
     fps: FractionLike | None,
     markers: int,
 ) -> RowFrames:
-    """Return the frames of rows; what contradicts their times is a warning.
+    """Return the frames of rows; warn about contradictions of their times.
 
     Args:
         file: The file.
@@ -50,7 +50,7 @@ def frames_of_rows(
         OptionError: fps is no rate (SCN022).
     """
     numbers, times = columns[:, 0], columns[:, 1]
-    counted_frames = _whole_frames(numbers)
+    counted_frames = _counted_frames(numbers)
     if fps is not None or len(times) == 1 or np.isnan(times).all():
         rate = file.rate(stated, fps)
         if fps is None and len(times) > 1:
@@ -79,8 +79,8 @@ def frames_of_rows(
     return RowFrames(rate, start, at.astype(np.float64), begin)
 
 
-def _whole_frames(numbers: FloatArray) -> IntArray | None:
-    """Return frames from 0 by Frame#, in steps of one; None where it does not count."""
+def _counted_frames(numbers: FloatArray) -> IntArray | None:
+    """Return frames from 0 by Frame#; None if it does not count by one."""
     first = numbers[0]
     usable = np.isfinite(numbers) & (np.abs(numbers) < LAST_START)
     if not usable.all() or not np.array_equal(np.floor(numbers), numbers):
@@ -93,8 +93,8 @@ def _whole_frames(numbers: FloatArray) -> IntArray | None:
 
 
 def _start(number: float) -> int:
-    whole = np.isfinite(number) and number == np.floor(number)
-    return int(number) if whole and abs(number) < LAST_START else 1
+    is_integer = np.isfinite(number) and number == np.floor(number)
+    return int(number) if is_integer and abs(number) < LAST_START else 1
 
 
 def _frame(number: float, line: int) -> str:
@@ -105,7 +105,7 @@ def _frame(number: float, line: int) -> str:
 def _check_times(
     file: MarkerFile, numbers: FloatArray, times: FloatArray, lines: IntArray
 ) -> None:
-    """Refuse times that do not grow (TRC003)."""
+    """Raise for times that do not ascend (TRC003)."""
     with np.errstate(invalid="ignore", over="ignore"):
         wrong = ~np.isfinite(times)
         wrong[1:] |= ~(np.diff(times) > 0)
@@ -131,9 +131,9 @@ def _check_times(
 
 
 def _rate(
-    file: MarkerFile, steps: Steps, stated: float | None, rounding: float
+    file: MarkerFile, steps: TimeSteps, stated: float | None, rounding: float
 ) -> Fraction:
-    """Return the rate of times; that of the header where it is meant."""
+    """Return the rate of the times; the header's if it fits."""
     if stated is not None and is_rate_of(stated, steps, rounding):
         return file.rate(stated, None)
     count = int(steps.frames[-1]) if steps.even else 1
@@ -161,7 +161,7 @@ def _rate(
 def _check_room(
     file: MarkerFile, at: FloatArray | IntArray, markers: int, lines: IntArray
 ) -> None:
-    """Refuse frames that are far more than rows (TRC003)."""
+    """Raise if frames far outnumber rows (TRC003)."""
     if has_room(at, markers):
         return
     frames = float(at[-1]) + 1
@@ -174,7 +174,7 @@ def _check_room(
 
 
 def _warn_gaps(file: MarkerFile, at: IntArray, lines: IntArray, rate: float) -> None:
-    """Warn of frames without a row (TRC105)."""
+    """Warn about frames without a row (TRC105)."""
     absent = int(at[-1]) + 1 - len(at)
     if not absent:
         return
@@ -194,9 +194,13 @@ def _warn_gaps(file: MarkerFile, at: IntArray, lines: IntArray, rate: float) -> 
 
 
 def _warn_uneven(
-    file: MarkerFile, steps: Steps, times: FloatArray, rate: Fraction, lines: IntArray
+    file: MarkerFile,
+    steps: TimeSteps,
+    times: FloatArray,
+    rate: Fraction,
+    lines: IntArray,
 ) -> None:
-    """Warn of times that became even (TRC106)."""
+    """Warn about resampled uneven times (TRC106)."""
     between = np.diff(times)
     row = int(np.abs(between - steps.step).argmax()) + 1
     message = (
@@ -210,7 +214,7 @@ def _warn_uneven(
 def _warn_numbers(
     file: MarkerFile, numbers: FloatArray, lines: IntArray, result: str
 ) -> None:
-    """Warn of a Frame# that does not count frames (TRC107)."""
+    """Warn about a Frame# column that does not count frames (TRC107)."""
     with np.errstate(invalid="ignore"):
         known = np.isfinite(numbers)
         wrong = ~known | (np.floor(numbers) != numbers)
@@ -235,14 +239,14 @@ def _compared(
     rate: Fraction,
     rounding: float,
 ) -> tuple[int, float | None]:
-    """Return the first frame and its time, None where that is as its number says.
+    """Return the first frame and its time, None if they agree.
 
     Warn where Frame# and Time disagree.
     """
     numbers, times = columns[:, 0], columns[:, 1]
     start = _start(numbers[0])
     by_time = times[0] * float(rate) + 1
-    if _whole_frames(numbers) is None:
+    if _counted_frames(numbers) is None:
         _warn_numbers(file, numbers, lines, "rows are placed by their Time")
         return start, float(times[0])
     off = np.flatnonzero(numbers - numbers[0] != at)

@@ -1,4 +1,4 @@
-"""Marker trajectories as a TRC file."""
+"""TRC writer: marker trajectories to a file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROWS_AT_ONCE = 4096
 def write_trc(
     markers: Markers, path: Path | str, *, overwrite: bool = False
 ) -> list[Fault]:
-    """Write markers as a TRC file in millimetres; what was not seen is an empty cell.
+    """Write markers as TRC in millimetres; empty cells are not visible.
 
     Args:
         markers: What to write.
@@ -76,19 +76,19 @@ def _parts(markers: Markers, name: str) -> Iterator[bytes]:
     seconds = (np.arange(frames) + start - 1) / float(markers.clock.rate)
     if markers.begin is not None:
         seconds = markers.begin + np.arange(frames) / float(markers.clock.rate)
-    places = np.array([0, 9, *[DECIMALS] * (3 * count)], np.int64)
+    decimals = np.array([0, 9, *[DECIMALS] * (3 * count)], np.int64)
     for begin in range(0, frames, ROWS_AT_ONCE):
         part = slice(begin, begin + ROWS_AT_ONCE)
         block = markers.positions[part].reshape(-1, 3 * count) * 1000.0
         missing = np.isnan(block)
         numbers = np.arange(begin, begin + len(block)) + start
         rows = np.column_stack([numbers, seconds[part], np.where(missing, 0.0, block)])
-        text = _kernels.format_bvh_rows(np.ascontiguousarray(rows), places)
+        text = _kernels.format_bvh_rows(np.ascontiguousarray(rows), decimals)
         yield _emptied(text, missing)
 
 
 def _emptied(text: bytes, missing: BoolArray) -> bytes:
-    """Return rows with tabs between cells, those that are missing empty.
+    """Return tab-separated rows, missing cells empty.
 
     A tab closes the last cell where it is empty: OpenSim reads none without.
     """

@@ -1,4 +1,4 @@
-"""What a URDF says of links and joints, as records, and how its parts are read."""
+"""Records of URDF links and joints, and readers of common elements."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import field
 from enum import StrEnum
 
 from animtool.core.record import dataclass
-from animtool.formats.robots.notes import Notes, named
-from animtool.formats.robots.parts import ORIGIN, Solid, Weight
-from animtool.formats.robots.xml import Element, XmlCodes
+from animtool.formats.robots.notes import XmlNotes, named
+from animtool.formats.robots.parts import ORIGIN, SimpleShape, Weight
+from animtool.formats.robots.xml import XmlCodes, XmlElement
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Mimic, Quaternion
@@ -17,8 +17,8 @@ from animtool.rig.skeleton import Mimic, Quaternion
 CODES = XmlCodes("URD001", "URD002", "URD003")
 
 
-class Kind(StrEnum):
-    """What a joint of a URDF does."""
+class UrdfJointKind(StrEnum):
+    """The type of a joint."""
 
     REVOLUTE = "revolute"
     CONTINUOUS = "continuous"
@@ -28,17 +28,19 @@ class Kind(StrEnum):
     PLANAR = "planar"
 
 
-# Kinds with one coordinate.
-SCALAR = frozenset({Kind.REVOLUTE, Kind.CONTINUOUS, Kind.PRISMATIC})
+# Joint types with one coordinate.
+SCALAR = frozenset(
+    {UrdfJointKind.REVOLUTE, UrdfJointKind.CONTINUOUS, UrdfJointKind.PRISMATIC}
+)
 
 
 @dataclass(slots=True, eq=False)
 class UrdfJoint:
-    """A joint as it is written."""
+    """A joint as stated in the file."""
 
-    element: Element
+    element: XmlElement
     name: str
-    kind: Kind
+    kind: UrdfJointKind
     parent: str
     child: str
     position: Vector = ORIGIN
@@ -49,34 +51,34 @@ class UrdfJoint:
 
     @property
     def where(self) -> str:
-        """What faults call it."""
+        """Label in messages."""
         return named("joint", self.name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visual:
-    """A mesh that a link looks like, or a simple shape."""
+    """A visual of a link: a mesh or a primitive shape."""
 
-    mesh: Element | None
-    solid: Solid  # of a mesh, where it is
+    mesh: XmlElement | None
+    solid: SimpleShape  # of a mesh, where it is
     scale: Vector = (1.0, 1.0, 1.0)
 
 
 @dataclass(slots=True, eq=False)
 class UrdfLink:
-    """A link as it is written."""
+    """A link as stated in the file."""
 
-    element: Element
+    element: XmlElement
     name: str
     weight: Weight | None = None
-    solids: list[Solid] = field(default_factory=list)
-    meshes: list[Element] = field(default_factory=list)
+    solids: list[SimpleShape] = field(default_factory=list)
+    meshes: list[XmlElement] = field(default_factory=list)
     visuals: list[Visual] = field(default_factory=list)
 
 
 @dataclass(slots=True, eq=False)
 class UrdfFile:
-    """A URDF: what it says, before its tree is looked at."""
+    """The links and joints of a URDF before its tree is checked."""
 
     name: str
     links: dict[str, UrdfLink]
@@ -86,22 +88,22 @@ class UrdfFile:
 
 
 def one_of(
-    element: Element, tag: str, where: str, notes: Notes, *, needed: bool = False
-) -> Element | None:
-    """Return the child of a name; none where it is missing, the first of several."""
-    found = element.all(tag)
-    if any(one.attributes != found[0].attributes for one in found):
-        message = f"<{tag}> is given {len(found)} times, not alike"
-        notes.add("URD006", found[1], message, "keep one", where=where)
-    if not found and needed:
+    element: XmlElement, tag: str, where: str, notes: XmlNotes, *, needed: bool = False
+) -> XmlElement | None:
+    """Return the child with a tag; the first of several, None if missing."""
+    elements = element.all(tag)
+    if any(one.attributes != elements[0].attributes for one in elements):
+        message = f"<{tag}> is given {len(elements)} times, not alike"
+        notes.add("URD006", elements[1], message, "keep one", where=where)
+    if not elements and needed:
         notes.add("URD006", element, f"<{tag}> is missing", where=where)
-    return found[0] if found else None
+    return elements[0] if elements else None
 
 
 def text_of(
-    element: Element, name: str, where: str | None, notes: Notes, hint: str = ""
+    element: XmlElement, name: str, where: str | None, notes: XmlNotes, hint: str = ""
 ) -> str:
-    """Return an attribute that must be there; empty where it is not."""
+    """Return a required attribute; empty if missing, with a fault."""
     text = element.attributes.get(name, "")
     if not text.strip():
         what = "is empty" if name in element.attributes else "is missing"
@@ -111,7 +113,9 @@ def text_of(
     return text
 
 
-def pose_of(element: Element, where: str, notes: Notes) -> tuple[Vector, Quaternion]:
+def pose_of(
+    element: XmlElement, where: str, notes: XmlNotes
+) -> tuple[Vector, Quaternion]:
     """Return the origin of an element."""
     origin = one_of(element, "origin", where, notes)
     if origin is None:

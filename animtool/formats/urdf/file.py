@@ -1,4 +1,4 @@
-"""A URDF as it is written: its links and joints, and what is not read of it."""
+"""URDF parsing: links and joints, and notices about other contents."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from animtool.core.errors import excerpt
-from animtool.formats.robots.notes import Notes
-from animtool.formats.robots.xml import Element, read_xml
+from animtool.formats.robots.notes import XmlNotes
+from animtool.formats.robots.xml import XmlElement, read_xml
 from animtool.formats.urdf.elements import CODES, UrdfFile, UrdfJoint, UrdfLink
 from animtool.formats.urdf.joints import add_joint
 from animtool.formats.urdf.links import add_link
@@ -16,8 +16,8 @@ _XACRO = "${", "$("
 EXPAND = "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package of ROS)"
 
 
-def read_file(path: Path, notes: Notes) -> UrdfFile:
-    """Return a file's links and joints; faults are noted.
+def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
+    """Return a file's links and joints; record faults.
 
     Raises:
         FormatError: It is no URDF in XML (URD001 to URD005).
@@ -41,8 +41,8 @@ def read_file(path: Path, notes: Notes) -> UrdfFile:
     return UrdfFile(name, links, joints, driven, drives)
 
 
-def _check_root(root: Element, notes: Notes) -> None:
-    """Note what is no URDF, and a xacro file, which makes one."""
+def _check_root(root: XmlElement, notes: XmlNotes) -> None:
+    """Record roots other than <robot>, and xacro files."""
     for element in root.walk():
         texts = element.attributes.values()
         macro = element.tag.startswith("xacro:")
@@ -65,7 +65,7 @@ def _check_root(root: Element, notes: Notes) -> None:
     notes.add("URD004", root, f"no URDF: its root element is <{root.tag[:60]}>", hint)
 
 
-# Elements that a robot may have, and what they are called where they are not read.
+# Elements that are not read, and their labels.
 _KNOWN = {"link", "joint", "material"}
 _OF_JOINTS = {
     "dynamics": "damping and friction of joints",
@@ -74,8 +74,8 @@ _OF_JOINTS = {
 }
 
 
-def _not_read(root: Element) -> Iterator[str]:
-    """Yield what of a robot no rig holds, in words."""
+def _not_read(root: XmlElement) -> Iterator[str]:
+    """Yield labels of contents that a rig cannot hold."""
     for element in root.children:
         if element.tag == "material":
             yield "materials"
@@ -89,8 +89,8 @@ def _not_read(root: Element) -> Iterator[str]:
                 yield from ("limits of effort and velocity",) if names else ()
 
 
-def _driven(root: Element) -> tuple[frozenset[str], bool]:
-    """Return the joints that transmissions or controllers name, and if any exists."""
+def _driven(root: XmlElement) -> tuple[frozenset[str], bool]:
+    """Return joints named by transmissions or controllers, and if any exist."""
     drives = [*root.all("transmission"), *root.all("ros2_control")]
     names = {
         joint.attributes.get("name", "")

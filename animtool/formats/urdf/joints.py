@@ -1,4 +1,4 @@
-"""The joints of a URDF: kind, links, origin, axis, limits and mimic."""
+"""URDF joints: type, links, origin, axis, limits and mimic."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Severity, excerpt
 from animtool.core.names import nearest
-from animtool.formats.robots.notes import LARGEST, Notes, named
+from animtool.formats.robots.notes import MAX_VALUE, XmlNotes, named
 from animtool.formats.robots.parts import vector
-from animtool.formats.robots.xml import Element
+from animtool.formats.robots.xml import XmlElement
 from animtool.formats.urdf.elements import (
     SCALAR,
-    Kind,
     UrdfJoint,
+    UrdfJointKind,
     one_of,
     pose_of,
     text_of,
@@ -26,11 +26,13 @@ from animtool.rig.skeleton import Mimic
 
 # An axis that is shorter has no direction.
 SHORTEST = 1e-9
-_LIMITED = frozenset({Kind.REVOLUTE, Kind.PRISMATIC})
+_LIMITED = frozenset({UrdfJointKind.REVOLUTE, UrdfJointKind.PRISMATIC})
 
 
-def add_joint(element: Element, joints: dict[str, UrdfJoint], notes: Notes) -> None:
-    """Add a joint to those of a file; faults are noted."""
+def add_joint(
+    element: XmlElement, joints: dict[str, UrdfJoint], notes: XmlNotes
+) -> None:
+    """Add a joint to those of a file; record faults."""
     name = text_of(element, "name", None, notes)
     if not name:
         return
@@ -41,28 +43,30 @@ def add_joint(element: Element, joints: dict[str, UrdfJoint], notes: Notes) -> N
         hint = f"the first is in line {first}"
         notes.add("URD009", element, message, hint, joint=name)
         return
-    allowed = ", ".join(Kind)
+    allowed = ", ".join(UrdfJointKind)
     text = text_of(element, "type", where, notes, f"allowed: {allowed}")
-    if text not in list(Kind):
+    if text not in list(UrdfJointKind):
         if text:
             message = f"unknown joint type {excerpt(text)}"
-            hint = nearest(text, [kind.value for kind in Kind])
+            hint = nearest(text, [kind.value for kind in UrdfJointKind])
             notes.add("URD008", element, message, hint, where=where, joint=name)
-        text = Kind.FIXED
+        text = UrdfJointKind.FIXED
     ends = []
     for tag in ("parent", "child"):
         end = one_of(element, tag, where, notes, needed=True)
         ends.append("" if end is None else text_of(end, "link", where, notes))
     position, rotation = pose_of(element, where, notes)
-    joint = UrdfJoint(element, name, Kind(text), ends[0], ends[1], position, rotation)
+    joint = UrdfJoint(
+        element, name, UrdfJointKind(text), ends[0], ends[1], position, rotation
+    )
     joints[name] = joint
-    if joint.kind not in {Kind.FIXED, Kind.FLOATING}:
+    if joint.kind not in {UrdfJointKind.FIXED, UrdfJointKind.FLOATING}:
         joint.axis = _axis(joint, notes)
     joint.limits = _limits(joint, notes)
     joint.mimic = _mimic(joint, notes)
 
 
-def _axis(joint: UrdfJoint, notes: Notes) -> Vector:
+def _axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
     element = one_of(joint.element, "axis", joint.where, notes)
     if element is None:
         return (1.0, 0.0, 0.0)
@@ -78,12 +82,12 @@ def _axis(joint: UrdfJoint, notes: Notes) -> Vector:
 
 
 def unit(values: FloatArray) -> Vector:
-    """Return a direction at unit length, to the last digit."""
+    """Return a direction normalised to the last digit."""
     direction = values / np.abs(values).max()
     return vector(direction / math.sqrt(float(direction @ direction)))
 
 
-def _limits(joint: UrdfJoint, notes: Notes) -> RangeLimit | None:
+def _limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
     where, name = joint.where, joint.name
     element = one_of(joint.element, "limit", where, notes)
     if joint.kind not in _LIMITED:
@@ -91,7 +95,7 @@ def _limits(joint: UrdfJoint, notes: Notes) -> RangeLimit | None:
     if element is None:
         message = f"is {joint.kind} and has no <limit>"
         hint = 'write <limit lower="…" upper="…" effort="…" velocity="…"/>'
-        if joint.kind is Kind.REVOLUTE:
+        if joint.kind is UrdfJointKind.REVOLUTE:
             hint += ", or make it continuous"
         notes.add("URD014", joint.element, message, hint, where=where, joint=name)
         return None
@@ -110,17 +114,17 @@ def _limits(joint: UrdfJoint, notes: Notes) -> RangeLimit | None:
             "URD104", element, message, where=where, joint=name,
             severity=Severity.WARNING,
         )  # fmt: skip
-    if low <= -LARGEST and high >= LARGEST:
+    if low <= -MAX_VALUE and high >= MAX_VALUE:
         return None
-    return RangeLimit(max(low, -LARGEST), min(high, LARGEST))
+    return RangeLimit(max(low, -MAX_VALUE), min(high, MAX_VALUE))
 
 
-def _mimic(joint: UrdfJoint, notes: Notes) -> Mimic | None:
+def _mimic(joint: UrdfJoint, notes: XmlNotes) -> Mimic | None:
     where = joint.where
     element = one_of(joint.element, "mimic", where, notes)
     if element is None:
         return None
-    if joint.kind is Kind.FIXED:
+    if joint.kind is UrdfJointKind.FIXED:
         notes.leave_out(["mimics of fixed joints"])
         return None
     leader = text_of(element, "joint", where, notes)

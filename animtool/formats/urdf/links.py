@@ -1,4 +1,4 @@
-"""The links of a URDF: what they weigh, collide as, and look like."""
+"""URDF links: masses, collision shapes and visuals."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from animtool.core.errors import Severity, excerpt
-from animtool.formats.robots.notes import Notes, named
-from animtool.formats.robots.parts import Solid, Weight
+from animtool.formats.robots.notes import XmlNotes, named
+from animtool.formats.robots.parts import SimpleShape, Weight
 from animtool.formats.robots.solids import weight_problem
-from animtool.formats.robots.xml import Element
+from animtool.formats.robots.xml import XmlElement
 from animtool.formats.urdf.elements import UrdfLink, Visual, one_of, pose_of, text_of
 from animtool.maths import so3
 
 
-def add_link(element: Element, links: dict[str, UrdfLink], notes: Notes) -> None:
-    """Add a link to those of a file; faults are noted."""
+def add_link(element: XmlElement, links: dict[str, UrdfLink], notes: XmlNotes) -> None:
+    """Add a link to those of a file; record faults."""
     name = text_of(element, "name", None, notes)
     if not name:
         return
@@ -45,29 +45,31 @@ def add_link(element: Element, links: dict[str, UrdfLink], notes: Notes) -> None
         link.visuals += _visual(part, where, notes)
 
 
-def _visual(part: Element, where: str, notes: Notes) -> Iterator[Visual]:
-    """Yield what a visual shows; what is wrong with it is left out with a note."""
-    own = Notes(notes.path, notes.number_code)
+def _visual(part: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
+    """Yield a link's visual; skip an invalid one with a notice."""
+    visual_notes = XmlNotes(notes.path, notes.number_code)
     meshes = [mesh for one in part.all("geometry") for mesh in one.all("mesh")]
-    found: Visual | None = None
+    shown: Visual | None = None
     if meshes and meshes[0].attributes.get("filename"):
-        position, rotation = pose_of(part, where, own)
-        x, y, z = own.numbers(meshes[0], "scale", 3, (1.0, 1.0, 1.0), where)
-        found = Visual(meshes[0], Solid("mesh", (), position, rotation), (x, y, z))
+        position, rotation = pose_of(part, where, visual_notes)
+        x, y, z = visual_notes.numbers(meshes[0], "scale", 3, (1.0, 1.0, 1.0), where)
+        shown = Visual(
+            meshes[0], SimpleShape("mesh", (), position, rotation), (x, y, z)
+        )
     elif not meshes:
-        solid = _solid(part, where, own)
-        found = None if solid is None else Visual(None, solid)
-    if own.faults:
+        solid = _solid(part, where, visual_notes)
+        shown = None if solid is None else Visual(None, solid)
+    if visual_notes.faults:
         notes.leave_out(["visuals with faults"])
-    elif found is not None:
-        yield found
+    elif shown is not None:
+        yield shown
     else:
         notes.leave_out(["visuals without a shape"])
 
 
-def _weight(inertial: Element, where: str, notes: Notes) -> Weight | None:
-    """Return the mass of a link; None where no body has it, with a warning."""
-    position, turn = pose_of(inertial, where, notes)
+def _weight(inertial: XmlElement, where: str, notes: XmlNotes) -> Weight | None:
+    """Return a link's mass; warn and return None if impossible."""
+    position, rotation = pose_of(inertial, where, notes)
     before = len(notes.faults)
     mass_element = one_of(inertial, "mass", where, notes)
     tensor = one_of(inertial, "inertia", where, notes)
@@ -92,12 +94,12 @@ def _weight(inertial: Element, where: str, notes: Notes) -> Weight | None:
             "URD107", inertial, message, hint, where=where, severity=Severity.WARNING
         )
         return None
-    matrix = so3.to_matrix(np.array(turn))
+    matrix = so3.to_matrix(np.array(rotation))
     return Weight(mass, position, matrix @ inertia @ matrix.T)
 
 
-def _solid(part: Element, where: str, notes: Notes) -> Solid | None:
-    """Return the shape of a collision; None of what no collider can be, and listed."""
+def _solid(part: XmlElement, where: str, notes: XmlNotes) -> SimpleShape | None:
+    """Return a collision shape; None, with a notice, for meshes."""
     geometry = one_of(part, "geometry", where, notes)
     shape = next(iter(geometry.children), None) if geometry is not None else None
     if shape is None or shape.tag not in _SHAPES:
@@ -117,10 +119,10 @@ def _solid(part: Element, where: str, notes: Notes) -> Solid | None:
     if min(size) <= 0:
         notes.leave_out(["collisions without size"])
         return None
-    return Solid(shape.tag, tuple(size), position, rotation)
+    return SimpleShape(shape.tag, tuple(size), position, rotation)
 
 
-# Shapes, and which numbers each has.
+# Shapes with their attributes.
 _SHAPES: dict[str, tuple[tuple[str, int], ...]] = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),

@@ -1,4 +1,4 @@
-"""The meshes that a URDF names: inside the project, read where they are OBJ or STL."""
+"""URDF meshes: OBJ and STL files inside the project."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from animtool.core.errors import Severity, counted, excerpt, listed
 from animtool.formats.robots.mesh_files import SUFFIXES, read_mesh
-from animtool.formats.robots.notes import Notes, named
-from animtool.formats.robots.packages import OutsideError, Places
+from animtool.formats.robots.notes import XmlNotes, named
+from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.parts import Triangles
 from animtool.formats.robots.triangles import triangles_of
 from animtool.formats.urdf.elements import CODES, UrdfFile, Visual
@@ -20,15 +20,15 @@ MAX_NAMED = 8
 MAX_TRIANGLES = 1_000_000
 
 
-def found_meshes(file: UrdfFile, path: Path, notes: Notes) -> dict[str, Path]:
-    """Return the files of meshes by name; those outside of the project are refused.
+def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
+    """Return mesh paths by name; raise for files outside the project.
 
     Missing ones are noted: motion needs none.
     """
     meshes = [(link, mesh) for link in file.links.values() for mesh in link.meshes]
     if not meshes:
         return {}
-    places = Places.of(path, CODES)
+    folders = PackageFolders.of(path, CODES)
     files: dict[str, Path] = {}
     missing: dict[str, None] = {}
     refused: set[tuple[str, str]] = set()
@@ -37,7 +37,7 @@ def found_meshes(file: UrdfFile, path: Path, notes: Notes) -> dict[str, Path]:
         if name in files or name in missing or (link.name, name) in refused:
             continue
         try:
-            found = places.find(name)
+            file_path = folders.find(name)
         except OutsideError as error:
             refused.add((link.name, name))
             message = f"its mesh {excerpt(name, 100)} is refused: {error}"
@@ -45,10 +45,10 @@ def found_meshes(file: UrdfFile, path: Path, notes: Notes) -> dict[str, Path]:
             hint += "roots = [...]"
             notes.add("URD016", mesh, message, hint, where=named("link", link.name))
             continue
-        if found is None:
+        if file_path is None:
             missing[name] = None
         else:
-            files[name] = found
+            files[name] = file_path
     if missing:
         message = f"{counted(len(missing), 'mesh', 'meshes')} not found: "
         message += listed([excerpt(name, 80) for name in missing], MAX_NAMED)
@@ -59,9 +59,9 @@ def found_meshes(file: UrdfFile, path: Path, notes: Notes) -> dict[str, Path]:
 
 
 def looks_of(
-    file: UrdfFile, files: dict[str, Path], notes: Notes
+    file: UrdfFile, files: dict[str, Path], notes: XmlNotes
 ) -> dict[str, list[Triangles]]:
-    """Return what links look like, by name; what is not shown is noted."""
+    """Return visible surfaces by link name; record what is not shown."""
     read: dict[Path, Triangles | None] = {}
     wrong: dict[str, None] = {}
     looks: dict[str, list[Triangles]] = {}
@@ -89,9 +89,9 @@ def _shown(
     files: dict[str, Path],
     read: dict[Path, Triangles | None],
     wrong: dict[str, None],
-    notes: Notes,
+    notes: XmlNotes,
 ) -> Triangles | None:
-    """Return a visual in the frame of its link; None where it is not shown."""
+    """Return a visual's surface in its link frame; None if not shown."""
     if visual.mesh is None:
         return triangles_of(visual.solid)
     name = visual.mesh.attributes["filename"]
@@ -110,9 +110,12 @@ def _shown(
     mesh = read[path]
     if mesh is None:
         return None
-    place, turn = np.array(visual.solid.position), np.array(visual.solid.rotation)
+    position, rotation = (
+        np.array(visual.solid.position),
+        np.array(visual.solid.rotation),
+    )
     scale = np.array(visual.scale)
-    points = so3.rotate(turn, mesh.points * scale) + place
-    # A mirror turns the sides of faces inside out.
+    points = so3.rotate(rotation, mesh.points * scale) + position
+    # Mirroring reverses the orientation of faces.
     faces = mesh.faces[:, ::-1] if np.prod(scale) < 0 else mesh.faces
     return Triangles(points, faces)

@@ -1,4 +1,4 @@
-"""A URDF as a rig, and as a take of one frame."""
+"""URDF reader: a rig, and a take of one frame."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def read_urdf_rig(path: Path | str) -> Rig:
 
 
 def read_urdf(path: Path | str) -> TakeStream:
-    """Open a URDF as a take of one frame: its joints at 0, or their nearest limit.
+    """Open a URDF as a take of one frame, joints at 0 or the nearest limit.
 
     Args:
         path: A .urdf file.

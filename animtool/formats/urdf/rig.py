@@ -1,4 +1,4 @@
-"""A URDF as a robot: links in order, joints as what a rig has in their place."""
+"""A URDF as a robot: ordered links, and joints as rig joints."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 
 from animtool.core.errors import Severity, counted, excerpt, listed
 from animtool.formats.robots.build import RobotCodes, build_rig
-from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.robots.parts import Link, Move, Robot, Triangles, vector
 from animtool.formats.urdf.elements import (
     SCALAR,
-    Kind,
     UrdfFile,
     UrdfJoint,
+    UrdfJointKind,
 )
 from animtool.formats.urdf.file import read_file
-from animtool.formats.urdf.meshes import found_meshes, looks_of
+from animtool.formats.urdf.meshes import looks_of, mesh_paths
 from animtool.formats.urdf.tree import check_tree, resolved_mimics
 from animtool.maths import so3
 from animtool.rig.skeleton import JointType, Mimic, Rig
@@ -25,13 +25,13 @@ from animtool.rig.skeleton import JointType, Mimic, Rig
 MAX_NAMED = 8
 _CODES = RobotCodes("URD102", "URD106", "URD101")
 _TYPES = {
-    Kind.REVOLUTE: JointType.PIN,
-    Kind.CONTINUOUS: JointType.PIN,
-    Kind.PRISMATIC: JointType.PRISMATIC,
-    Kind.FLOATING: JointType.FREE,
-    Kind.FIXED: JointType.FIXED,
+    UrdfJointKind.REVOLUTE: JointType.PIN,
+    UrdfJointKind.CONTINUOUS: JointType.PIN,
+    UrdfJointKind.PRISMATIC: JointType.PRISMATIC,
+    UrdfJointKind.FLOATING: JointType.FREE,
+    UrdfJointKind.FIXED: JointType.FIXED,
 }
-# Limits of a mimic that are exceeded by less are rounding [rad], [m].
+# A mimic beyond its limits by less is rounding [rad], [m].
 ROUNDING = 1e-9
 
 
@@ -41,15 +41,15 @@ def rig_of_urdf(path: Path) -> Rig:
     Raises:
         FormatError: With every fault of the file (URD001 to URD016).
     """
-    notes = Notes(path, "URD007")
+    notes = XmlNotes(path, "URD007")
     file = read_file(path, notes)
     check_tree(file, notes)
     mimics = resolved_mimics(file, notes)
-    found = found_meshes(file, path, notes)
+    paths = mesh_paths(file, path, notes)
     notes.check()
     _note_idle(file, notes)
     _note_ranges(file, mimics, notes)
-    looks = looks_of(file, found, notes)
+    looks = looks_of(file, paths, notes)
     robot = Robot(file.name or path.stem, _links(file, mimics, looks))
     return build_rig(robot, notes, _CODES)
 
@@ -57,7 +57,7 @@ def rig_of_urdf(path: Path) -> Rig:
 def _links(
     file: UrdfFile, mimics: dict[str, Mimic], looks: dict[str, list[Triangles]]
 ) -> list[Link]:
-    """Return the links, parents before children, each branch down to its end."""
+    """Return links depth-first, parents before children."""
     below: dict[str, list[UrdfJoint]] = {name: [] for name in file.links}
     children = set()
     for one in file.joints.values():
@@ -68,22 +68,25 @@ def _links(
     waiting: list[tuple[str, int, UrdfJoint | None]] = [(root, -1, None)]
     while waiting:
         name, parent, joint = waiting.pop()
-        given = file.links[name]
+        source = file.links[name]
         moves = [] if joint is None else _moves(joint, mimics.get(joint.name))
         shown = looks.get(name, [])
-        link = Link(name, parent, moves, solids=given.solids, shown=shown)
-        link.weight = given.weight
+        link = Link(name, parent, moves, solids=source.solids, shown=shown)
+        link.weight = source.weight
         links.append(link)
         index = len(links) - 1
-        waiting += [(own.child, index, own) for own in reversed(below[name])]
+        waiting += [
+            (next_joint.child, index, next_joint)
+            for next_joint in reversed(below[name])
+        ]
     return links
 
 
 def _moves(joint: UrdfJoint, mimic: Mimic | None) -> list[Move]:
-    """Return what of a rig a joint is."""
-    if joint.kind is Kind.PLANAR:
+    """Return the rig joints that represent a joint."""
+    if joint.kind is UrdfJointKind.PLANAR:
         return _planar(joint)
-    fixed = joint.kind is Kind.FIXED
+    fixed = joint.kind is UrdfJointKind.FIXED
     return [
         Move(
             "" if fixed else joint.name,
@@ -98,17 +101,17 @@ def _moves(joint: UrdfJoint, mimic: Mimic | None) -> list[Move]:
 
 
 def _planar(joint: UrdfJoint) -> list[Move]:
-    """Return two slides and a pin: x and y are turned as the axis is from z."""
-    turn = so3.between(np.array([0.0, 0.0, 1.0]), np.array(joint.axis))
-    x, y = (vector(so3.rotate(turn, np.eye(3)[k])) for k in (0, 1))
+    """Return two slides and a pin; x and y are rotated as the axis from z."""
+    rotation = so3.between(np.array([0.0, 0.0, 1.0]), np.array(joint.axis))
+    x, y = (vector(so3.rotate(rotation, np.eye(3)[k])) for k in (0, 1))
     slide = JointType.PRISMATIC
     first = Move(f"{joint.name}_x", slide, joint.position, joint.rotation, x)
     second = Move(f"{joint.name}_y", slide, axis=y)
     return [first, second, Move(joint.name, JointType.PIN, axis=joint.axis)]
 
 
-def _note_idle(file: UrdfFile, notes: Notes) -> None:
-    """Note joints that nothing drives, where transmissions drive others."""
+def _note_idle(file: UrdfFile, notes: XmlNotes) -> None:
+    """Record joints without transmissions where others have them."""
     if not file.has_drives:
         return
     idle = [
@@ -125,8 +128,8 @@ def _note_idle(file: UrdfFile, notes: Notes) -> None:
         notes.add("URD105", None, message, hint, severity=Severity.NOTE)
 
 
-def _note_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: Notes) -> None:
-    """Note zeros that limits exclude, and mimics that go beyond their limits."""
+def _note_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) -> None:
+    """Record limits that exclude 0, and mimics beyond their limits."""
     off = [
         joint.name
         for joint in file.joints.values()
@@ -140,29 +143,31 @@ def _note_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: Notes) -> None
         hint = "the rest pose is still at 0; a take uses the nearest limit"
         notes.add("URD109", None, message, hint, severity=Severity.NOTE)
     for name, mimic in mimics.items():
-        own, leader = file.joints[name], file.joints[mimic.joint]
-        if own.limits is None or leader.limits is None:
+        follower, leader = file.joints[name], file.joints[mimic.joint]
+        if follower.limits is None or leader.limits is None:
             continue
         ends = [
             mimic.gain * end + mimic.offset
             for end in (leader.limits.low, leader.limits.high)
         ]
-        low, high = own.limits.low - ROUNDING, own.limits.high + ROUNDING
+        low, high = follower.limits.low - ROUNDING, follower.limits.high + ROUNDING
         if min(ends) < low or max(ends) > high:
             message = (
                 f"where it mimics {leader.where}, it goes from {min(ends):.4g} to "
             )
-            message += f"{max(ends):.4g}, beyond its limits {own.limits.low:.4g} to "
-            message += f"{own.limits.high:.4g}"
+            message += (
+                f"{max(ends):.4g}, beyond its limits {follower.limits.low:.4g} to "
+            )
+            message += f"{follower.limits.high:.4g}"
             hint = (
                 "make its limits wider, or those of the joint that it mimics narrower"
             )
             notes.add(
                 "URD108",
-                own.element,
+                follower.element,
                 message,
                 hint,
-                where=own.where,
+                where=follower.where,
                 joint=name,
                 severity=Severity.WARNING,
             )

@@ -1,4 +1,4 @@
-"""The tree of a URDF: one root, a joint above each other link, mimics without loops."""
+"""URDF tree checks: one root, one parent joint per link, acyclic mimics."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Iterable
 
 from animtool.core.errors import circle, excerpt, listed
 from animtool.core.names import nearest
-from animtool.formats.robots.notes import Notes
+from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.urdf.elements import SCALAR, UrdfFile, UrdfJoint
 from animtool.rig.skeleton import Mimic
 
 
-def check_tree(file: UrdfFile, notes: Notes) -> None:
-    """Note links that are missing, have two parents or none, and rings of joints."""
+def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
+    """Record missing links, links with two parents or none, and cycles."""
     above: dict[str, UrdfJoint] = {}
     missing = False
     for joint in file.joints.values():
@@ -40,19 +40,19 @@ def check_tree(file: UrdfFile, notes: Notes) -> None:
 
 
 def _ring(joint: UrdfJoint, above: dict[str, UrdfJoint]) -> list[str]:
-    """Return the joints that lead from a joint's child back to it; empty for none."""
+    """Return the cycle of joints through a joint's child; empty if none."""
     names, link = [joint.name], joint.parent
-    seen: set[str] = set()
-    while link in above and link not in seen:
+    visited: set[str] = set()
+    while link in above and link not in visited:
         if link == joint.child:
             return [*reversed(names), names[-1]]
-        seen.add(link)
+        visited.add(link)
         names.append(above[link].name)
         link = above[link].parent
     return [*reversed(names), names[-1]] if link == joint.child else []
 
 
-def _check_roots(file: UrdfFile, above: dict[str, UrdfJoint], notes: Notes) -> None:
+def _check_roots(file: UrdfFile, above: dict[str, UrdfJoint], notes: XmlNotes) -> None:
     roots = [name for name in file.links if name not in above]
     if len(roots) > 1:
         message = f"{len(roots)} links have no parent: {listed(_quoted(roots))}"
@@ -73,12 +73,12 @@ def _check_roots(file: UrdfFile, above: dict[str, UrdfJoint], notes: Notes) -> N
     if lost:
         names = [above[lost[0]].name]
         link = above[lost[0]].parent
-        seen = [lost[0]]
-        while link not in seen:
-            seen.append(link)
+        visited = [lost[0]]
+        while link not in visited:
+            visited.append(link)
             names.append(above[link].name)
             link = above[link].parent
-        names = names[seen.index(link) :]
+        names = names[visited.index(link) :]
         first = file.joints[names[0]]
         message = f"joints go round: {circle([*reversed(names), names[-1]])}"
         if not roots:
@@ -90,8 +90,8 @@ def _quoted(names: Iterable[str]) -> list[str]:
     return [excerpt(name) for name in names]
 
 
-def resolved_mimics(file: UrdfFile, notes: Notes) -> dict[str, Mimic]:
-    """Return of each joint that mimics another which one moves it in the end.
+def resolved_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
+    """Return each mimic joint with its final leader.
 
     A mimic of a mimic is one of the first, by both multipliers and offsets.
     """
@@ -109,8 +109,8 @@ def resolved_mimics(file: UrdfFile, notes: Notes) -> dict[str, Mimic]:
             _add(notes, "URD015", joint, message, hint)
     if notes.faults:
         return {}
-    found: dict[str, Mimic] = {}
-    told: set[str] = set()
+    resolved: dict[str, Mimic] = {}
+    reported: set[str] = set()
     for joint in file.joints.values():
         mimic, names = joint.mimic, [joint.name]
         if mimic is None:
@@ -123,18 +123,18 @@ def resolved_mimics(file: UrdfFile, notes: Notes) -> dict[str, Mimic]:
             offset = mimic.gain * further.offset + mimic.offset
             mimic = Mimic(further.joint, gain, offset)
         else:
-            found[joint.name] = mimic
+            resolved[joint.name] = mimic
             continue
         ring = names[names.index(mimic.joint) :]
         ring = ring if len(ring) > 1 else [mimic.joint, mimic.joint]
-        if not told.intersection(ring):
+        if not reported.intersection(ring):
             message = f"joints mimic each other: {circle(ring)}"
             _add(notes, "URD015", file.joints[ring[0]], message, "one must move itself")
-        told.update(ring)
-    return found
+        reported.update(ring)
+    return resolved
 
 
 def _add(
-    notes: Notes, code: str, joint: UrdfJoint, message: str, hint: str | None
+    notes: XmlNotes, code: str, joint: UrdfJoint, message: str, hint: str | None
 ) -> None:
     notes.add(code, joint.element, message, hint, where=joint.where, joint=joint.name)

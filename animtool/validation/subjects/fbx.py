@@ -8,7 +8,7 @@ from animtool.core.errors import AnimtoolError, Fault
 from animtool.core.files.reading import note_input
 from animtool.core.rules import Kind
 from animtool.formats.fbx.rig import FbxRig, build_rig
-from animtool.formats.fbx.sampling import Sampler, frames_of, moves, take_stream
+from animtool.formats.fbx.sampling import FbxSampler, frames_of, moves, take_stream
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.scene import open_fbx as open_scene
 from animtool.formats.gltf.characters import characters
@@ -37,7 +37,7 @@ def _takes(scene: FbxScene, made: FbxRig, faults: list[Fault]) -> list[MotionSub
     for take in scene.takes:
         if not moves(made, take, scene):
             continue
-        moving = Sampler(scene, made, take)
+        moving = FbxSampler(scene, made, take)
         try:
             frames = frames_of(scene, take, None, moving.numbers)
         except AnimtoolError as error:

@@ -14,13 +14,13 @@ from animtool.core.errors import AnimtoolError, Fault
 from animtool.core.files.reading import note_input
 from animtool.core.rules import Kind
 from animtool.formats.gltf.animations import Animation
-from animtool.formats.gltf.characters import Character, characters
+from animtool.formats.gltf.characters import CharacterNodes, characters
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.document import open_gltf as open_document
 from animtool.formats.gltf.keys import key_frames
 from animtool.formats.gltf.rig import GltfRig, build_rig
-from animtool.formats.gltf.sampling import Sampler, clip_stream, moves, sampler
-from animtool.formats.gltf.timing import ON_FRAME, Frames, frames_of, key_times
+from animtool.formats.gltf.sampling import GltfSampler, clip_stream, moves, sampler
+from animtool.formats.gltf.timing import ON_FRAME, GltfFrames, frames_of, key_times
 from animtool.motion.take import Take
 from animtool.rig.kinematics import bind_matrices, rest_world
 from animtool.rig.parts import Skin
@@ -45,7 +45,7 @@ def open_gltf(path: Path) -> CheckedFile:
     return CheckedFile(Kind.GLTF, [*gltf.notes.notices, *faults], takes=tuple(takes))
 
 
-def _made(gltf: Gltf, character: Character, faults: list[Fault]) -> GltfRig:
+def _made(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> GltfRig:
     made = build_rig(gltf, character, gltf.path.stem)
     faults += made.notices
     return made
@@ -69,7 +69,10 @@ def _takes(gltf: Gltf, made: GltfRig, faults: list[Fault]) -> list[MotionSubject
 
 
 def _at_keys(
-    subject: MotionSubject, moving: Sampler, animation: Animation, frames: Frames
+    subject: MotionSubject,
+    moving: GltfSampler,
+    animation: Animation,
+    frames: GltfFrames,
 ) -> MotionSubject:
     """Return a clip without the frames before its first key.
 

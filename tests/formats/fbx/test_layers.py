@@ -13,7 +13,7 @@ from animtool.formats.fbx.layers import (
     TRANSLATION,
     Layer,
     LayerValues,
-    Track,
+    PropertyTrack,
 )
 
 TICKS = np.zeros(1, np.int64)
@@ -26,7 +26,7 @@ def over(name: str, layer: Layer, low: float, high: float) -> float:
         LayerValues(Layer("base"), True, [low] * 3, curves),
         LayerValues(layer, False, [high] * 3, curves),
     ]
-    return float(Track(1, name, layers).at(np.zeros(3), TICKS)[0, 0])
+    return float(PropertyTrack(1, name, layers).at(np.zeros(3), TICKS)[0, 0])
 
 
 @pytest.mark.parametrize(

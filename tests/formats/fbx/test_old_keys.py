@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from animtool.core.errors import FormatError
-from animtool.formats.fbx.curves import CONSTANT, CUBIC, LINEAR, NEXT, THIRD, Curve
+from animtool.formats.fbx.curves import CONSTANT, CUBIC, LINEAR, NEXT, THIRD, FbxCurve
 from animtool.formats.fbx.elements import Element
 from animtool.formats.fbx.old_keys import curve_of_channel
 from animtool.formats.fbx.settings import TICKS
-from animtool.formats.gltf.places import Notes
+from animtool.formats.file_notices import FileNotices
 
 
-def read(keys: list[Any], version: int = 4005) -> tuple[Curve, list[str]]:
+def read(keys: list[Any], version: int = 4005) -> tuple[FbxCurve, list[str]]:
     """Return a curve of keys, and the codes of what was said of it."""
     rows = [Element("KeyVer", [version], ""), Element("Key", keys, "line 1")]
-    notes = Notes(str(Path("arm.fbx")))
+    notes = FileNotices(str(Path("arm.fbx")))
     curve = curve_of_channel(Element("Channel", ["X"], "", rows), notes)
     assert curve is not None
     return curve, [fault.code for fault in notes.notices]

@@ -27,7 +27,7 @@ from animtool.core.errors import FormatError, OptionError, Severity
 from animtool.core.readers import EXPORTS, find_reader
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.core.writers import take_writer
-from animtool.formats.fbx.poses import State
+from animtool.formats.fbx.poses import NodeTransforms
 from animtool.formats.fbx.read import read_fbx, read_fbx_rig, take_names
 from animtool.formats.fbx.scene import open_fbx
 from animtool.maths import so3
@@ -400,7 +400,7 @@ def test_scales_of_mixed_inherit_types(tmp_path: Path) -> None:
         rows.append(("P", ["Lcl Scaling", "", "", "A", scale, scale, scale], []))
         rows.append(("P", ["InheritType", "enum", "", "", inherit], []))
     scene = open_fbx(written(tmp_path, as_binary(trees)))
-    state = State(scene, None, np.zeros(1, np.int64))
+    state = NodeTransforms(scene, None, np.zeros(1, np.int64))
     sizes = [np.cbrt(np.linalg.det(state.world(i)[0, :3, :3])) for i in range(3)]
     assert [m.name for m in scene.models[:3]] == ["arm", "fore", "tip"]
     np.testing.assert_allclose(sizes, [2.0, 6.0, 2.0])

@@ -9,8 +9,8 @@ import pytest
 from animtool.formats.fbx.tangents import (
     CLAMPED,
     CURVED,
-    HELD,
     PROGRESSIVE,
+    STEPPED,
     STRAIGHT,
     TCB,
     TIME_INDEPENDENT,
@@ -96,4 +96,4 @@ def test_others_have_what_is_stated_or_their_chord() -> None:
     np.testing.assert_allclose([right[1], left[1]], [4.0, 5.0])
     right, left = slopes(STRAIGHT, (4.0, 5.0, 0.0))
     np.testing.assert_allclose([right[:2], left[:2]], [CHORDS, CHORDS])
-    assert not slopes(HELD, (4.0, 5.0, 0.0))[0].any()
+    assert not slopes(STEPPED, (4.0, 5.0, 0.0))[0].any()

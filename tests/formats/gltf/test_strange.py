@@ -16,8 +16,7 @@ from support.gltf_validator import issues
 from support.suite import some_quick
 
 from animtool.core.errors import Severity
-from animtool.formats.gltf.animations import Animation
-from animtool.formats.gltf.animations import Path as Moved
+from animtool.formats.gltf.animations import Animation, TargetPath
 from animtool.formats.gltf.sampling import sampler
 from animtool.formats.gltf.timing import distinct_clip_names
 from animtool.rig.kinematics import forward
@@ -90,7 +89,9 @@ def places(
 
 def mixed(animation: Animation) -> bool:
     """Return whether pointers move weights in ways that one channel cannot."""
-    ways = {str(t.interpolation) for t in animation.tracks if t.path is Moved.WEIGHTS}
+    ways = {
+        str(t.interpolation) for t in animation.tracks if t.path is TargetPath.WEIGHTS
+    }
     parts = any(track.part >= 0 for track in animation.tracks)
     return parts and (len(ways) > 1 or "CUBICSPLINE" in ways)
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.formats.robots.mesh_files import read_mesh
-from animtool.formats.robots.parts import Solid, Triangles
+from animtool.formats.robots.parts import SimpleShape, Triangles
 from animtool.formats.robots.solids import capsule_of
 from animtool.formats.robots.triangles import triangles_of
 
@@ -36,7 +36,7 @@ def volume(mesh: Triangles) -> float:
 def test_shapes_have_their_volume_and_place(
     kind: str, size: tuple[float, ...], whole: float
 ) -> None:
-    mesh = triangles_of(Solid(kind, size, (5.0, 6.0, 7.0), TURN))
+    mesh = triangles_of(SimpleShape(kind, size, (5.0, 6.0, 7.0), TURN))
     centred = Triangles(mesh.points - (5.0, 6.0, 7.0), mesh.faces)
     assert whole * 0.95 <= volume(centred) <= whole * (1 + 1e-9)
     assert_allclose(centred.points.max(axis=0), -centred.points.min(axis=0), atol=1e-9)
@@ -56,7 +56,7 @@ def test_shapes_have_their_volume_and_place(
 def test_capsules_are_no_farther_off_than_is_said(
     kind: str, size: tuple[float, ...]
 ) -> None:
-    solid = Solid(kind, size, (0.1, 0.2, 0.3), TURN)
+    solid = SimpleShape(kind, size, (0.1, 0.2, 0.3), TURN)
     capsule, off = capsule_of(solid, (0.0, 0.0, 1.0))
     # The surface of the shape, with the middle of each side.
     mesh = triangles_of(solid)

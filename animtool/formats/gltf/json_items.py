@@ -1,56 +1,21 @@
-"""Values of a glTF's JSON, each with its JSON pointer for messages."""
+"""Typed access to a glTF's JSON, with JSON pointers for messages."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import field
 from typing import Any, NoReturn
 
-from animtool.core.errors import Fault, FormatError, Severity, excerpt
+from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
+from animtool.formats.file_notices import FileNotices
 
 # glTF stores float32: a number beyond it is none.
-LARGEST = 3.4028234663852886e38
-# Warnings of one code beyond so many say nothing new.
-MAX_WARNINGS = 20
-
-
-@dataclass(slots=True)
-class Notes:
-    """The file that is read, and what was put right in it."""
-
-    path: str
-    notices: list[Fault] = field(default_factory=list)
-    counts: dict[str, int] = field(default_factory=dict)  # of warnings by code
-    said: set[tuple[str, str, str]] = field(default_factory=set)
-
-    def fail(
-        self, code: str, where: str, message: str, hint: str | None = None
-    ) -> NoReturn:
-        """Refuse the file."""
-        raise FormatError(Fault(code, message, self.path, (), hint, where=where))
-
-    def warn(
-        self,
-        code: str,
-        where: str,
-        message: str,
-        hint: str | None = None,
-        severity: Severity = Severity.WARNING,
-    ) -> None:
-        """Name what was put right, once; of very many the first ones."""
-        if (code, where, message) in self.said:
-            return
-        self.said.add((code, where, message))
-        count = self.counts[code] = self.counts.get(code, 0) + 1
-        if count <= MAX_WARNINGS:
-            fault = Fault(code, message, self.path, (), hint, severity, where=where)
-            self.notices.append(fault)
+FLOAT32_LIMIT = 3.4028234663852886e38
 
 
 def escaped(key: str) -> str:
-    """Return a key as a JSON pointer has it.
+    """Return a key escaped for a JSON pointer.
 
     >>> escaped("a/b~c")
     'a~1b~0c'
@@ -58,41 +23,41 @@ def escaped(key: str) -> str:
     return key.replace("~", "~0").replace("/", "~1")
 
 
-def by_animtool(item: Item) -> dict[str, Any]:
-    """Return what animtool wrote beside an object; empty for nothing."""
+def by_animtool(item: JsonItem) -> dict[str, Any]:
+    """Return animtool's entry in an object's extras; empty if none."""
     extras = item.values.get("extras")
-    own = extras.get("animtool") if isinstance(extras, dict) else None
-    return own if isinstance(own, dict) else {}
+    entry = extras.get("animtool") if isinstance(extras, dict) else None
+    return entry if isinstance(entry, dict) else {}
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a JSON value is a number; true and false are none."""
+    """Return whether a JSON value is a number; booleans are not."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
-    """An object of the JSON, and where it is."""
+class JsonItem:
+    """An object of the JSON with its pointer."""
 
     values: dict[str, Any]
     pointer: str  # empty of the file as a whole
-    notes: Notes
+    notes: FileNotices
 
     def at(self, key: str) -> str:
         """Return the pointer of a property."""
         return f"{self.pointer}/{escaped(key)}"
 
     def fail(self, key: str, message: str, code: str = "GLT005") -> NoReturn:
-        """Refuse a property."""
+        """Raise a `FormatError` about a property."""
         self.notes.fail(code, self.at(key), message)
 
     def missing(self, key: str) -> NoReturn:
-        """Refuse the object, which lacks a property."""
+        """Raise a `FormatError` about a missing property."""
         message = f"the required property {key!r} is missing"
         self.notes.fail("GLT005", self.pointer or "/", message)
 
     def number(self, key: str) -> int | None:
-        """Return an integer; 1.0 is one. None where it is missing."""
+        """Return an integer, also if written 1.0; None if missing."""
         if key not in self.values:
             return None
         value = self.values[key]
@@ -101,7 +66,7 @@ class Item:
         return self.fail(key, f"{key} must be an integer, not {excerpt(repr(value))}")
 
     def size(self, key: str, default: int | None = None, least: int = 0) -> int:
-        """Return a count, an offset or a length, not below the least."""
+        """Return a count, offset or length, checked against a minimum."""
         value = self.number(key)
         if value is None:
             if default is None:
@@ -112,7 +77,7 @@ class Item:
         return value
 
     def index(self, key: str, count: int, what: str) -> int:
-        """Return an index of a list of the file; -1 where it is missing."""
+        """Return an index into a list of the file; -1 if missing."""
         value = self.number(key)
         if value is None:
             return -1
@@ -120,7 +85,7 @@ class Item:
         return value
 
     def check_index(self, key: str, value: int, count: int, what: str) -> None:
-        """Refuse an index to nothing."""
+        """Raise for an index out of range."""
         if not 0 <= value < count:
             there = f"0 to {count - 1}" if count else "none"
             self.fail(
@@ -128,36 +93,38 @@ class Item:
             )
 
     def indices(self, key: str, count: int, what: str) -> list[int]:
-        """Return a list of indices; empty where it is missing."""
-        found = self.list_of(key)
-        for i, value in enumerate(found):
-            whole = is_number(value) and math.isfinite(value) and value == int(value)
-            if not whole:
+        """Return a list of indices; empty if missing."""
+        entries = self.list_of(key)
+        for i, value in enumerate(entries):
+            is_integer = (
+                is_number(value) and math.isfinite(value) and value == int(value)
+            )
+            if not is_integer:
                 self.fail(
                     f"{key}", f"entry {i} is {excerpt(repr(value))}, not an integer"
                 )
             if not 0 <= value < count:
                 message = f"{what} {int(value)} does not exist"
                 self.notes.fail("GLT006", f"{self.at(key)}/{i}", message)
-        return [int(value) for value in found]
+        return [int(value) for value in entries]
 
     def floats(self, key: str, size: int | None) -> list[float] | None:
-        """Return a list of numbers of a size; None where it is missing."""
+        """Return a list of numbers of a length; None if missing."""
         if key not in self.values:
             return None
-        found = self.list_of(key)
-        if size is not None and len(found) != size:
-            self.fail(key, f"{key} must have {size} numbers, not {len(found)}")
-        for i, value in enumerate(found):
+        entries = self.list_of(key)
+        if size is not None and len(entries) != size:
+            self.fail(key, f"{key} must have {size} numbers, not {len(entries)}")
+        for i, value in enumerate(entries):
             if not is_number(value):
                 self.fail(key, f"{excerpt(repr(value))} is not a number")
-            if not abs(value) <= LARGEST:
+            if not abs(value) <= FLOAT32_LIMIT:
                 message = f"{value} is outside the range of a float32"
                 self.notes.fail("GLT010", f"{self.at(key)}/{i}", message)
-        return [float(value) for value in found]
+        return [float(value) for value in entries]
 
     def text(self, key: str) -> str | None:
-        """Return a text; None where it is missing."""
+        """Return a string; None if missing."""
         value = self.values.get(key)
         if value is None and key == "name" and key in self.values:
             self.notes.warn("GLT106", self.at(key), "a name of null is ignored")
@@ -166,14 +133,14 @@ class Item:
         return value
 
     def flag(self, key: str) -> bool:
-        """Return a truth value; false where it is missing."""
+        """Return a boolean; False if missing."""
         value = self.values.get(key, False)
         if not isinstance(value, bool):
             self.fail(key, f"{key} must be true or false, not {excerpt(repr(value))}")
         return value
 
     def list_of(self, key: str) -> list[Any]:
-        """Return a list; empty where it is missing. An empty one is warned about."""
+        """Return a list; empty if missing. Warn about an empty one."""
         if key not in self.values:
             return []
         value = self.values[key]
@@ -183,35 +150,37 @@ class Item:
             self.notes.warn("GLT106", self.at(key), "an empty list is ignored")
         return value
 
-    def child(self, key: str) -> Item | None:
-        """Return an object below; None where it is missing."""
+    def child(self, key: str) -> JsonItem | None:
+        """Return a child object; None if missing."""
         if key not in self.values:
             return None
         value = self.values[key]
         if not isinstance(value, dict):
             self.fail(key, f"{key} must be an object, not {excerpt(repr(value))}")
-        return Item(value, self.at(key), self.notes)
+        return JsonItem(value, self.at(key), self.notes)
 
-    def required(self, key: str) -> Item:
-        """Return an object below, which must be there."""
+    def required(self, key: str) -> JsonItem:
+        """Return a child object; raise if missing."""
         return self.child(key) or self.missing(key)
 
-    def children(self, key: str) -> list[Item]:
-        """Return a list of objects; empty where it is missing."""
+    def children(self, key: str) -> list[JsonItem]:
+        """Return a list of objects; empty if missing."""
         return list(self._children(key))
 
-    def _children(self, key: str) -> Iterator[Item]:
+    def _children(self, key: str) -> Iterator[JsonItem]:
         pointer = self.at(key)
         for i, value in enumerate(self.list_of(key)):
             if not isinstance(value, dict):
                 message = f"must be an object, not {excerpt(repr(value))}"
                 self.notes.fail("GLT005", f"{pointer}/{i}", message)
-            yield Item(value, f"{pointer}/{i}", self.notes)
+            yield JsonItem(value, f"{pointer}/{i}", self.notes)
 
-    def extension(self, name: str) -> Item | None:
-        """Return an extension of the object; None where it has none of that name."""
+    def extension(self, name: str) -> JsonItem | None:
+        """Return an extension of the object; None if it has none of the name."""
         extensions = self.values.get("extensions")
-        found = extensions.get(name) if isinstance(extensions, dict) else None
-        if not isinstance(found, dict):
+        extension = extensions.get(name) if isinstance(extensions, dict) else None
+        if not isinstance(extension, dict):
             return None
-        return Item(found, f"{self.pointer}/extensions/{escaped(name)}", self.notes)
+        return JsonItem(
+            extension, f"{self.pointer}/extensions/{escaped(name)}", self.notes
+        )
