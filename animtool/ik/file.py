@@ -94,7 +94,7 @@ class _TargetsReader:
             self.last,
             tuple(goals),
             tuple(self.document.notices),
-            self.document.place(("fps",)),
+            self.document.position(("fps",)),
         )
 
     def _units(self) -> ClipUnits:
@@ -117,7 +117,7 @@ class _TargetsReader:
             return None
 
     def _range(self) -> tuple[Fraction | None, Fraction | None]:
-        if self.model.range is None or self.document.doubtful(("range",)):
+        if self.model.range is None or self.document.is_placeholder(("range",)):
             return None, None
         first, last = self.model.range
         return checked_range(self.document, first, last)
@@ -163,7 +163,7 @@ class _TargetsReader:
             tuple(spans),
             model.ease,
             frozenset(parts_to_hold),
-            location=self.document.place(at),
+            location=self.document.position(at),
             during=tuple(during),
         )
 
@@ -183,7 +183,7 @@ class _TargetsReader:
                 return chain.tip, chain
         if name in self.rig.names:
             return name, None
-        if not self.document.doubtful(at):
+        if not self.document.is_placeholder(at):
             known = [*(chain.name for chain in self.rig.chains), *self.rig.names]
             message = f"{name!r} is neither a chain nor a joint of {self.rig.name!r}"
             self.document.add("TGT001", at, message, nearest(name, known))
@@ -214,7 +214,7 @@ class _TargetsReader:
     ) -> list[tuple[float, float]]:
         spans: list[tuple[float, float, int]] = []
         for i, span in enumerate(pairs):
-            if self.document.doubtful((*at, i)):
+            if self.document.is_placeholder((*at, i)):
                 continue
             first, last = span
             if first > last:
@@ -251,7 +251,7 @@ class _TargetsReader:
     ) -> dict[str, Value]:
         """Return the weights of the parts; constant weights of 1 are left out."""
         if not isinstance(model, WeightsModel):
-            if model == 0 and not self.document.doubtful(at):
+            if model == 0 and not self.document.is_placeholder(at):
                 hint = "remove the goal"
                 self.document.add("TGT002", at, "a weight of 0 has no effect", hint)
             if model == 1:

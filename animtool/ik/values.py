@@ -254,7 +254,7 @@ class ValueReader:
         self, at: Location, model: list[float] | str | ValueModel | None, key: str
     ) -> Value | None:
         """Return a value; None if absent or faulty."""
-        if model is None or self.document.doubtful(at):
+        if model is None or self.document.is_placeholder(at):
             return None
         if isinstance(model, str):
             return self._rows(at, model, key)
@@ -369,7 +369,7 @@ class ValueReader:
             message += "numbers"
             self.document.add("TGT007", at, message)
             return None
-        location = self.document.place(at)
+        location = self.document.position(at)
         if values.shape[1] == 3:
             return ArrayRows(text, values * self.units.length, first, location)
         rotations, wrong = file_quaternions(values)

@@ -21,7 +21,7 @@ from animtool.rig.driving import (
     evaluate_drivers,
 )
 from animtool.rig.limits import RangeLimit
-from animtool.rig.shapes import combined_weights, own_weights
+from animtool.rig.shapes import combined_weights, uncombined_weights
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 # Smaller differences are float32 rounding [rad], [m]; of weights and controls [1].
@@ -247,7 +247,7 @@ class DriverRun:
         if motion.weights is not None:
             channel = motion.weights
             old = {s.name: _column(channel, i) for i, s in enumerate(shapes)}
-        independent = own_weights(shapes, old) | done.shapes
+        independent = uncombined_weights(shapes, old) | done.shapes
         new = combined_weights(shapes, independent)
         index = {shape.name: i for i, shape in enumerate(shapes)}
         changed = dict.fromkeys([*done.shapes, *plan.combined])

@@ -28,7 +28,7 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     if rotation is None:
         return stream
     quaternion = np.array(rotation)
-    turned = _placed_stream(stream, Placement.turn(quaternion), up)
+    turned = _placed_stream(stream, Placement.from_rotation(quaternion), up)
     turned.tracks = tuple(rotated_track(track, quaternion) for track in stream.tracks)
     return turned
 
@@ -72,7 +72,7 @@ def _placed_blocks(
 
 def rotated_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
     """Return a rig with its roots at rest rotated ``(4,)`` to an up axis."""
-    return placed_rig(rig, Placement.turn(rotation), up)
+    return placed_rig(rig, Placement.from_rotation(rotation), up)
 
 
 def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
@@ -100,7 +100,7 @@ def _placed(
     channel: Channel, roots: IntArray, placement: Placement, *, rotates: bool
 ) -> Channel:
     """Return a channel with its roots placed and its lengths scaled."""
-    operation = placement.turns if rotates else placement.points
+    operation = placement.rotated if rotates else placement.points
     rest, values = channel.rest.copy(), channel.values.copy()
     moving = np.isin(channel.animated, roots)
     if placement.size != 1.0 and not rotates:

@@ -127,7 +127,7 @@ def placed(transforms: Transforms, placement: Placement) -> Transforms:
         matrices[:, :3, 3] = placement.translations
         return below_matrices(transforms, matrices)
     points = placement.points(transforms.translations[:, None])[:, 0]
-    rotations = placement.turns(transforms.rotations[:, None])[:, 0]
+    rotations = placement.rotated(transforms.rotations[:, None])[:, 0]
     scales = transforms.scales
     if (placement.sizes != 1.0).any():
         scales = placement.sizes[:, None] * scales
@@ -152,5 +152,5 @@ def placed_track(track: Track, placement: Callable[[FloatArray], Placement]) -> 
 
 def rotated_track(track: Track, rotation: FloatArray) -> Track:
     """Return a track rotated by a quaternion ``(4,)``."""
-    placement = Placement.turn(rotation)
+    placement = Placement.from_rotation(rotation)
     return placed_track(track, lambda _: placement)

@@ -9,7 +9,7 @@ import pytest
 from support.marked import FIGURE, TEMPLATE, captured, column, moving
 
 from animtool.capture.markers.fill import fill
-from animtool.capture.markers.skeleton import Subject
+from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.capture.options import FillOptions
 from animtool.capture.templates import MarkerTemplate
 from animtool.core.array_types import FloatArray
@@ -20,7 +20,7 @@ from animtool.motion.markers import Markers
 FPS, FRAMES = 100.0, 160
 GONE = slice(60, 90)
 TRUTH = captured(moving(FRAMES, FPS, 4), FPS).markers
-SUBJECT = Subject(FIGURE, TEMPLATE)
+SUBJECT = MarkerSubject(FIGURE, TEMPLATE)
 # Elbows that reach their limits turn at a corner, which is near a spike.
 KEEP = FillOptions(keep_spikes=True)
 
