@@ -14,6 +14,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.files.reading import open_input, unreadable
+from animtool.core.files.signatures import expects
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.similar import distinct
 from animtool.core.units import LengthUnit, UpAxis
@@ -35,6 +36,7 @@ MAX_NAMED = 4
 NO_LENGTH = 1e-4
 
 
+@expects("BVH001", "a BVH file")
 def read_bvh(
     path: Path | str,
     *,
@@ -119,6 +121,7 @@ def read_bvh(
     return stream
 
 
+@expects("BVH001", "a BVH file")
 def read_bvh_rig(path: Path) -> Rig:
     """Return the skeleton of a BVH file in centimetres, without reading its rows."""
     return read_bvh(path).rig
