@@ -131,7 +131,7 @@ def _unmatched(
     near = [
         f"{name!r} is near {found!r}"
         for name in template.names
-        if (found := similar(name, bare))
+        if (guess := similar(name, bare))
     ]
     hint = "; ".join(near[:SHOWN])
     if not near:
