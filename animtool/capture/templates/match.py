@@ -129,7 +129,7 @@ def _unmatched(
         return Fault("SOL001", message, hint=hint)
     bare = [_split(name)[1] for name in labelled]
     near = [
-        f"{name!r} is near {found!r}"
+        f"{name!r} is near {guess!r}"
         for name in template.names
         if (guess := similar(name, bare))
     ]
