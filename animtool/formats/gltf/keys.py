@@ -8,7 +8,7 @@ from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted
-from animtool.formats.gltf.animations import GltfTrack, GltfInterpolation, TargetPath
+from animtool.formats.gltf.animations import GltfInterpolation, GltfTrack, TargetPath
 from animtool.formats.gltf.rig import GltfRig
 from animtool.formats.gltf.sampling import NEAR, GltfSampler, MovingRow
 from animtool.formats.gltf.timing import GltfFrames
