@@ -139,8 +139,6 @@ def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
     numbers = size / rig.meters_per_unit
     low, high = PERSON_METERS
     fitting = [unit for unit in LengthUnit if low <= numbers * unit.meters <= high]
-    if stated is not None and not fitting:
-        return []
     unit = stated or LengthUnit.CM
     message = (
         f"the skeleton spans {numbers:.4g}, which is not plausible for a character in "
@@ -152,7 +150,8 @@ def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
             f"with {argument('source.unit', fitting[0])} it would be "
             f"{numbers * fitting[0].meters:.2g} m"
         )
-    return [Fault("RIG217", message, path, (), hint, Severity.NOTE)]
+    severity = Severity.NOTE if stated is None else Severity.WARNING
+    return [Fault("RIG217", message, path, (), hint, severity)]
 
 
 def _rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
