@@ -35,10 +35,10 @@ from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import (
     IgnoreModel,
+    Integer,
+    IntegerFrame,
     Name,
     Real,
-    Whole,
-    WholeFrame,
     key,
     with_fields,
 )
@@ -119,14 +119,14 @@ class LimitsModel(FileModel):
 
 @with_fields(
     BakeOptions,
-    place="batch",
+    file_kind="batch",
     order=(
         *("rig", "units", "up", "positions", "source_fps", "clamp", "fps", "range"),
         *("start", "as", "rig_layer", "force_fit", "prim_path", "to_units", "to_up"),
         *("sparse", "bones", "reduce", "reduce_at", "strict"),
     ),
 )
-@with_fields(SourceOptions, place="batch")
+@with_fields(SourceOptions, file_kind="batch")
 class OptionsModel(FileModel):
     """How to bake the inputs, where no scene says it."""
 
@@ -168,13 +168,13 @@ class BatchModel(FileModel):
         "edit.otio",
         default=None,
     )
-    handles: Annotated[WholeFrame, Ge(0)] | None = key(
+    handles: Annotated[IntegerFrame, Ge(0)] | None = key(
         "Frames before and after each cut of the timeline. Default: its "
         "`metadata.animtool`, else 0.",
         8,
         default=None,
     )
-    cut_start: WholeFrame | None = key(
+    cut_start: IntegerFrame | None = key(
         "First frame of each cut of the timeline, after the handles. Default: its "
         "`metadata.animtool`, else shots begin at `start`.",
         1001,
@@ -216,7 +216,7 @@ class BatchModel(FileModel):
     limits: LimitsModel = key(
         "Limits of each item.", {"seconds": 60, "memory": "2GB"}, default=LimitsModel()
     )
-    jobs: Annotated[Whole, Ge(1), Le(1024)] | Literal["auto"] = key(
+    jobs: Annotated[Integer, Ge(1), Le(1024)] | Literal["auto"] = key(
         "Number of processes; `auto` is one per processor.",
         4,
         default="auto",
@@ -243,7 +243,9 @@ def rows_of_document(
         columns = reader.columns(variants)
         # Of faulty values not all are there.
         table = None if len(document.faults) > before else reader.combined(columns)
-    return None if len(document.faults) > before or document.doubtful(AT) else table
+    return (
+        None if len(document.faults) > before or document.is_placeholder(AT) else table
+    )
 
 
 class _Reader:

@@ -31,7 +31,7 @@ from animtool.core.files.reading import open_input, read_input
 # Longer than the longest path that any system has.
 MAX_TEXT = 40_000
 # What sizes, times and inodes have room in.
-MAX_WHOLE = 2**64
+MAX_INTEGER = 2**64
 
 
 class RecordError(ValueError):
@@ -103,7 +103,7 @@ def texts_in(record: Mapping[str, Any], key: str) -> list[str]:
 
 
 def whole_in(
-    record: Mapping[str, Any], key: str, low: int = 0, high: int = MAX_WHOLE
+    record: Mapping[str, Any], key: str, low: int = 0, high: int = MAX_INTEGER
 ) -> int:
     """Return the whole number of a key."""
     value = record.get(key)

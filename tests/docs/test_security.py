@@ -29,7 +29,7 @@ def test_its_limits_are_those_of_the_code(page: str) -> None:
     assert f"{yaml_values.LONGEST_KEY:,} and {variables.LONGEST:,} letters" in page
     assert fields.MAX_NUMBER == 1e18
     assert fields.MAX_FRAME == 1e9
-    assert fields.MAX_WHOLE == 2**53
+    assert fields.MAX_INTEGER == 2**53
     assert "±1e18; frames ±1e9; whole numbers ±2^53" in page
     assert f"reported of a file | {MAX_FAULTS} |" in page
     assert f"{archive.MAX_BYTES // 10**9} GB as float64; {archive.MAX_RATIO} " in page

@@ -16,7 +16,7 @@ Inverse masses ``(N,)`` are 0 for pinned particles; ``drags`` ``(N,)`` are [1/s]
 of the ``triangles`` ``(T, 3)`` are per area and squared speed. Over the times of ``knots``
 ``(K,)``: positions of ``held`` (pinned) particles ``(K or 1, P, 3)``; target points of
 ``anchors`` ``(K or 1, A, 3)``; the wind ``(K or 1, 1, 3)``.)");
-  define_made(network,
+  define_class(network,
          Field{"inverse_masses", &A::inverse_masses}, Field{"drags", &A::drags},
          Field{"ends", &A::ends}, Field{"rest", &A::rest}, Field{"stiffness", &A::stiffness},
          Field{"damping", &A::damping}, Field{"limit", &A::limit},

@@ -96,12 +96,12 @@ def place_of_entry(
     """Return a place in a document, with those of the keys that its model was given."""
     keys = {}
     for name in () if model is None else sorted(model.model_fields_set):
-        keys[name] = document.place((*at, name))
+        keys[name] = document.position((*at, name))
         value = getattr(model, name)
         for i in range(len(value)) if isinstance(value, list) else ():
             if isinstance(value[i], FileModel):
-                keys[f"{name}[{i}]"] = document.place((*at, name, i))
-    return Place(document.path, *document.place(at), spelled(at), keys)
+                keys[f"{name}[{i}]"] = document.position((*at, name, i))
+    return Place(document.path, *document.position(at), spelled(at), keys)
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,7 +121,7 @@ def _expand_short_forms(document: Document) -> None:
         full["range"] = [int(ends[1]), int(ends[2])]
     if full:
         # The places of values are numbered as they are in the file.
-        document.place(())
+        document.position(())
         value.update(full)
 
 

@@ -25,9 +25,9 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Frame,
     IgnoreModel,
+    IntegerFrame,
     Name,
     Real,
-    WholeFrame,
     check_numbers,
     key,
     with_fields,
@@ -51,7 +51,7 @@ class TracksModel(FileModel):
 
 @with_fields(
     SourceOptions,
-    place="scene",
+    file_kind="scene",
     order=(
         *("file", "units", "up", "fps", "prim", "take", "remap", "dropped", "clamp"),
         *("template", "cameras", "positions"),
@@ -154,18 +154,18 @@ class ShotModel(FileModel):
         1001,
         default=None,
     )
-    cut: Annotated[list[WholeFrame], Len(2, 2)] = key(
+    cut: Annotated[list[IntegerFrame], Len(2, 2)] = key(
         "First and last frame of the cut; frames that the take does not have are "
         "held and reported.",
         [1009, 1090],
     )
-    handles: Annotated[WholeFrame, Ge(0)] = key(
+    handles: Annotated[IntegerFrame, Ge(0)] = key(
         "Frames to write before and after the cut; frames that the take does not "
         "have are held and reported.",
         8,
         default=0,
     )
-    preroll: Annotated[WholeFrame, Ge(0)] = key(
+    preroll: Annotated[IntegerFrame, Ge(0)] = key(
         "Frames before the handles, in which passes with state start; they are not "
         "written.",
         20,
@@ -175,7 +175,7 @@ class ShotModel(FileModel):
 
 @with_fields(
     BakeOptions,
-    place="scene",
+    file_kind="scene",
     order=(
         *("file", "as", "take", "rig_layer", "force_fit", "prim_path", "start"),
         *("samples", "sparse", "bones", "keep_curves", "reduce", "reduce_at", "deform"),
@@ -227,7 +227,7 @@ class SceneModel(FileModel):
         24,
         default=None,
     )
-    range: Annotated[list[WholeFrame], Len(2, 2)] | None = key(
+    range: Annotated[list[IntegerFrame], Len(2, 2)] | None = key(
         "First and last frame to write, in frame numbers of the output. Default: all.",
         [1001, 1040],
         default=None,

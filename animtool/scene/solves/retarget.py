@@ -18,7 +18,7 @@ from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.values import picked
 from animtool.motion.driving import driven_stream
-from animtool.motion.reorient import off_its_place
+from animtool.motion.reorient import at_stage_origin
 from animtool.motion.take import TakeStream
 from animtool.retarget.map import JointMap, map_text
 from animtool.retarget.motion import Retargeting
@@ -26,7 +26,7 @@ from animtool.retarget.options import RetargetOptions
 from animtool.retarget.report import RetargetReport
 from animtool.retarget.take_pass import checked_blocks, onto_rig
 from animtool.retarget.verdict import FrameNumbers, Verdict
-from animtool.rig.placed import at_origin, standing_notice
+from animtool.rig.placed import at_origin, placement_notice
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
@@ -93,7 +93,7 @@ class RetargetResult:
             {
                 "source": ours[pair.source],
                 "target": theirs[pair.target],
-                **picked(pair, "role found confidence"),
+                **picked(pair, "role found=evidence confidence"),
             }
             for pair in self.joint_map.pairs
         ]
@@ -185,8 +185,8 @@ def _without_place(stream: TakeStream, job: RetargetJob) -> TakeStream:
     own = open_target(layer, job.bake.prim_path).placement()
     if own.uneven or own.stands.is_none:
         return stream
-    said = standing_notice(rig, str(job.source), kept=False, over=own.stands)
-    return replace(off_its_place(stream), notices=stream.notices + said)
+    said = placement_notice(rig, str(job.source), kept=False, over=own.stands)
+    return replace(at_stage_origin(stream), notices=stream.notices + said)
 
 
 def _retargeted(

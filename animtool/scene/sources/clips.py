@@ -89,7 +89,7 @@ def _located(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
         if notice.frame is not None:
             (before,) = np.nonzero(key_times(channel) <= notice.frame)
             at = (*at, "keys", int(before[-1]) if len(before) else 0)
-        line, column = document.place(at)
+        line, column = document.position(at)
         return replace(
             notice.fault,
             path=str(document.path),
@@ -124,7 +124,7 @@ def _frame_count(file: ClipFile, clip: Clip) -> int:
         return clip.frame_count()
     except FormatError as error:
         at = ("channels",) if file.model.range is None else ("range",)
-        line, column = file.document.place(at)
+        line, column = file.document.position(at)
         path = str(file.document.path)
         faults = [
             replace(fault, path=path, lines=(line,), column=column, where=at[0])

@@ -1,4 +1,4 @@
-"""The keys of a flock in a scene file, as models."""
+"""Keys of flocks in scene files."""
 
 from __future__ import annotations
 
@@ -6,34 +6,28 @@ from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 from annotated_types import Ge, Gt, Le, Len
-from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
+    Integer,
     Name,
     NotNegative,
     Positive,
     Real,
     Vector,
-    Whole,
     key,
 )
 from animtool.systems.framework.fields import (
-    Characters,
-    Colliders,
     EmitterShapeEntry,
-    Forces,
     Integrator,
-    Meshes,
     PlacedModel,
     Seed,
     Shows,
     StartPoints,
-    Surfaces,
     Tolerance,
     Velocities,
 )
-from animtool.systems.framework.spec import SystemSpec
+from animtool.systems.framework.spec import CollidingSpec
 
 
 class VisionModel(FileModel):
@@ -45,7 +39,7 @@ class VisionModel(FileModel):
         300,
         default=360.0,
     )
-    nearest: Annotated[Whole, Ge(1), Le(10_000)] | None = key(
+    nearest: Annotated[Integer, Ge(1), Le(10_000)] | None = key(
         "Number of nearest neighbours to follow. Default: all that are visible.",
         7,
         default=None,
@@ -148,7 +142,7 @@ class SpeciesModel(PlacedModel):
     """Members of one kind: where they begin, and what they do."""
 
     name: Name = key("Its name.", "starling")
-    count: Annotated[Whole, Ge(0), Le(2 * 10**6)] = key("How many.", 500, default=100)
+    count: Annotated[Integer, Ge(0), Le(2 * 10**6)] = key("How many.", 500, default=100)
     place: EmitterShapeEntry = key(
         "Start region: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"box": {"size": [6, 2, 6]}},
@@ -242,7 +236,7 @@ class DomainModel(FileModel):
     )
 
 
-class FlocksModel(SystemSpec):
+class FlocksModel(CollidingSpec):
     """Flocks: members see each other, and attract, align and repel."""
 
     methods: ClassVar[Sequence[str]] = ("symplectic_euler", "midpoint", "heun", "rk4")
@@ -251,11 +245,6 @@ class FlocksModel(SystemSpec):
     species: Annotated[list[SpeciesModel], Len(1, 100)] = key(
         "Who flies.", [{"name": "starling", "count": 200}]
     )
-    forces: Forces = Field([])
-    colliders: Colliders = Field([])
-    characters: Characters = Field([])
-    systems: Surfaces = Field([])
-    meshes: Meshes = Field([])
     domain: DomainModel | None = key(
         "Bounding box of the flock.", {"size": [40, 10, 40]}, default=None
     )

@@ -1,9 +1,9 @@
-"""The keys of rigid bodies in a scene file, as models."""
+"""Keys of rigid bodies in scene files."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, TypeAlias, get_args
 
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field
@@ -11,29 +11,28 @@ from pydantic import Field
 from animtool.core.errors import Problem
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
+    Integer,
     Name,
     NotNegative,
     Positive,
     Quaternion,
     Real,
     Vector,
-    Whole,
     key,
 )
 from animtool.systems.framework.fields import (
     ArrayEntry,
-    Characters,
-    Colliders,
     Forces,
-    Meshes,
     PhysicsStageModel,
     PlacedModel,
     PrototypeModel,
     ShapeEntry,
-    Surfaces,
 )
-from animtool.systems.framework.spec import SystemSpec
+from animtool.systems.framework.spec import CollidingSpec
 
+RotationMethod: TypeAlias = Literal[
+    "splitting", "rk4", "symplectic_euler", "explicit_euler"
+]
 Angles = Annotated[list[Annotated[Real, Ge(-180), Le(180)]], Len(2, 2)]
 
 
@@ -83,7 +82,7 @@ class PushModel(FileModel):
 class GridModel(FileModel):
     """Copies of a body in rows: a wall, a row of dominoes, a stack."""
 
-    count: Annotated[list[Annotated[Whole, Ge(1)]], Len(3, 3)] = key(
+    count: Annotated[list[Annotated[Integer, Ge(1)]], Len(3, 3)] = key(
         "Number along x, y and z of the body's frame.", [10, 8, 1]
     )
     spacing: Vector = key("Spacing [m].", [0.42, 0.2, 0])
@@ -282,15 +281,10 @@ class SleepModel(FileModel):
     time: Positive = key("Time below that speed [s].", 1, default=0.5)
 
 
-class RigidModel(SystemSpec):
+class RigidModel(CollidingSpec):
     """Rigid bodies of a scene, and joints; forces act at their centres of mass."""
 
-    methods: ClassVar[Sequence[str]] = (
-        "splitting",
-        "rk4",
-        "symplectic_euler",
-        "explicit_euler",
-    )
+    methods: ClassVar[Sequence[str]] = get_args(RotationMethod)
     code: ClassVar[str] = "SIM061"
 
     bodies: Annotated[list[BodyModel], Len(0, 100_000)] = key(
@@ -310,21 +304,17 @@ class RigidModel(SystemSpec):
         default=[],
     )
     forces: Forces = Field([{"gravity": None}])
-    colliders: Colliders = Field([])
-    characters: Characters = Field([])
-    systems: Surfaces = Field([])
-    meshes: Meshes = Field([])
-    method: Literal["splitting", "rk4", "symplectic_euler", "explicit_euler"] = key(
+    method: RotationMethod = key(
         "Integrator of free rotation: `splitting` conserves energy and momentum.",
         "rk4",
         default="splitting",
     )
-    substeps: Annotated[Whole, Ge(1), Le(1000)] = key(
+    substeps: Annotated[Integer, Ge(1), Le(1000)] = key(
         "Substeps in each step; contacts are found once per step.",
         16,
         default=8,
     )
-    iterations: Annotated[Whole, Ge(1), Le(10_000)] = key(
+    iterations: Annotated[Integer, Ge(1), Le(10_000)] = key(
         "Largest number of velocity iterations in half a substep; with fewer than "
         "some hundred contact points up to 32 times as many.",
         32,

@@ -220,12 +220,12 @@ def ties_of(pins: Framed, points: FloatArray) -> list[Pins | Targets]:
     for pin, frame in pins:
         positions, model = frame.to_world(pin.inside(frame, points)), pin.model
         if model.stiffness is None:
-            ties.append(Pins(pin.particles, positions, frame.moments))
+            ties.append(Pins(pin.particles, positions, frame.sample_times))
             continue
         each = np.ones(len(pin.particles))
         stiffness, damping = model.stiffness * each, model.damping * each
         ties.append(
-            Targets(pin.particles, positions, stiffness, damping, frame.moments)
+            Targets(pin.particles, positions, stiffness, damping, frame.sample_times)
         )
     return ties
 
