@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import Annotated
 
 from animtool.core.array_types import ArrayLike
-from animtool.core.options import Key, above, described, or_more
+from animtool.core.options import Key, above, inherits_docs, or_more
 from animtool.core.record import dataclass
 
 # Ranges of spring and air options.
@@ -14,7 +14,7 @@ _OfSpring = Annotated[float, or_more(0, "SIM042")]
 _OfAir = Annotated[float, or_more(0, "SIM050")]
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class Family:
     """Properties of a family of springs.
@@ -82,7 +82,7 @@ class Family:
     ] = None
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class Air:
     """Aerodynamic force on the triangles of a body.
@@ -123,7 +123,7 @@ class Solver(StrEnum):
     IMPLICIT_EULER = "implicit_euler"
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class SpringOptions:
     """How to simulate springs.
@@ -172,7 +172,7 @@ class SpringOptions:
     longest: Annotated[float, above(1, "SIM004")] = 10.0
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class SelfContact:
     """Self-contact of a surface: cloth in folds, rolls and layers.
