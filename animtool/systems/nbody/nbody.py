@@ -16,7 +16,7 @@ from animtool.sim.integrators.integrator import Control
 from animtool.sim.system import Energy
 from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
-from animtool.systems.framework.matter import PointMasses
+from animtool.systems.framework.matter import PointMasses, check_distinct
 from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.nbody.galaxies import built_galaxies
 from animtool.systems.nbody.spec import AttractorModel, NbodyModel
