@@ -283,16 +283,16 @@ def test_a_moving_mesh_pushes_strands() -> None:
     places = hanging(5)
     begin, end = np.array([0.0, -0.1, 0.08]), np.array([0.0, -0.1, 0.0])
     state, touched, inside, _ = run(places, colliders=moving_mesh(4, begin, end))
-    beside = (state[0] - end) / HALF
+    relative = (state[0] - end) / HALF
     assert touched > 0
     assert inside == 0
-    assert (np.abs(beside).max(axis=-1) > 1 - 1e-3).all()
+    assert (np.abs(relative).max(axis=-1) > 1 - 1e-3).all()
     free = run(places)[0]
     assert np.abs(state[0] - free[0]).max() > 0.005
 
 
 @pytest.mark.parametrize("threads", [2, 3])
-def test_threads_change_nothing_beside_a_moving_mesh(threads: int) -> None:
+def test_threads_change_nothing_with_a_moving_mesh(threads: int) -> None:
     places = np.repeat(hanging(5), 40, axis=0)
     begin, end = np.array([0.0, -0.1, 0.08]), np.array([0.0, -0.1, 0.0])
     colliders, flat = moving_mesh(4, begin, end), places.reshape(-1, 3)

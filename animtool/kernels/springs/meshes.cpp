@@ -248,7 +248,7 @@ void MovingSurface::measure(const double* begin, const double* end) {
     full_.spread = std::max(full_.spread, length(load(shifts_.data() + p) - full_.drift));
 }
 
-double MovingSurface::travel_beside(Vec drift, double fraction) const {
+double MovingSurface::relative_travel(Vec drift, double fraction) const {
   double most = 0;
   for (std::size_t p = 0; p < shifts_.size(); p += 3)
     most = std::max(most, length(load(shifts_.data() + p) * fraction - drift));

@@ -121,7 +121,7 @@ class MovingSurface {
   // The most that a point goes in the whole knot, and how its nearest point goes.
   double travel() const { return travel_; }
   // The largest displacement of a point beside a drift, over a fraction of the knot.
-  double travel_beside(collide::Vec drift, double fraction) const;
+  double relative_travel(collide::Vec drift, double fraction) const;
   const double* box() const { return bounds_.data(); }
   double margin() const { return numbers_[2]; }
   collide::Vec shift(const collide::Mesh& mesh, std::int32_t triangle, collide::Vec p) const;

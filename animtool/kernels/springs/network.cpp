@@ -109,6 +109,11 @@ void SpringNetwork::note_edges() {
       const auto [i, j] = std::minmax(triangles[t + k], triangles[t + (k + 1) % 3]);
       hit.push_back({i, j});
     }
+  // Without triangles these are ropes and strands: springs from a particle to the next.
+  for (std::size_t s = 0; triangles.empty() && s < lines.springs.size(); ++s) {
+    const auto [i, j] = std::minmax(lines.springs[s].i, lines.springs[s].j);
+    if (j == i + 1) hit.push_back({i, j});
+  }
   std::sort(hit.begin(), hit.end());
   hit.erase(std::unique(hit.begin(), hit.end()), hit.end());
   for (const auto& pair : hit) edges.insert(edges.end(), pair.begin(), pair.end());

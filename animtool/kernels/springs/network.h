@@ -93,7 +93,8 @@ class SpringNetwork {
   std::vector<double> inverse_masses, drags;
   SpringLines lines;
   std::vector<std::int32_t> triangles;
-  std::vector<std::int32_t> edges;  // of triangles, ends two by two, ascending
+  // Of triangles, or of ropes and strands without any: ends two by two, ascending.
+  std::vector<std::int32_t> edges;
   double longest_edge = 0;          // at rest, of those that are springs [m]
   double gravity[3];
   double air_drag, air_lift;

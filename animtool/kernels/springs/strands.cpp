@@ -100,7 +100,7 @@ class FrameColliders {
     const double ended = mesh.gone(double(step + 1) / substeps);
     built.lasts = ended - built.begun;
     built.collider = mesh.collider(ended);
-    built.shift = mesh.travel_beside(drift, built.lasts);
+    built.shift = mesh.relative_travel(drift, built.lasts);
     built.rod.friction = built.collider.friction;
     built.rod.rise = built.collider.depenetration * h_;
     store(drift, built.rod.travel);

@@ -120,18 +120,20 @@ def thin_notices(
     stretch: float,
     *,
     faces: bool = False,
+    edges: bool = False,
 ) -> list[Fault]:
     """Return a warning about colliders thinner than the particle gap (SIM195).
 
     Particles keep a radius from colliders [m]. The rest gap [m] grows by the stretch
     [1]. Faces are stopped by colliders, but faces that passed through each other may
-    have done so around the collider.
+    have done so around the collider. Edges alone are stopped by all but balls.
     """
     wide = gap * (1 + max(stretch, 0.0))
     thin = [
         (thickness(one), one.name or f"colliders[{i}]")
         for i, one in enumerate(colliders)
         if thickness(one) + 2 * radius < wide
+        and (faces or not edges or isinstance(one.shape, Sphere))
     ]
     if not thin:
         return []
@@ -147,6 +149,6 @@ def thin_notices(
         )
         message += "have passed through itself, as its self_contact is off"
         return [warning("SIM195", message, "set self_contact with a thickness")]
-    message += " only particles collide, so that it may pass through between them"
+    message += " it may pass through between them"
     hint = "use more particles, a thicker collider, or a larger radius"
     return [warning("SIM195", message, hint)]

@@ -109,10 +109,12 @@ class SpringView:
         met = simulation.system.faces_of(self.rows)
         if met and not notices:
             return notices
+        # Edges of ropes and strands collide too, but not with balls.
+        edges = not len(simulation.system.body.triangles)
         gap = widest_gap(body.shape, body.body.positions)
         colliders, radius = list(simulation.system.colliders), simulation.system.radius
         return notices + thin_notices(
-            name, colliders, radius, gap, simulation.stretch, faces=met
+            name, colliders, radius, gap, simulation.stretch, faces=met, edges=edges
         )
 
     @property

@@ -180,3 +180,46 @@ def test_stiff_ropes_that_fall_on_a_floor_come_to_lie(solver: Solver) -> None:
     assert motion.stats.status is Status.OK
     assert motion.positions[..., 2].min() > -0.99 - 1e-6
     assert motion.notices == ()
+
+
+# A rod of 2 cm below the middle of a segment of 10 cm, and what crosses it [m, m/s].
+ROD, SEGMENTS, SPACING = 0.01, 10, 0.1
+
+
+def thrown_rope(shape: object, speed: float, z: float = -0.15) -> SpringSystem:
+    """Return a level rope that goes down past a collider between two particles."""
+    line = rope(
+        [-0.5, 0, 0], [0.5, 0, 0], SEGMENTS + 1, Family(2e3, ratio=0.1), mass=0.01
+    )
+    down = np.tile([0.0, 0.0, -speed], (SEGMENTS + 1, 1))
+    poses = Poses.fixed(np.array([0.05, 0.0, z]), np.array(STILL[0]))
+    bar = Collider(shape, poses, friction=0.0)  # type: ignore[arg-type]
+    return SpringSystem(line, colliders=[bar], velocities=down)
+
+
+def nearest_to_rod(points: np.ndarray, z: float) -> float:
+    """Return the least distance of a rope from the middle of the rod [m]."""
+    a, b = points[:-1, [0, 2]], points[1:, [0, 2]]
+    along, off = b - a, np.array([0.05, z]) - a
+    share = np.clip((off * along).sum(axis=1) / (along**2).sum(axis=1), 0.0, 1.0)
+    return float(np.linalg.norm(off - share[:, None] * along, axis=1).min())
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("speed", [5.0, 20.0])
+@pytest.mark.parametrize(
+    "shape",
+    [Capsule(ROD, 1.0, (0.0, 1.0, 0.0)), Box((2 * ROD, 1.0, 2 * ROD))],
+    ids=["rod", "bar"],
+)
+def test_a_segment_of_a_rope_is_stopped_by_a_thin_rod(
+    solver: Solver, speed: float, shape: object
+) -> None:
+    z = -0.15
+    motion = run(thrown_rope(shape, speed, z), 2.5 * -z / speed, solver)
+    after = motion.positions[motion.times > 1.2 * -z / speed]
+    over = [np.interp(0.05, x[:, 0], x[:, 2]) for x in after]
+    # What is beside the rod goes on, and what is on it does not.
+    assert after[-1, 0, 2] < 1.2 * z
+    assert min(over) > z
+    assert min(nearest_to_rod(x, z) for x in after) > 0.9 * ROD
