@@ -167,8 +167,8 @@ def with_fields(
     methods belong in a subclass.
 
     Args:
-        record: A dataclass; the annotations of fields have a `Key`.
-        names: Fields, in the order of the keys; empty for every field with a `Key`
+        record: A dataclass whose fields are declared by `key` or `option`.
+        names: Fields, in the order of the keys; empty for every field with a key
             that the model lacks.
         file_kind: Kind of file whose names of the record's options are used.
         order: Order of keys; others come last. Empty keeps the record's order.
