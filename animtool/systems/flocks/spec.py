@@ -11,9 +11,9 @@ from animtool.core.options import key
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Integer, Name, NotNegative, Positive, Real, Vector
 from animtool.systems.framework.fields import (
+    EmitterShapeEntry,
     Integrator,
     PlacedModel,
-    PlaceEntry,
     Seed,
     Shows,
     StartPoints,
@@ -136,7 +136,7 @@ class SpeciesModel(PlacedModel):
 
     name: Name = key("Its name.", "starling")
     count: Annotated[Integer, Ge(0), Le(2 * 10**6)] = key("How many.", 500, default=100)
-    place: PlaceEntry = key(
+    place: EmitterShapeEntry = key(
         "Start region: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"box": {"size": [6, 2, 6]}},
         default={"sphere": {"radius": 2.0}},

@@ -13,10 +13,10 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.options import key
 from animtool.documents.fields import Real, with_fields
 from animtool.systems.framework.fields import (
+    EmitterShapeEntry,
     Integrator,
     MaxParticles,
     PlacedModel,
-    PlaceEntry,
     PrimName,
     RecordModel,
     SystemColliderModel,
@@ -37,7 +37,7 @@ class EmitterModel(PlacedModel, RecordModel):
     code: ClassVar[str] = "SIM021"
     makes: ClassVar[str] = "animtool.systems.particles.emitter:Emitter"
 
-    place: PlaceEntry = key(
+    place: EmitterShapeEntry = key(
         "Emitter shape: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"disc": {"radius": 0.2}},
         default={"point": None},
