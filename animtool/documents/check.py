@@ -13,10 +13,9 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, counted, excerpt
-from animtool.core.names import KINDS, nearest
+from animtool.core.names import KINDS, nearest, similar
 from animtool.core.options import Key
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.documents.document import Document, Location
 from animtool.documents.forms import form_hint
 from animtool.documents.other_words import AXES, OTHER_KEYS, OTHER_VALUES

@@ -9,9 +9,8 @@ from animtool.clip.clip import Clip
 from animtool.clip.keyed_curve import KeyedCurve
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
-from animtool.core.names import nearest
+from animtool.core.names import distinct, nearest
 from animtool.core.rates import FractionLike, rate_option
-from animtool.core.similar import distinct
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.fbx.clip_keys import clip_of_fbx
 from animtool.formats.fbx.rig import FbxRig, build_rig, scale_notice

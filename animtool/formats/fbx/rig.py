@@ -10,8 +10,8 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
+from animtool.core.names import distinct
 from animtool.core.record import dataclass
-from animtool.core.similar import distinct
 from animtool.formats.fbx.geometry import FbxGeometry, ShapeChannel, skin_table
 from animtool.formats.fbx.layers import ROTATION, SCALING, TRANSLATION
 from animtool.formats.fbx.poses import NodeTransforms, Row, RowKind, even_rows, rows_of

@@ -9,9 +9,9 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
+from animtool.core.names import distinct
 from animtool.core.quantities import CONTROL
 from animtool.core.record import dataclass
-from animtool.core.similar import distinct
 from animtool.core.units import UpAxis
 from animtool.formats.gltf.animations import TargetPath
 from animtool.formats.gltf.binding import Binder

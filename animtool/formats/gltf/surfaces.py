@@ -8,8 +8,8 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
+from animtool.core.names import distinct
 from animtool.core.record import dataclass
-from animtool.core.similar import distinct
 from animtool.formats.gltf.binding import Binder
 from animtool.formats.gltf.characters import CharacterNodes
 from animtool.formats.gltf.document import Gltf

@@ -10,8 +10,8 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, OptionError, Severity, naming
+from animtool.core.names import similar
 from animtool.core.rates import FractionLike, rate_option
-from animtool.core.similar import similar
 from animtool.core.units import unit_name
 from animtool.formats.mot.coordinates import (
     Coordinate,
