@@ -29,6 +29,7 @@ from animtool.batch.variants import (
 from animtool.core.config import project_roots
 from animtool.core.errors import excerpt
 from animtool.core.names import is_variable_name
+from animtool.core.options import key
 from animtool.core.readers import is_timeline
 from animtool.core.timecode import is_timecode
 from animtool.documents.check import FileModel, check_version, validated
@@ -39,7 +40,6 @@ from animtool.documents.fields import (
     IntegerFrame,
     Name,
     Real,
-    key,
     with_fields,
 )
 from animtool.documents.references import referred_input

@@ -14,7 +14,7 @@ from animtool.report.text import Each, Template
 
 if TYPE_CHECKING:
     from animtool.batch.executors import ListedExecutor
-    from animtool.core.format_table import ListedFormat
+    from animtool.core.plugins import ListedFormat
     from animtool.core.rules import ListedRule
     from animtool.motion.passes import ListedPass
 

@@ -13,8 +13,9 @@ from pydantic import Field, WrapValidator
 
 from animtool.clip.plain_keys import PlainKeys, plain_or_each
 from animtool.core.array_types import FloatArray
+from animtool.core.options import key
 from animtool.documents.check import FileModel
-from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector, key
+from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector
 from animtool.maths import curves, tangents
 from animtool.maths.euler import ORDERS
 

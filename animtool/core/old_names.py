@@ -1,15 +1,16 @@
-"""Old module names, which plug-ins and scripts may still import."""
+"""Old names of modules, attributes and arguments, which still work and warn."""
 
 from __future__ import annotations
 
 import sys
 import warnings
+from functools import wraps
 from importlib import import_module
 from importlib.machinery import ModuleSpec
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from types import ModuleType
 
 OLD_NAMES = {
@@ -70,6 +71,69 @@ class _OldNames:
         text = f"{module.__name__} is now called {new}"
         warnings.warn(text, DeprecationWarning, stacklevel=2)
         sys.modules[module.__name__] = import_module(new)
+
+
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
+
+class _OldAttribute:
+    """Descriptor of an old name: returns the attribute of the new name."""
+
+    def __init__(self, old: str, new: str) -> None:
+        self.old, self.new = old, new
+
+    def __get__(self, instance: Any, owner: type) -> Any:
+        """Return the attribute of the new name, with a warning."""
+        _warn(f"{owner.__name__}.{self.old}", self.new)
+        return getattr(owner if instance is None else instance, self.new)
+
+
+def rename_attributes(owner: type, **new_names: str) -> None:
+    """Give a class the old names of some of its attributes.
+
+    >>> class Box:
+    ...     size = 3
+    >>> rename_attributes(Box, extent="size")
+    >>> with warnings.catch_warnings(action="ignore"):
+    ...     Box().extent
+    3
+    """
+    for old, new in new_names.items():
+        setattr(owner, old, _OldAttribute(old, new))
+
+
+def renamed_arguments(
+    **new_names: str,
+) -> Callable[[Callable[Parameters, Result]], Callable[Parameters, Result]]:
+    """Return a decorator with which a function takes old names of its arguments.
+
+    >>> @renamed_arguments(extent="size")
+    ... def half(size: float) -> float:
+    ...     return size / 2
+    >>> with warnings.catch_warnings(action="ignore"):
+    ...     half(extent=3.0)
+    1.5
+    """
+
+    def decorated(
+        function: Callable[Parameters, Result],
+    ) -> Callable[Parameters, Result]:
+        @wraps(function)
+        def call(*args: Parameters.args, **named: Parameters.kwargs) -> Result:
+            for old, new in new_names.items():
+                if old in named:
+                    _warn(f"{function.__name__}({old}=)", new)
+                    named[new] = named.pop(old)
+            return function(*args, **named)
+
+        return call
+
+    return decorated
+
+
+def _warn(old: str, new: str) -> None:
+    warnings.warn(f"{old} is now called {new}", DeprecationWarning, stacklevel=3)
 
 
 # Last: nothing is looked up until an old name is imported.

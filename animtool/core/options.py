@@ -21,7 +21,6 @@ from typing import (
     TypeAlias,
     TypeVar,
     cast,
-    get_args,
     get_type_hints,
 )
 
@@ -189,22 +188,16 @@ FileKind: TypeAlias = Literal["scene", "batch"]
 def keys_of(record: Any, file_kind: FileKind | None = None) -> Mapping[str, Key]:
     """Return the keys of a record in a kind of file, by field.
 
-    Without a kind those of `key` and of annotations, which any file may have.
+    Without a kind those of `key`, which any file may have.
     """
     if file_kind is None:
-        return _keys(record)
+        return {
+            each.name: each.metadata["key"]
+            for each in fields(record)
+            if "key" in each.metadata
+        }
     keys = {name: getattr(o, file_kind) for name, o in options_of(record).items()}
     return {name: key for name, key in keys.items() if key is not None}
-
-
-@cache
-def _keys(record: Any) -> Mapping[str, Key]:
-    hints = get_type_hints(record, include_extras=True)
-    notes = {
-        each.name: (*get_args(hints[each.name]), each.metadata.get("key"))
-        for each in fields(record)
-    }
-    return {n: note for n in notes for note in notes[n] if isinstance(note, Key)}
 
 
 Record = TypeVar("Record")

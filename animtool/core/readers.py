@@ -13,8 +13,7 @@ from typing import Any, cast
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.files.reading import not_a_file_reason, open_input, unreadable
-from animtool.core.format_table import FormatTable, ListedFormat, suffix_text
-from animtool.core.plugins import load_object
+from animtool.core.plugins import FormatTable, ListedFormat, load_object, suffix_text
 from animtool.core.record import dataclass
 
 PLUGIN_GROUP = "animtool.readers"

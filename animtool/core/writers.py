@@ -12,9 +12,8 @@ from typing import Any, cast
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.reading import exists
-from animtool.core.format_table import FormatTable, ListedFormat, suffix_text
 from animtool.core.names import KINDS, is_named
-from animtool.core.plugins import load_object
+from animtool.core.plugins import FormatTable, ListedFormat, load_object, suffix_text
 from animtool.core.record import dataclass
 
 PLUGIN_GROUP = "animtool.writers"

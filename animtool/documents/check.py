@@ -5,16 +5,17 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import fields
-from typing import Any, TypeVar
+from dataclasses import MISSING, Field, fields
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import pydantic
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, counted, excerpt
-from animtool.core.names import KINDS, nearest
+from animtool.core.names import KINDS, nearest, similar
+from animtool.core.options import Key
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.documents.document import Document, Location
 from animtool.documents.forms import form_hint
 from animtool.documents.other_words import AXES, OTHER_KEYS, OTHER_VALUES
@@ -28,6 +29,11 @@ from animtool.documents.placeholders import (
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
 
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)
+
 # Faulty values to replace before checking stops.
 MAX_MENDED = 200
 
@@ -36,7 +42,25 @@ Record = TypeVar("Record")
 Located = list[tuple[Location, Fault]]  # faults with their locations in a value
 
 
-class FileModel(BaseModel):
+class _KeyedModels(ModelMetaclass):
+    """Metaclass of models whose fields are declared by `animtool.core.options.key`."""
+
+    def __new__(
+        cls, name: str, bases: tuple[type, ...], body: dict[str, Any], **options: Any
+    ) -> Any:
+        for at, value in body.items():
+            if isinstance(value, Field):
+                body[at] = model_field(value.metadata["key"], value.default)
+        return super().__new__(cls, name, bases, body, **options)
+
+
+def model_field(key: Key, default: Any = MISSING) -> Any:
+    """Return the field of a key in a model of a file."""
+    stated = {} if default is MISSING else {"default": default}
+    return pydantic.Field(description=key.description, examples=[key.example], **stated)
+
+
+class FileModel(BaseModel, metaclass=_KeyedModels):
     """Base model of a mapping: strict types, no unknown keys, finite numbers."""
 
     # Nested models are built with their parents, not again alone.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from inspect import get_annotations
 from typing import (
     Annotated,
@@ -20,10 +20,16 @@ from typing import (
 
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field, create_model
-from pydantic_core import PydanticUndefined
 
-from animtool.core.options import FileKind, Key, OptionKind, Range, keys_of, options_of
-from animtool.documents.check import FileModel
+from animtool.core.options import (
+    FileKind,
+    Key,
+    OptionKind,
+    Range,
+    keys_of,
+    options_of,
+)
+from animtool.documents.check import FileModel, model_field
 
 # The largest number in a file, in its own unit. The square of one is held by float32,
 # which USD has, in any unit; the product of sixteen by float64.
@@ -54,12 +60,9 @@ Vector = Annotated[list[Real], Len(3, 3)]
 Quaternion = Annotated[list[Real], Len(4, 4)]
 
 
-def key(text: str, example: Any, default: Any = PydanticUndefined) -> Any:
-    """Return the field of a key: description, example and default.
-
-    Without a default it is required. For records, see `animtool.core.options.key`.
-    """
-    return Field(default=default, description=text, examples=[example])
+def shared_key(text: str, example: Any) -> Any:
+    """Return the key of a type that several models share, for its `Annotated`."""
+    return model_field(Key(text, example))
 
 
 def check_numbers(value: Any) -> Any:
@@ -164,8 +167,8 @@ def with_fields(
     methods belong in a subclass.
 
     Args:
-        record: A dataclass; the annotations of fields have a `Key`.
-        names: Fields, in the order of the keys; empty for every field with a `Key`
+        record: A dataclass whose fields are declared by `key` or `option`.
+        names: Fields, in the order of the keys; empty for every field with a key
             that the model lacks.
         file_kind: Kind of file whose names of the record's options are used.
         order: Order of keys; others come last. Empty keeps the record's order.
@@ -235,10 +238,7 @@ def _is_infinite(default: Any) -> bool:
 def _definition(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
     """Return the type and the documentation of a key."""
     type_, default = _typed(record, name, key, ranges)
-    described: dict[str, Any] = {} if default is MISSING else {"default": default}
-    return type_, Field(
-        description=key.description, examples=[key.example], **described
-    )
+    return type_, model_field(key, default)
 
 
 def _typed(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:

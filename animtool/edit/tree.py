@@ -11,9 +11,8 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed
-from animtool.core.names import nearest
+from animtool.core.names import nearest, similar
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.motion import Channel

@@ -13,6 +13,7 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, naming
+from animtool.core.names import distinct
 from animtool.core.rates import (
     HIGHEST_WRITTEN_RATE,
     LOWEST_WRITTEN_RATE,
@@ -21,7 +22,6 @@ from animtool.core.rates import (
     rate_option,
 )
 from animtool.core.record import dataclass
-from animtool.core.similar import distinct
 from animtool.core.units import LengthUnit, UpAxis
 
 # Names of unlabelled points, besides an empty name.

@@ -11,8 +11,8 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, counted, excerpt
+from animtool.core.names import similar
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
 

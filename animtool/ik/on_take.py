@@ -13,7 +13,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.names import nearest
-from animtool.core.renamed import renamed_arguments
+from animtool.core.old_names import renamed_arguments
 from animtool.ik.chain_frame import parts_of, refuse_scales
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.options import TakeOptions

@@ -11,6 +11,7 @@ from annotated_types import Len
 from pydantic import Field, create_model
 
 from animtool.clip.schema import CurveModel, JoinModel, KeyModel
+from animtool.core.options import key
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     IgnoreModel,
@@ -20,7 +21,6 @@ from animtool.documents.fields import (
     Quaternion,
     Real,
     Vector,
-    key,
 )
 from animtool.ik.goals import KINDS, TargetValue
 

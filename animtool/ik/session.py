@@ -9,8 +9,8 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed
+from animtool.core.names import similar
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Goal, GoalKind, Targets, pack
 from animtool.ik.options import IkOptions
 from animtool.ik.problem import Problem, build, rest_pose

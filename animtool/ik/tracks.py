@@ -12,9 +12,9 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import MAX_FRAMES, Clock
 from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.old_names import rename_attributes
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.core.renamed import rename_attributes
 from animtool.ik.goals import KINDS, Goal, GoalKind, Targets, TargetValue
 from animtool.ik.limbs import limb_joints
 from animtool.ik.two_bone import bend

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt
-from animtool.core.similar import similar
+from animtool.core.names import similar
 from animtool.maths.curves import cubic_curves, evaluate
 from animtool.maths.tangents import auto_clamped
 

@@ -11,8 +11,8 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.old_names import rename_attributes
 from animtool.core.record import dataclass
-from animtool.core.renamed import rename_attributes
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 

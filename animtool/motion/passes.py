@@ -17,9 +17,9 @@ from typing import Any, ClassVar, TypeAlias, cast
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, excerpt, listed
+from animtool.core.names import similar
 from animtool.core.plugins import load_object, load_plugin, plugin_points
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.maths.curves import Curves
 from animtool.motion.driving import driven_stream, driven_take
 from animtool.motion.motion import Channel, Motion

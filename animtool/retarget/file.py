@@ -10,10 +10,11 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.core.names import nearest
+from animtool.core.options import key
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
-from animtool.documents.fields import IgnoreModel, Name, Real, key
+from animtool.documents.fields import IgnoreModel, Name, Real
 from animtool.retarget.map import TwistFraction
 from animtool.retarget.names import bare_names
 from animtool.retarget.roles import ROLES

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool.core.names import nearest
+from animtool.core.names import nearest, similar
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.references import referred, split_reference

@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 import numpy as np
 
 from animtool.core.errors import Fault, OptionError, circle
+from animtool.core.names import similar
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.rig.controls import Control, Drive
 from animtool.rig.drivers import (
     ANGLE,

@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 from annotated_types import Len
 from pydantic import Field
 
+from animtool.core.options import key
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Pair, Quaternion, Real, Vector, key
+from animtool.documents.fields import Name, Pair, Quaternion, Real, Vector, shared_key
 from animtool.rig.skeleton import ChannelName
 
 
@@ -84,19 +85,19 @@ _TYPE = "Degrees of freedom."
 # The coordinate of a pin or prismatic joint.
 _Axis = Annotated[
     Vector,
-    key("Direction in the joint's rest frame; any length.", [0.0, -1.0, 0.0]),
+    shared_key("Direction in the joint's rest frame; any length.", [0.0, -1.0, 0.0]),
 ]
 _Limits = Annotated[
     Pair | None,
-    key("Range of the coordinate. Default: no limit.", [0.0, 148.0]),
+    shared_key("Range of the coordinate. Default: no limit.", [0.0, 148.0]),
 ]
 _Mimic = Annotated[
     MimicModel | None,
-    key("The joint to follow.", {"joint": "crank", "gain": -1.0}),
+    shared_key("The joint to follow.", {"joint": "crank", "gain": -1.0}),
 ]
 _Driven = Annotated[
     DrivenModel | None,
-    key(
+    shared_key(
         "Sets the coordinate, in the file's units, in place of keys. Limits apply.",
         {"expr": "wrist_l.twist / 2"},
     ),

@@ -20,8 +20,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray, as_floats
+from animtool.core.names import LONGEST, similar
 from animtool.core.record import dataclass
-from animtool.core.similar import LONGEST, similar
 from animtool.maths import so3
 from animtool.rig.skeleton import WIDTHS, JointType, Rig
 

@@ -11,10 +11,11 @@ from annotated_types import Len
 
 from animtool.core.array_types import FloatArray
 from animtool.core.names import nearest
+from animtool.core.options import key
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
-from animtool.documents.fields import IgnoreModel, Name, Pair, Real, key
+from animtool.documents.fields import IgnoreModel, Name, Pair, Real
 from animtool.rig.shapes import arkit_name
 
 

@@ -10,16 +10,9 @@ from typing import Annotated, Literal
 from annotated_types import Len
 from pydantic import Field
 
+from animtool.core.options import key
 from animtool.documents.check import FileModel
-from animtool.documents.fields import (
-    IgnoreModel,
-    Name,
-    Pair,
-    Quaternion,
-    Real,
-    Vector,
-    key,
-)
+from animtool.documents.fields import IgnoreModel, Name, Pair, Quaternion, Real, Vector
 from animtool.rig.joint_schema import (
     JOINED,
     DrivenModel,

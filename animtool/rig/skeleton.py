@@ -14,10 +14,10 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
+from animtool.core.names import similar
 from animtool.core.plugins import load_object
 from animtool.core.readers import find_reader
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.core.units import UpAxis, unit_name
 from animtool.rig.controls import Control
 from animtool.rig.limits import BallLimit, RangeLimit

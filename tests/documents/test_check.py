@@ -8,9 +8,9 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.core.errors import Fault, FormatError
+from animtool.core.options import key
 from animtool.documents.check import MAX_MENDED, FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
-from animtool.documents.fields import key
 from animtool.documents.forms import Forms
 
 

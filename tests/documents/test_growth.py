@@ -10,7 +10,7 @@ import pytest
 from support.suite import some_quick
 
 from animtool.core.errors import AnimtoolError
-from animtool.core.similar import distinct, similar
+from animtool.core.names import distinct, similar
 from animtool.documents.document import read_document
 from animtool.documents.yaml_values import MAX_MARKS
 from animtool.formats.bvh.read import read_bvh

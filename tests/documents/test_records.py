@@ -10,16 +10,16 @@ from typing import Annotated
 import pytest
 from pydantic import Field, ValidationError
 
-from animtool.core.options import Key, above, or_more, range_faults
+from animtool.core.options import above, key, or_more, range_faults
 from animtool.documents.check import FileModel
 from animtool.documents.fields import record_of, with_fields
 
 
 @dataclass(frozen=True)
 class Cord:
-    mass: Annotated[float, above(0, "SIM040"), Key("Mass [kg].", 0.5)]
-    slack: Annotated[float | None, or_more(1, "SIM042"), Key("Slack.", 2)] = None
-    kind: Annotated[str, Key("Kind.", "silk", choices=("hemp", "silk"))] = "hemp"
+    mass: Annotated[float, above(0, "SIM040")] = key("Mass [kg].", 0.5)
+    slack: Annotated[float | None, or_more(1, "SIM042")] = key("Slack.", 2, None)
+    kind: str = key("Kind.", "silk", "hemp", choices=("hemp", "silk"))
 
 
 @with_fields(Cord, "kind", "mass", before="name")
@@ -87,9 +87,9 @@ def test_keys_of_the_model_before_stay_and_own_ones_count() -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Swing:
-    angle: Annotated[float, Key("[deg]", 30, read=math.radians)] = 0.0
-    pushes: Annotated[Sequence[tuple[float, int]], Key("Pushes.", [[0, 1]])] = ()
-    end: Annotated[float, above(0, "SIM040"), Key("Never, not given.", 2)] = math.inf
+    angle: float = key("[deg]", 30, 0.0, read=math.radians)
+    pushes: Sequence[tuple[float, int]] = key("Pushes.", [[0, 1]], ())
+    end: Annotated[float, above(0, "SIM040")] = key("Never, not given.", 2, math.inf)
     length: float = 1.0
 
 

@@ -19,17 +19,11 @@ from animtool.capture.cameras.camera import (
 )
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
+from animtool.core.options import key
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document
-from animtool.documents.fields import (
-    IgnoreModel,
-    Name,
-    Quaternion,
-    Real,
-    Vector,
-    key,
-)
+from animtool.documents.fields import IgnoreModel, Name, Quaternion, Real, Vector
 from animtool.maths.so3 import to_matrix
 
 # Largest side of an image [px].

@@ -16,9 +16,9 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, counted, listed
 from animtool.core.files.reading import open_input
+from animtool.core.names import similar
 from animtool.core.rates import FractionLike, rate_from_float, rate_option
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.documents.arrays import Archives
 
 # Arrays of pixels by name: unit of a number [px], and the number for invisible points.

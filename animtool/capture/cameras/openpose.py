@@ -32,9 +32,9 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, listed
 from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
+from animtool.core.names import similar
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 
 # People seen by several cameras are matched by rays and tracked over time.
 

@@ -12,10 +12,11 @@ from animtool.capture.face.model import BentShapes, FaceModel
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.config import project_roots
 from animtool.core.names import nearest
+from animtool.core.options import key
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
-from animtool.documents.fields import IgnoreModel, Name, Real, key
+from animtool.documents.fields import IgnoreModel, Name, Real
 from animtool.documents.references import referred_input
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Rig

@@ -11,10 +11,11 @@ from pydantic import Field
 from animtool.capture.templates.template import MarkerTemplate, TemplateMarker
 from animtool.core.config import project_roots
 from animtool.core.files.reading import exists
+from animtool.core.options import key
 from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
-from animtool.documents.fields import IgnoreModel, Name, Real, Vector, key
+from animtool.documents.fields import IgnoreModel, Name, Real, Vector
 from animtool.documents.references import missing_hint, referred
 
 # Largest distance of a marker from its joint; larger numbers are in another unit [m].

@@ -10,9 +10,8 @@ from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
 from animtool.core.array_types import IntArray
 from animtool.core.errors import Fault, OptionError, counted, listed
-from animtool.core.names import nearest
+from animtool.core.names import nearest, similar
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 
 # Names in a message.
 SHOWN = 6

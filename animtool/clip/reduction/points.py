@@ -14,8 +14,8 @@ from animtool.clip.reduction.keys import ChannelKind
 from animtool.clip.reduction.tracks import KeyTrack
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.names import similar
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig

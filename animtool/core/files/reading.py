@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Fault, FormatError
+from animtool.core.names import similar
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.files.reading import open_input, unreadable
 from animtool.core.files.signatures import expects
+from animtool.core.names import distinct
 from animtool.core.rates import FractionLike, rate_option
-from animtool.core.similar import distinct
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource

@@ -17,7 +17,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity
-from animtool.core.similar import distinct
+from animtool.core.names import distinct
 from animtool.formats.characters.nodes import NodeTree
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world

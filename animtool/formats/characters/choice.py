@@ -65,7 +65,7 @@ def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
 
 def _paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
     """Return distinct paths of characters, from the names of their root joints."""
-    from animtool.core.similar import distinct
+    from animtool.core.names import distinct
 
     names = []
     joints = {joint for skin in file.skins for joint in skin.joints}

@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable
 
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
+from animtool.core.names import distinct
 from animtool.core.quantities import CONTROL
-from animtool.core.similar import distinct
 from animtool.formats.characters.nodes import Node
 
 MAX_NAMED = 6

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from animtool.core.errors import Fault, Severity, listed
+from animtool.core.names import distinct
 from animtool.core.rates import FractionLike, rate_option
-from animtool.core.similar import distinct
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.characters.choice import choose_character
 from animtool.formats.characters.names import printable

@@ -10,8 +10,8 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, listed
+from animtool.core.names import distinct
 from animtool.core.record import dataclass
-from animtool.core.similar import distinct
 from animtool.formats.characters.binding import Binder
 from animtool.formats.characters.choice import CharacterNodes
 from animtool.formats.characters.names import (

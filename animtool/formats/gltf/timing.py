@@ -127,7 +127,7 @@ def _stated(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]:
 
 def distinct_clip_names(animations: Iterable[Animation]) -> list[str]:
     """Return a distinct name for every animation; unnamed ones are numbered."""
-    from animtool.core.similar import distinct
+    from animtool.core.names import distinct
 
     plain = [
         "".join(c if c.isprintable() else "_" for c in one.name or "").strip()

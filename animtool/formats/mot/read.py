@@ -17,8 +17,8 @@ from animtool.core.errors import (
     excerpt,
     naming,
 )
+from animtool.core.names import similar
 from animtool.core.rates import FractionLike, rate_option
-from animtool.core.similar import similar
 from animtool.core.units import unit_name
 from animtool.formats.mot.coordinates import (
     Coordinate,

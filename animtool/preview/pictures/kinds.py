@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.format_table import suffix_text
+from animtool.core.plugins import suffix_text
 from animtool.core.record import dataclass
 
 PAGE_SUFFIXES = (".html", ".htm")

@@ -10,8 +10,8 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.names import similar
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.preview.options import PictureOptions
 from animtool.preview.pictures.camera import LIGHT, PRESETS, STEEP, CameraView
 from animtool.preview.pictures.kinds import PictureKind

@@ -19,8 +19,8 @@ from animtool.core.errors import (
     listed,
 )
 from animtool.core.files.output import protect_inputs
+from animtool.core.names import distinct
 from animtool.core.rates import rate_label
-from animtool.core.similar import distinct
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks

@@ -19,6 +19,7 @@ from pydantic import (
     create_model,
 )
 
+from animtool.core.options import key
 from animtool.core.plugins import load_object
 from animtool.core.writers import file_suffixes
 from animtool.documents.check import FileModel
@@ -29,7 +30,6 @@ from animtool.documents.fields import (
     Name,
     Real,
     check_numbers,
-    key,
     with_fields,
 )
 from animtool.scene.bake.options import BakeOptions

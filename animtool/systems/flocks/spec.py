@@ -7,16 +7,9 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Ge, Gt, Le, Len
 
+from animtool.core.options import key
 from animtool.documents.check import FileModel
-from animtool.documents.fields import (
-    Integer,
-    Name,
-    NotNegative,
-    Positive,
-    Real,
-    Vector,
-    key,
-)
+from animtool.documents.fields import Integer, Name, NotNegative, Positive, Real, Vector
 from animtool.systems.framework.fields import (
     EmitterShapeEntry,
     Integrator,

@@ -9,16 +9,9 @@ from annotated_types import Gt, Le, Len
 from pydantic import Field
 
 from animtool.core.errors import Fault, Problem
+from animtool.core.options import key
 from animtool.documents.check import FileModel
-from animtool.documents.fields import (
-    Integer,
-    NotNegative,
-    Pair,
-    Positive,
-    Real,
-    Vector,
-    key,
-)
+from animtool.documents.fields import Integer, NotNegative, Pair, Positive, Real, Vector
 from animtool.systems.framework.colours import ColourModel
 from animtool.systems.framework.fields import (
     ArrayEntry,

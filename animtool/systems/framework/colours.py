@@ -10,9 +10,10 @@ from annotated_types import Ge, Le, Len
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, excerpt
+from animtool.core.options import key
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Pair, Real, key
+from animtool.documents.fields import Name, Pair, Real
 
 Colour = Annotated[list[Annotated[Real, Ge(0), Le(1)]], Len(3, 3)]
 # Lazily computes the values of a quantity ``(N,)``.

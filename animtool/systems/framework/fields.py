@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
 
-from animtool.core.options import Checked, above
+from animtool.core.options import Checked, above, key
 from animtool.core.plugins import load_object
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
@@ -20,8 +20,8 @@ from animtool.documents.fields import (
     Real,
     Vector,
     check_numbers,
-    key,
     record_of,
+    shared_key,
     with_fields,
 )
 from animtool.documents.forms import Forms
@@ -65,27 +65,29 @@ TimedVector = Annotated[list[Real], Len(4, 4)]
 
 Velocities = Annotated[
     ArrayEntry | None,
-    key("Velocities of these `(N, 3)` [m/s].", "birds.npz#velocities"),
+    shared_key("Velocities of these `(N, 3)` [m/s].", "birds.npz#velocities"),
 ]
 PrimName = Annotated[str, Field(description="Name of the prim.")]
 UsdFile = Annotated[Name, Field(description="The USD file.")]
 PrimPath = Annotated[Name, Field(description="Path of the prim.")]
 CharacterFile = Annotated[
     Name | None,
-    key("A clip or a scene; its first frame is at 0 s.", "walk.clip.yaml"),
+    shared_key("A clip or a scene; its first frame is at 0 s.", "walk.clip.yaml"),
 ]
 SceneCharacter = Annotated[
     bool,
-    key("Instead of a file: the character of this scene, after its passes.", True),
+    shared_key(
+        "Instead of a file: the character of this scene, after its passes.", True
+    ),
 ]
 Tolerance = Annotated[
     Real | None,
-    key("Error tolerance of adaptive integrators.", 1e-5),
+    shared_key("Error tolerance of adaptive integrators.", 1e-5),
 ]
 Preroll = Annotated[
     Real,
     Ge(0),
-    key("Seconds of simulation before the first frame.", 2),
+    shared_key("Seconds of simulation before the first frame.", 2),
 ]
 
 
@@ -318,21 +320,21 @@ class PhysicsStageModel(FollowedPrimModel):
 # Keys of what a system collides with; listed in `AROUND`.
 Colliders = Annotated[
     list[SystemColliderModel],
-    key(
+    shared_key(
         "Shapes to collide with, and containers.",
         [{"shape": {"plane": None}, "friction": 0.4}],
     ),
 ]
 Characters = Annotated[
     list[CharacterModel],
-    key(
+    shared_key(
         "Moving characters to collide with; they are not written.",
         [{"file": "walk.clip.yaml", "friction": 0.3}],
     ),
 ]
 Surfaces = Annotated[
     list[SystemSurfaceModel],
-    key(
+    shared_key(
         "Cloth, volumes and rigid bodies of the scene to collide with, as thick as "
         "their `radius`; with `two_way` rigid ones are pushed, and float.",
         [{"system": "crates", "two_way": True}],
@@ -340,7 +342,7 @@ Surfaces = Annotated[
 ]
 Meshes = Annotated[
     list[MovingMeshModel],
-    key(
+    shared_key(
         "Meshes of USD files to collide with, whose points may move.",
         [{"file": "set.usda", "prim": "/Set/rock", "closed": True}],
     ),
@@ -348,26 +350,26 @@ Meshes = Annotated[
 AROUND = ("colliders", "characters", "systems", "meshes")
 Forces = Annotated[
     list[ForceEntry],
-    key(
+    shared_key(
         "Forces: the name of each, and its options.",
         [{"gravity": None}, {"wind": {"velocity": [2, 0, 0], "drag": 0.05}}],
     ),
 ]
-Integrator = Annotated[str, key("An integrator.", "rk4")]
-Seed = Annotated[Integer, key("Seed for random numbers.", 7)]
+Integrator = Annotated[str, shared_key("An integrator.", "rk4")]
+Seed = Annotated[Integer, shared_key("Seed for random numbers.", 7)]
 MaxParticles = Annotated[
-    Integer, Gt(0), Le(10**7), key("Limit of particles at once.", 50_000)
+    Integer, Gt(0), Le(10**7), shared_key("Limit of particles at once.", 50_000)
 ]
 Shows = Annotated[
     PrototypeModel | None,
-    key(
+    shared_key(
         "A mesh to instance for each, heading along its motion. Default: a point.",
         {"file": "bird.usda", "prim": "/bird/body"},
     ),
 ]
 StartPoints = Annotated[
     ArrayEntry | None,
-    key(
+    shared_key(
         "Initial positions `(N, 3)` [m], instead of `count` and `place`.",
         "birds.npz#points",
     ),

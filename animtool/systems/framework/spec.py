@@ -10,9 +10,10 @@ from pydantic import Field
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Problem, counted
+from animtool.core.options import key
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Frame, Name, Real, key
+from animtool.documents.fields import Frame, Name, Real
 from animtool.systems.framework.fields import (
     Characters,
     Colliders,

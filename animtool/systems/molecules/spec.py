@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from annotated_types import Ge, Le, Len
 
 from animtool.core.errors import Problem
+from animtool.core.options import key
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Count,
@@ -17,7 +18,6 @@ from animtool.documents.fields import (
     Positive,
     Real,
     Vector,
-    key,
 )
 from animtool.systems.framework.colours import ColourModel
 from animtool.systems.framework.fields import (

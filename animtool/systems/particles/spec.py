@@ -10,7 +10,8 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.core.errors import Fault, OptionError
-from animtool.documents.fields import Real, key, with_fields
+from animtool.core.options import key
+from animtool.documents.fields import Real, with_fields
 from animtool.systems.framework.fields import (
     EmitterShapeEntry,
     Integrator,

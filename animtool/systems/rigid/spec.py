@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field
 
 from animtool.core.errors import Problem
+from animtool.core.options import key
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Integer,
@@ -18,7 +19,6 @@ from animtool.documents.fields import (
     Quaternion,
     Real,
     Vector,
-    key,
 )
 from animtool.systems.framework.fields import (
     ArrayEntry,

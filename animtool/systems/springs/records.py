@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import Annotated
 
 from animtool.core.array_types import ArrayLike
-from animtool.core.options import Key, above, inherits_docs, or_more
+from animtool.core.options import above, inherits_docs, key, or_more
 from animtool.core.record import dataclass
 
 # Ranges of spring and air options.
@@ -27,59 +27,39 @@ class Family:
         frequency: Replaces `stiffness`, which is (2 π f)² times the mean end mass.
     """
 
-    stiffness: Annotated[
-        float | None,
-        or_more(0, "SIM042"),
-        Key(
-            "Force per elongation of each spring [N/m]. Default: set by another key.",
-            1e4,
-        ),
-    ] = None
-    damping: Annotated[
-        _OfSpring, Key("Along the spring: force per speed [N s/m].", 0.5)
-    ] = 0.0
-    ratio: Annotated[
-        _OfSpring,
-        Key(
-            "Additional damping, as a fraction of the critical damping of a single "
-            "spring with its end masses.",
-            0.1,
-        ),
-    ] = 0.0
-    tear: Annotated[
-        float | None,
-        above(0, "SIM042"),
-        Key(
-            "Strain above which a spring tears. Default: never.",
-            0.5,
-        ),
-    ] = None
-    rest: Annotated[
-        _OfSpring,
-        Key(
-            "Rest length relative to the built distance of the ends; 0 pulls them "
-            "together.",
-            0.9,
-        ),
-    ] = 1.0
-    axial_stiffness: Annotated[
-        float | None,
-        or_more(0, "SIM042"),
-        Key(
-            "Instead of `stiffness`: force per strain [N], independent of the number "
-            "of particles. Each spring gets it divided by its rest length.",
-            5000,
-        ),
-    ] = None
-    frequency: Annotated[
-        float | None,
-        or_more(0, "SIM042"),
-        Key(
-            "Instead of `stiffness`: natural frequency of a spring [Hz], whatever "
-            "the masses of its ends.",
-            10,
-        ),
-    ] = None
+    stiffness: Annotated[float | None, or_more(0, "SIM042")] = key(
+        "Force per elongation of each spring [N/m]. Default: set by another key.",
+        1e4,
+        None,
+    )
+    damping: _OfSpring = key("Along the spring: force per speed [N s/m].", 0.5, 0.0)
+    ratio: _OfSpring = key(
+        "Additional damping, as a fraction of the critical damping of a single "
+        "spring with its end masses.",
+        0.1,
+        0.0,
+    )
+    tear: Annotated[float | None, above(0, "SIM042")] = key(
+        "Strain above which a spring tears. Default: never.", 0.5, None
+    )
+    rest: _OfSpring = key(
+        "Rest length relative to the built distance of the ends; 0 pulls them "
+        "together.",
+        0.9,
+        1.0,
+    )
+    axial_stiffness: Annotated[float | None, or_more(0, "SIM042")] = key(
+        "Instead of `stiffness`: force per strain [N], independent of the number "
+        "of particles. Each spring gets it divided by its rest length.",
+        5000,
+        None,
+    )
+    frequency: Annotated[float | None, or_more(0, "SIM042")] = key(
+        "Instead of `stiffness`: natural frequency of a spring [Hz], whatever "
+        "the masses of its ends.",
+        10,
+        None,
+    )
 
 
 @inherits_docs
@@ -97,9 +77,9 @@ class Air:
     """
 
     wind: ArrayLike = (0.0, 0.0, 0.0)
-    drag: Annotated[_OfAir, Key("Drag coefficient along the flow.", 1.5)] = 1.0
-    lift: Annotated[_OfAir, Key("Drag coefficient across the flow.", 0)] = 0.5
-    density: Annotated[_OfAir, Key("Air density [kg/m³].", 0.9)] = 1.2
+    drag: _OfAir = key("Drag coefficient along the flow.", 1.5, 1.0)
+    lift: _OfAir = key("Drag coefficient across the flow.", 0, 0.5)
+    density: _OfAir = key("Air density [kg/m³].", 0.9, 1.2)
     times: ArrayLike | None = None
 
 
@@ -137,37 +117,27 @@ class SpringOptions:
         longest: Spring length, in rest lengths, that counts as blow-up.
     """
 
-    solver: Annotated[
-        Solver | str,
-        Key(
-            "Time integration; `auto` chooses the cheapest that is stable and "
-            "accurate enough, and reports why.",
-            "xpbd",
-            choices=tuple(map(str, Solver)),
-        ),
-    ] = Solver.AUTO
-    step: Annotated[
-        float | None,
-        above(0, "SIM004", finite=True),
-        Key("The longest step [s]. Default: what the solver needs.", 0.002),
-    ] = None
-    stretch: Annotated[
-        float,
-        above(0, "SIM004"),
-        Key(
-            "For `xpbd`: largest strain of springs beyond their own compliance.",
-            0.005,
-        ),
-    ] = 0.01
-    error: Annotated[
-        float | None,
-        above(0, "SIM004", finite=True),
-        Key(
-            "Largest position error [m]: steps are halved until two motions agree. "
-            "Default: not checked.",
-            0.001,
-        ),
-    ] = None
+    solver: Solver | str = key(
+        "Time integration; `auto` chooses the cheapest that is stable and "
+        "accurate enough, and reports why.",
+        "xpbd",
+        Solver.AUTO,
+        choices=tuple(map(str, Solver)),
+    )
+    step: Annotated[float | None, above(0, "SIM004", finite=True)] = key(
+        "The longest step [s]. Default: what the solver needs.", 0.002, None
+    )
+    stretch: Annotated[float, above(0, "SIM004")] = key(
+        "For `xpbd`: largest strain of springs beyond their own compliance.",
+        0.005,
+        0.01,
+    )
+    error: Annotated[float | None, above(0, "SIM004", finite=True)] = key(
+        "Largest position error [m]: steps are halved until two motions agree. "
+        "Default: not checked.",
+        0.001,
+        None,
+    )
     growth: Annotated[float, above(0, "SIM004")] = 100.0
     longest: Annotated[float, above(1, "SIM004")] = 10.0
 
@@ -199,21 +169,15 @@ class SelfContact:
         of Collisions, Contact and Friction for Cloth Animation, 2002, sections 6 and 7.
     """
 
-    thickness: Annotated[
-        float,
-        above(0, "SIM045", finite=True),
-        Key(
-            "Minimum distance of its particles from its faces [m], such as half the "
-            "edge length.",
-            0.01,
-        ),
-    ]
-    friction: Annotated[
-        float, or_more(0, "SIM045", finite=True), Key("Coulomb's coefficient.", 0.4)
-    ] = 0.2
-    speed: Annotated[
-        float,
-        above(0, "SIM045", finite=True),
-        Key("Speed at which parts that start closer are separated [m/s].", 0.1),
-    ] = 0.2
+    thickness: Annotated[float, above(0, "SIM045", finite=True)] = key(
+        "Minimum distance of its particles from its faces [m], such as half the "
+        "edge length.",
+        0.01,
+    )
+    friction: Annotated[float, or_more(0, "SIM045", finite=True)] = key(
+        "Coulomb's coefficient.", 0.4, 0.2
+    )
+    speed: Annotated[float, above(0, "SIM045", finite=True)] = key(
+        "Speed at which parts that start closer are separated [m/s].", 0.1, 0.2
+    )
     rest: ArrayLike | None = None

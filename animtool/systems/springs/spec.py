@@ -9,7 +9,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.core.errors import Fault
-from animtool.core.options import above, or_more
+from animtool.core.options import above, key, or_more
 from animtool.core.plugins import load_object
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
@@ -17,8 +17,8 @@ from animtool.documents.fields import (
     Name,
     Real,
     Vector,
-    key,
     record_of,
+    shared_key,
     with_fields,
 )
 from animtool.systems.framework.fields import (
@@ -52,7 +52,7 @@ class SelfContactModel(FileModel):
 
 SelfContactField = Annotated[
     SelfContactModel | None,
-    key(
+    shared_key(
         "Self-contact. Default: off.",
         {"thickness": 0.01},
     ),
@@ -211,7 +211,9 @@ class FaceWindModel(WindModel):
 
 FaceWindField = Annotated[
     FaceWindModel | None,
-    key("The air that acts on its faces. Default: none.", {"velocity": [5, 0, 1]}),
+    shared_key(
+        "The air that acts on its faces. Default: none.", {"velocity": [5, 0, 1]}
+    ),
 ]
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import is_text
-from animtool.core.format_table import suffix_text
+from animtool.core.plugins import suffix_text
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pxr import Sdf
 
 from animtool.core.errors import Fault, Severity, excerpt
+from animtool.core.names import distinct
 from animtool.core.record import dataclass
-from animtool.core.similar import distinct
 from animtool.rig.skeleton import Joint
 
 # The variant set of a library whose variants are its takes.

@@ -11,7 +11,7 @@ from pxr import Usd, UsdPhysics, UsdShade
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, excerpt
-from animtool.core.similar import distinct
+from animtool.core.names import distinct
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.motion.physics import Physics, PhysicsBody, PhysicsShape

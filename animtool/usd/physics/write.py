@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Gf, Sdf
 
 from animtool.core.array_types import FloatArray
-from animtool.core.similar import distinct
+from animtool.core.names import distinct
 from animtool.maths import so3
 from animtool.motion.physics import (
     JointDrive,

@@ -14,9 +14,9 @@ from pxr import Usd, UsdGeom
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import time_fraction
 from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.names import similar
 from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.transforms import (

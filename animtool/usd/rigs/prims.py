@@ -16,9 +16,9 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, excerpt, listed
+from animtool.core.names import distinct, similar
 from animtool.core.quantities import CONTROL
 from animtool.core.record import dataclass
-from animtool.core.similar import distinct, similar
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig

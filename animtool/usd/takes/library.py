@@ -20,9 +20,9 @@ from pxr import Sdf, Usd
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, OutputError, excerpt, listed
+from animtool.core.names import similar
 from animtool.core.rates import LARGEST_FRAME
 from animtool.core.record import dataclass
-from animtool.core.similar import similar
 from animtool.usd.layers.names import TAKE_SET, RigPaths
 from animtool.usd.layers.sdf import find_layer, new_layer, usd_errors
 from animtool.usd.rigs.prims import find_skeletons, open_stage, prim_below, upwards

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.core.renamed import renamed_arguments
+from animtool.core.old_names import renamed_arguments
 from animtool.motion.motion import Channel
 
 
