@@ -50,20 +50,20 @@ inline NumberKind slow_number(const char* p, const char* end, double& value) {
   const auto result = std::from_chars(p, end, value);
   if (result.ec == std::errc()) return NumberKind::finite;
   // from_chars leaves the value alone when it is out of range, on either side: the
-  // place of the first digit that is not zero, and the exponent, tell which.
+  // magnitude of the first digit that is not zero, and the exponent, tell which.
   const bool negative = *p == '-';
-  std::int64_t place = 0, exponent = 0;
-  bool found = false, after_point = false;
+  std::int64_t magnitude = 0, exponent = 0;
+  bool nonzero = false, after_point = false;
   const char* d = p + negative;
   for (; d != end && (*d | 0x20) != 'e'; ++d) {
     if (*d == '.') {
       after_point = true;
     } else if (after_point) {
-      if (!found) --place;
-      found |= *d != '0';
+      if (!nonzero) --magnitude;
+      nonzero |= *d != '0';
     } else {
-      found |= *d != '0';
-      place += found;
+      nonzero |= *d != '0';
+      magnitude += nonzero;
     }
   }
   if (d != end) {
@@ -72,7 +72,7 @@ inline NumberKind slow_number(const char* p, const char* end, double& value) {
     for (; d != end && exponent < 1000000; ++d) exponent = exponent * 10 + (*d - '0');
     if (below) exponent = -exponent;
   }
-  const bool tiny = place + exponent <= 0;
+  const bool tiny = magnitude + exponent <= 0;
 #else
 #if defined(_WIN32)
   static const _locale_t c_locale = _create_locale(LC_ALL, "C");
@@ -95,7 +95,7 @@ inline NumberKind slow_number(const char* p, const char* end, double& value) {
 }
 
 // Appends the digits at p, eight at a time where eight bytes can be read: the
-// first byte that is no digit is found by a bit scan, and the digits before it
+// first byte that is no digit is nonzero by a bit scan, and the digits before it
 // are summed in pairs, fours and eights by three multiplications
 // (D. Lemire, Number parsing at a gigabyte per second, 2021).
 inline void read_digits(const char*& p, const char* end, std::uint64_t& mantissa) {
