@@ -124,6 +124,8 @@ def other_format(
     if path.suffix.lower() not in signature.suffixes:
         new = f"{path.stem}{signature.suffixes[0]}" if signature.suffixes else ""
         hint = signature.hint or f"rename it to {new}"
+    elif "USD" in signature.about and "USD" in expected:
+        return None
     message = f"is {signature.about}, not {expected}"
     return Fault(code, message, str(path), (), hint) if hint else None
 
