@@ -28,7 +28,7 @@ constexpr unsigned LEVELS = 21;
 constexpr double COARSE = 1.4;
 // Error budget of one cell: hundreds of errors partly cancel, and bounds are rarely reached.
 // Calibrated on discs, spheres and pairs of both.
-constexpr double SHARE = 0.3;
+constexpr double CELL_ERROR = 0.3;
 
 struct Cell {
   double centre[3];
@@ -68,7 +68,7 @@ class Bodies {
     for (auto& column : columns_) column = block<double>(count);
   }
 
-  void place(const double* points, const double* masses, const std::int32_t* order) {
+  void fill(const double* points, const double* masses, const std::int32_t* order) {
     for (std::size_t i = 0; i < count_; ++i) {
       const std::size_t from = order ? static_cast<std::size_t>(order[i]) : i;
       for (std::size_t k = 0; k < 3; ++k) columns_[k][i] = within(points + 3 * from, k);
@@ -138,7 +138,7 @@ class Tree {
       sorted_.places[i] = static_cast<std::int32_t>(i);
     }
     sort_keys(sorted_, count);
-    bodies.place(points, masses, sorted_.places.get());
+    bodies.fill(points, masses, sorted_.places.get());
     cells_.reserve(count / 4 + 64);
     build(0, count, 0);
   }
@@ -169,14 +169,14 @@ class Tree {
     }
   };
   Bounds bounds(const Cell& group) const {
-    Bounds found;
+    Bounds bounds;
     for (std::size_t k = 0; k < 3; ++k) {
       const double* at = bodies_.column(k);
       const auto [low, high] = std::minmax_element(at + group.begin, at + group.end);
-      found.low[k] = *low, found.high[k] = *high;
-      found.middle[k] = (*low + *high) / 2;
+      bounds.low[k] = *low, bounds.high[k] = *high;
+      bounds.middle[k] = (*low + *high) / 2;
     }
-    return found;
+    return bounds;
   }
 
   // Estimates the accelerations of a group by a coarse sum at its centre of mass.
@@ -190,12 +190,12 @@ class Tree {
         off[k] = cell.centre[k] - group.centre[k];
         squared += off[k] * off[k];
       }
-      const bool own = cell.begin >= group.begin && cell.end <= group.end;
-      if (!own && !cell.leaf && squared <= COARSE * COARSE * cell.radius) {
+      const bool inside = cell.begin >= group.begin && cell.end <= group.end;
+      if (!inside && !cell.leaf && squared <= COARSE * COARSE * cell.radius) {
         ++i;
         continue;
       }
-      if (!own && squared > 0) {
+      if (!inside && squared > 0) {
         const double reach = squared + soft, pull = cell.mass / (reach * std::sqrt(reach));
         for (std::size_t k = 0; k < 3; ++k) sum[k] += pull * off[k];
       }
@@ -244,10 +244,10 @@ class Tree {
   }
 
   void build(std::size_t begin, std::size_t end, unsigned level) {
-    const std::size_t own = cells_.size();
+    const std::size_t number = cells_.size();
     cells_.push_back(summed(begin, end));
-    cells_[own].leaf = end - begin <= LEAF || level == LEVELS;
-    if (!cells_[own].leaf) {
+    cells_[number].leaf = end - begin <= LEAF || level == LEVELS;
+    if (!cells_[number].leaf) {
       const unsigned shift = 3 * (LEVELS - 1 - level);
       const std::uint64_t* keys = sorted_.keys.get();
       for (std::size_t first = begin; first < end;) {
@@ -258,7 +258,7 @@ class Tree {
         first = next;
       }
     }
-    cells_[own].next = cells_.size();
+    cells_[number].next = cells_.size();
   }
 
   Cell summed(std::size_t begin, std::size_t end) const {
@@ -305,7 +305,7 @@ void by_tree(Bodies& bodies, const double* points, const double* masses, double 
   const float soft = static_cast<float>(bodies.softened());
   tree.each_group([&](const Cell& group) {
     const auto bounds = tree.bounds(group);
-    const double least = std::pow(SHARE * accuracy * tree.strength(group), 0.4);
+    const double least = std::pow(CELL_ERROR * accuracy * tree.strength(group), 0.4);
     tree.walk(bounds, least, far, near);
     for (std::size_t first = group.begin; first < group.end; first += GRAVITY_LANES) {
       const GravityTargets to = bodies.targets(first, group.end, bounds.middle);
@@ -322,7 +322,7 @@ void directly(Bodies& bodies, const double* points, const double* masses, double
               const GravityFunctions& loops) {
   // Blocks of sources that stay in the cache for all targets.
   constexpr std::size_t TILE = 1024;
-  bodies.place(points, masses, nullptr);
+  bodies.fill(points, masses, nullptr);
   const double middle[3] = {0, 0, 0};
   const std::size_t count = bodies.size();
   const std::size_t blocks = (count + GRAVITY_LANES - 1) / GRAVITY_LANES;

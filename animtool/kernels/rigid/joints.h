@@ -64,7 +64,7 @@ struct Softness {
 struct Row {
   Vec line;           // 0 for rotation rows
   Vec arm_a, arm_b;   // moment arms of both bodies
-  double given = 0;   // speed added by the animation
+  double bias_speed = 0;   // speed added by the animation
   double error = 0;   // constraint error: should be 0, or not below it
   double bend = 0;    // additional error in a substep from curvature, over its time
   double mass = 0, impulse = 0, half = 0;
@@ -75,9 +75,9 @@ struct Row {
 };
 
 // Slots of a joint's rows in the impulses kept between steps.
-enum { SLOT_LINE = 0, SLOT_TURN = 3, SLOT_LOW = 6, SLOT_HIGH = 7, SLOT_SWING = 8, SLOT_DRIVE = 9 };
+enum { SLOT_LINE = 0, SLOT_ROTATION = 3, SLOT_LOW = 6, SLOT_HIGH = 7, SLOT_SWING = 8, SLOT_DRIVE = 9 };
 constexpr std::size_t ROWS = 12;
-constexpr double TURN = 2 * 3.14159265358979323846;  // [rad]
+constexpr double FULL_CIRCLE = 2 * 3.14159265358979323846;  // [rad]
 
 // A frame in the world, and its animated motion.
 struct Anchor {

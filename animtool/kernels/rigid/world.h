@@ -35,7 +35,7 @@ struct World {
   std::vector<Shape> shapes;  // body by body
   std::vector<Joint> joints;
   // Excluded pairs of bodies, or of a body and a collider (numbered after bodies); ascending.
-  std::vector<std::uint64_t> apart;
+  std::vector<std::uint64_t> excluded;
 };
 
 struct Settings {
@@ -97,7 +97,7 @@ struct Contact {
   int count = 0;
   // Contact points in the frames of both bodies, and the gaps. Rolling shapes change their contact
   // point continuously: these are points of the first's core, and its surface is a radius away.
-  std::array<Vec, MOST_POINTS> own, other;
+  std::array<Vec, MOST_POINTS> on_a, on_b;
   std::array<double, MOST_POINTS> gaps;
   double radius = 0, other_radius = 0;
 
@@ -105,8 +105,8 @@ struct Contact {
     normal = manifold.normal, count = manifold.count;
     for (std::size_t k = 0; k < static_cast<std::size_t>(count); ++k) {
       const Vec at = manifold.points[k].at;
-      own[k] = pose_a.to_local(at - normal * radius);
-      other[k] = pose_b.to_local(at + normal * other_radius);
+      on_a[k] = pose_a.to_local(at - normal * radius);
+      on_b[k] = pose_b.to_local(at + normal * other_radius);
       gaps[k] = manifold.points[k].gap;
     }
   }
@@ -138,7 +138,7 @@ std::vector<Contact> find_contacts(const World& world, const std::vector<State>&
 
 // Takes a step; updates contacts and joint impulses.
 Report step_world(const World& world, std::vector<State>& states, std::vector<Kept>& kept,
-                  std::vector<std::array<double, ROWS>>& held, const std::vector<Vec>& forces,
+                  std::vector<std::array<double, ROWS>>& kept_impulses, const std::vector<Vec>& forces,
                   const std::vector<Vec>& torques,
                   const std::vector<collide::Collider>& colliders,
                   const std::vector<collide::Motion>& anchors, const Settings& settings,
