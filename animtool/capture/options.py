@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from animtool.core.options import described, option, or_more
+from animtool.core.options import inherits_docs, option, or_more
 from animtool.core.record import dataclass
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class CleanOptions:
-    """What to remove.
+    """Options of cleaning.
 
     Attributes:
         spikes: Longest spike that is removed [frames]; 0 leaves them.
@@ -42,10 +42,10 @@ class CleanOptions:
     )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class TriangulateOptions:
-    """How points are triangulated.
+    """Options of triangulation.
 
     Attributes:
         noise: Standard deviation of a pixel's axis [px]; None measures it.
@@ -81,10 +81,10 @@ class TriangulateOptions:
     )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class FaceOptions:
-    """How landmarks become weights."""
+    """Options of a face solve."""
 
     smooth: float = option(
         1.0,
@@ -108,10 +108,10 @@ class FaceOptions:
     )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class FillOptions:
-    """What to repair.
+    """Which repairs to make.
 
     Attributes:
         keep_gaps: Whether gaps stay.
@@ -149,13 +149,13 @@ class FillOptions:
     )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class SolveOptions:
-    """How to solve.
+    """Options of a marker solve.
 
     Attributes:
-        acceleration: Of joints that is usual [rad/s²]; less is smoother.
+        acceleration: Typical acceleration of joints [rad/s²]; less is smoother.
     """
 
     noise: float = option(

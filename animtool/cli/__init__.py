@@ -1,1 +1,1 @@
-"""The command line: options in, one library call, a report out."""
+"""The command line: parse options, call the library, print a report."""

@@ -25,12 +25,12 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import (
-    all_named,
+    atomic_command,
     check_plot,
     goes_to_stdout,
     plot_option,
+    print_tradeoffs,
     refuse_alone,
-    say_tradeoffs,
     skipped,
     writing_options,
 )
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 def _refuse_patterns(sources: Sequence[Path]) -> None:
-    """Refuse a glob that the shell did not expand."""
+    """Refuse an unexpanded glob pattern."""
     for path in sources:
         if set("*?[") & {*str(path)} and not path.exists():
             text = f"{path} is a pattern: animtool batch '{path}' -o out/ bakes the "
@@ -169,7 +169,7 @@ def _check_usage(params: dict[str, Any]) -> None:
 
 
 def _check_library(scene: Scene, params: dict[str, Any]) -> None:
-    """Refuse to skip a library, to which a take is added."""
+    """Refuse `--skip-existing` for a clip library that a take is added to."""
     if params["skip_existing"] and any(
         output.bake.form == "library" for output in scene.outputs
     ):
@@ -182,19 +182,19 @@ def _check_library(scene: Scene, params: dict[str, Any]) -> None:
 def _plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
     """Print what a bake would do."""
     from animtool.cli.summary import PLAN
-    from animtool.scene.bake.steps import Steps, bake_steps
+    from animtool.scene.bake.steps import PlanSteps, bake_steps
 
-    console.report(params["report_format"], Steps(bake_steps(outline)), PLAN)
+    console.report(params["report_format"], PlanSteps(bake_steps(outline)), PLAN)
 
 
 def _bake(
     console: Console, outline: Outline, params: dict[str, Any], *, to_stdout: bool
 ) -> None:
-    """Bake to the outputs that are asked for."""
+    """Bake to the requested outputs."""
     from animtool.scene.bake.bake import bake_outline
 
     scene, files = outline.scene, outline.reading.files
-    several = any(entry.place is not None for entry in outline.outputs) and (
+    several = any(entry.location is not None for entry in outline.outputs) and (
         len(outline.outputs) > 1 or not outline.outputs[0].is_stage
     )
     named = files[0] if several else outline.outputs[0].path
@@ -202,12 +202,12 @@ def _bake(
         return
     label = files[0].name if len(files) == 1 else f"{len(files)} takes"
     shown = console.progress(f"bake {label}", stdout=to_stdout)
-    with all_named(), shown as progress:
+    with atomic_command(), shown as progress:
         reports = bake_outline(outline, progress=progress)
-    _say_reports(console, reports, scene, params, several=several)
+    _print_reports(console, reports, scene, params, several=several)
 
 
-def _say_reports(
+def _print_reports(
     console: Console,
     reports: Sequence[BakeReport | ConvertReport],
     scene: Scene | None,
@@ -215,23 +215,23 @@ def _say_reports(
     *,
     several: bool,
 ) -> None:
-    """Print the summaries of outputs: of one as it is, of several of a scene together.
+    """Print the reports of all outputs, as JSON or as text.
 
     No scene has no stages.
     """
     from animtool.cli.summary import STATS, template_of
     from animtool.scene.bake.prims import raise_stopped
-    from animtool.scene.bake.progress import Stats
+    from animtool.scene.bake.progress import BakeStats
 
     notices = [notice for report in reports for notice in report.notices]
-    # What the sources and passes say stands in every report.
+    # Notices of sources and passes are in every report.
     console.faults(dict.fromkeys(notices) if several else notices)
     stages = [] if scene is None else scene.meter.stages
-    costs = Stats([*stages, *(report.cost for report in reports)])
+    costs = BakeStats([*stages, *(report.cost for report in reports)])
     if params["report_format"] == "json":
-        whole = {"bake": VERSION, "written": reports} if several else reports[0]
+        payload = {"bake": VERSION, "written": reports} if several else reports[0]
         stats = plain_value(costs) if params["stats"] else {}
-        console.result_json({**plain_value(whole), **stats})
+        console.result_json({**plain_value(payload), **stats})
         raise_stopped(reports)
         return
     for report in reports:
@@ -250,7 +250,7 @@ def _measure(
     output: Path | None,
     params: Mapping[str, Any],
 ) -> None:
-    """Measure time against error, print it, and draw it where that is asked for."""
+    """Measure time against error, print the table, and plot it if requested."""
     if output is not None:
         raise click.UsageError("--table writes no file: remove -o.")
     if len(sources) > 1:
@@ -270,4 +270,4 @@ def _measure(
             raise click.UsageError("--table measures joints, not --deform.")
         else:
             report = take_tradeoffs(source, options, progress=progress)
-    say_tradeoffs(console, report, params["report_format"], plot)
+    print_tradeoffs(console, report, params["report_format"], plot)

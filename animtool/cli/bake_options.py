@@ -1,4 +1,4 @@
-"""Options of ``animtool bake``: sources, shots of timelines, how it is written."""
+"""Options of ``animtool bake``: sources, timeline shots, output."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from animtool.cli.options import (
     stacked,
 )
 from animtool.core.errors import Fault, FormatError
-from animtool.core.files.reading import is_there
-from animtool.core.names import check_given, is_named
+from animtool.core.files.reading import exists
+from animtool.core.names import check_unused, is_named
 from animtool.core.options import options_of
 from animtool.scene.bake.options import BakeOptions
 
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 def opened_sources(
     sources: Sequence[Path], variables: dict[str, str]
 ) -> list[Path | Scene]:
-    """Return sources, those loaded that are scenes."""
+    """Return the sources; scene files are loaded."""
     opened: list[Path | Scene] = []
     used: set[str] = set()
     for source in sources:
-        if is_there(source) and source.is_dir():
+        if exists(source) and source.is_dir():
             hint = "animtool batch FOLDER -o out/ bakes the files in it"
             message = "cannot be read: it is a folder"
             raise FormatError(Fault("IO001", message, str(source), (), hint))
@@ -52,12 +52,12 @@ def opened_sources(
         used |= scene.variables
         opened.append(scene)
     if variables:
-        check_given(variables, used)
+        check_unused(variables, used)
     return opened
 
 
 def until_pass(opened: list[Path | Scene], stop: str | None) -> list[Path | Scene]:
-    """Return sources, the one scene among them without the passes behind one."""
+    """Return the sources; the scene's passes after the named one are dropped."""
     if stop is None:
         return opened
     scene = only_scene(opened)
@@ -67,14 +67,14 @@ def until_pass(opened: list[Path | Scene], stop: str | None) -> list[Path | Scen
 
 
 def only_scene(opened: Sequence[Path | Scene]) -> Scene | None:
-    """Return the one source where it is a scene."""
+    """Return the scene if it is the only source."""
     if len(opened) > 1 or isinstance(opened[0], Path):
         return None
     return opened[0]
 
 
 def default_bake_output(source: Path | Scene) -> Path:
-    """Return the file that a scene names, else the source's own name as usdc."""
+    """Return the scene's output, else the source's name with suffix ``.usdc``."""
     from animtool.scene.bake.reading import default_output
 
     if isinstance(source, Path):
@@ -130,7 +130,7 @@ bake_options = stacked(
 
 
 def bake_options_record(params: Mapping[str, Any]) -> BakeOptions:
-    """Return the record of `bake_options`, and of what is strict and overwritten."""
+    """Return `BakeOptions` from the parameters of a command."""
     source = source_options_record(params, *_OF_SOURCE)
     # --take names one of the source, not the one that is written.
     values = read_values(BakeOptions, {n: v for n, v in params.items() if n != "take"})
@@ -145,7 +145,7 @@ def timeline_shot(
     start: Fraction | None,
     fps: Fraction | None = None,
 ) -> Cut | None:
-    """Return the shot and its media where a path is that of a timeline, else None."""
+    """Return a timeline's shot and its media; None for any other file."""
     from animtool.core.readers import is_timeline
 
     if path is None or not is_timeline(path):
@@ -187,7 +187,7 @@ def bake_shot(
     output: Path | None,
     params: dict[str, Any],
 ) -> tuple[Sequence[Path], Path | None]:
-    """Return sources and output, those of the shot where the source is a timeline.
+    """Return sources and output; a timeline is replaced by its shot's media.
 
     ``shot`` of the given options becomes the shot's record; ``start`` is part of it.
     """

@@ -42,14 +42,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _Numbers:
-    """Which items: from the first to the last, or as many of these as there are."""
+    """A range of item numbers."""
 
     first: int
     last: int
     open: bool = False
 
     def among(self, count: int) -> tuple[int, int]:
-        """Return the first and the last of a number of items."""
+        """Return the first and the last number within the number of items."""
         open_end = self.open and self.first <= count
         return self.first, min(self.last, count) if open_end else self.last
 
@@ -255,13 +255,13 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     if openjd and params["report_format"] != "text":
         raise click.UsageError("--lines openjd and --format both write to stdout.")
     with openjd_failure(console.calling, asked=openjd):
-        batch_found = find_batch(_spec(inputs, params))
-    console.faults(batch_found.notices)
+        resolved_batch = find_batch(_spec(inputs, params))
+    console.faults(resolved_batch.notices)
     numbers = params["numbers"]
     options = RunOptions(
         params["jobs"],
         params["executor"],
-        None if numbers is None else numbers.among(len(batch_found.items)),
+        None if numbers is None else numbers.among(len(resolved_batch.items)),
         params["dry_run"],
         params["force"],
         params["verify"],
@@ -276,24 +276,24 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
             shown_progress(console, lines=lines) as listener,
         ):
             listening = openjd_lines(listener, console.calling) if openjd else listener
-            report = run_batch(batch_found, options, listening)
+            report = run_batch(resolved_batch, options, listening)
     except (KeyboardInterrupt, TerminatedError):
         console.say("finished items are recorded; run the same command again to resume")
         raise
     unshown = [notice for notice in report.notices if notice not in listener.shown]
-    _tell(console, report, params, _Repeat(inputs, params), unshown)
+    _print_results(console, report, params, _Repeat(inputs, params), unshown)
     if params["junit"] is not None:
         from animtool.batch.report import junit_report
         from animtool.core.files.output import check_outputs, write_parts
 
         check_outputs([params["junit"]], [], overwrite=True)
-        told = [entry.worded(console.calling) for entry in report.items]
-        write_parts(params["junit"], [junit_report(told).encode()])
+        reports = [entry.worded(console.calling) for entry in report.items]
+        write_parts(params["junit"], [junit_report(reports).encode()])
     click.get_current_context().exit(int(report.exit_code))
 
 
 def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
-    """Return what is asked for: what a batch file says, and what comes before it."""
+    """Return the batch: the batch file's values, overridden by options."""
     from animtool.batch.spec import BatchSpec
 
     jobs = [text for text in inputs if is_named(Path(text), "batch")]
@@ -313,7 +313,7 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     if params["output"] is not None:
         output = params["output"]
         if jobs:
-            # A path has no slash at its end, which says that it is a folder.
+            # Paths have lost the trailing slash that marks a folder.
             slash = "/" if output.endswith("/") else ""
             output = f"{here / output}{slash}"
         spec = replace(spec, output=output, roots=())
@@ -344,36 +344,36 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
 
 
 class _Repeat:
-    """The command that makes one item again."""
+    """The command that repeats one item."""
 
     def __init__(self, inputs: tuple[str, ...], params: dict[str, Any]) -> None:
-        self._inputs, self._given = inputs, params
+        self._inputs, self._params = inputs, params
 
     def command(self, report: ItemReport) -> str:
-        given, item = self._given, report.item
-        inputs, output = list(self._inputs), given["output"]
-        # What came on stdin does not come again.
+        params, item = self._params, report.item
+        inputs, output = list(self._inputs), params["output"]
+        # Stdin cannot be read again.
         listed = "-" in inputs
         if listed:
             inputs = [str(item.file.path)]
             output = str(item.output).replace("{", "{{").replace("}", "}}")
         words = ["animtool", "batch", *inputs]
         words += [] if output is None else ["-o", output]
-        words += [] if given["name"] is None else ["--name", given["name"]]
-        words += ["--strict"] if given["strict"] else []
-        words += [] if given["scene"] is None else ["--scene", str(given["scene"])]
-        if given["cuts"] is not None:
-            words += ["--cut", str(given["cuts"])]
-        words += cut_words(given)
-        for name, value in given["variables"]:
+        words += [] if params["name"] is None else ["--name", params["name"]]
+        words += ["--strict"] if params["strict"] else []
+        words += [] if params["scene"] is None else ["--scene", str(params["scene"])]
+        if params["cuts"] is not None:
+            words += ["--cut", str(params["cuts"])]
+        words += cut_words(params)
+        for name, value in params["variables"]:
             words += ["--set", f"{name}={value}"]
-        words += variant_words(given)
-        for text in () if listed else given["exclude"]:
+        words += variant_words(params)
+        for text in () if listed else params["exclude"]:
             words += ["--exclude", text]
         return shlex.join(words + ([] if listed else ["--items", str(item.number)]))
 
 
-def _tell(
+def _print_results(
     console: Console,
     report: BatchReport,
     params: dict[str, Any],
@@ -398,7 +398,7 @@ def _tell(
     elif params["dry_run"]:
         console.result(*PLANNED.text(report))
     console.faults(notices)
-    _tell_notices(console, report)
+    _print_notices(console, report)
     console.lines((DRY if params["dry_run"] else SUMMARY).text(report))
     for entry in report.failed:
         console.error(f"{entry.item.label} failed")
@@ -406,8 +406,8 @@ def _tell(
         console.say(f"  again: {repeat.command(entry)}")
 
 
-def _tell_notices(console: Console, report: BatchReport) -> None:
-    """Say what is odd about items, each once, and of which items."""
+def _print_notices(console: Console, report: BatchReport) -> None:
+    """Print the warnings of items, each once with the items that have it."""
     for notice, entries in report.notices_of_items().items():
         paths = {entry.item.file.path.absolute() for entry in entries}
         # One that names the only input needs no more.

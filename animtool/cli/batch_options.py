@@ -13,7 +13,7 @@ from animtool.cli.options import FILE, RATE, TIMECODE_OPTIONS, stacked
 if TYPE_CHECKING:
     from animtool.batch.spec import BatchSpec
 
-# Of shots, by the names of `BatchSpec`.
+# Shot options by their names in `BatchSpec`.
 CUT_OPTIONS = ("handles", "fps", "cut_start", "first_timecode")
 
 cut_options = stacked(
@@ -63,15 +63,17 @@ variant_options = stacked(
 
 
 def with_cuts(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
-    """Return a batch with the cut list that a command line names, if it names one."""
+    """Return a batch with the cut list of the command line, if any."""
     if params["cuts"] is not None:
         spec = replace(spec, cuts=params["cuts"])
-    given = {name: params[name] for name in CUT_OPTIONS if params[name] is not None}
-    return replace(spec, **given)
+    cut_options = {
+        name: params[name] for name in CUT_OPTIONS if params[name] is not None
+    }
+    return replace(spec, **cut_options)
 
 
 def cut_words(params: Mapping[str, Any]) -> list[str]:
-    """Return the options of shots as they were given."""
+    """Return the shot options as command-line words."""
     words = []
     for name in CUT_OPTIONS:
         if params[name] is not None:
@@ -80,7 +82,7 @@ def cut_words(params: Mapping[str, Any]) -> list[str]:
 
 
 def variant_words(params: Mapping[str, Any]) -> list[str]:
-    """Return the options as they were given."""
+    """Return the variant options as command-line words."""
     words = [] if params["table"] is None else ["--variants", str(params["table"])]
     for text in params["columns"]:
         words += ["--vary", text]
@@ -88,7 +90,7 @@ def variant_words(params: Mapping[str, Any]) -> list[str]:
 
 
 def with_variants(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
-    """Return a batch with the variants of a command line, if it has some."""
+    """Return a batch with the variants of the command line, if any."""
     if params["table"] is not None and params["columns"]:
         raise click.UsageError(
             "--variants and --vary both set values: use one of them."

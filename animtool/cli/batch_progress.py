@@ -1,4 +1,4 @@
-"""What a batch is at, and what it came to: a live table, lines, JSON."""
+"""Progress and results of a batch: live table, lines or JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from animtool.batch.item import values_text
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener
-from animtool.batch.work import Status
+from animtool.batch.work import ItemStatus
 from animtool.cli.console import Console
 from animtool.core.arguments import Calling
 from animtool.core.errors import AnimtoolError, Fault, counted
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 MAX_ROWS = 20  # of takes in a table
 
 
-def _counts(report: BatchReport, unmade: str = str(Status.NOT_RUN)) -> str:
-    counts = ((report.count(status), status) for status in Status)
-    words = {Status.NOT_RUN: unmade}
+def _counts(report: BatchReport, unmade: str = str(ItemStatus.NOT_RUN)) -> str:
+    counts = ((report.count(status), status) for status in ItemStatus)
+    words = {ItemStatus.NOT_RUN: unmade}
     return ", ".join(f"{count} {words.get(s, s)}" for count, s in counts if count)
 
 
@@ -46,9 +46,9 @@ def _error_text(entry: ItemReport) -> str:
 
 
 def ended_text(entry: ItemReport, number: int, total: int) -> str:
-    """Return the line of an item that ended."""
+    """Return the line of a finished item."""
     head = f"[{number}/{total}] {entry.status} {_item(entry)}"
-    if entry.status is Status.FAILED:
+    if entry.status is ItemStatus.FAILED:
         return f"{head}: {entry.why}"
     return f"{head} ({entry.reason}) {entry.seconds:.2f} s"
 
@@ -59,37 +59,37 @@ def report_json(
     """Return the report as plain values."""
     items = [
         plain_value(entry)
-        | ({"again": command(entry)} if entry.status is Status.FAILED else {})
+        | ({"again": command(entry)} if entry.status is ItemStatus.FAILED else {})
         for entry in report.items
     ]
     return {**report.summary, "items": items}
 
 
 def openjd_lines(other: Listener, calling: Calling) -> Listener:
-    """Return a listener that writes such lines to stdout, and tells another."""
+    """Return a listener that writes OpenJD lines to stdout and forwards to another."""
 
-    class Lines(Listener):
+    class OpenJdLines(Listener):
         """Writes progress, status and failures."""
 
         def __init__(self) -> None:
             self.total = self.ended_items = self.failed = 0
 
         def planned(self, due: int, total: int) -> None:
-            """Say how many are to be made."""
+            """Receive the number of items to build."""
             self.total = due
             _say("progress", f"{0 if due else 100:.1f}")
             _say("status", f"{due} of {total} to build")
             other.planned(due, total)
 
         def began(self, item: Item) -> None:
-            """Tell the other."""
+            """Forward to the other listener."""
             other.began(item)
 
         def ended(self, report: ItemReport) -> None:
-            """Say how far it is, and what failed."""
+            """Print the progress and failures."""
             self.ended_items += 1
             output, count = report.item.output, f"{self.ended_items} of {self.total}"
-            if report.status is Status.FAILED:
+            if report.status is ItemStatus.FAILED:
                 self.failed += 1
                 why = report.worded(calling).why
                 _say("fail", f"{self.failed} failed, the last is {output}: {why}")
@@ -98,15 +98,15 @@ def openjd_lines(other: Listener, calling: Calling) -> Listener:
             other.ended(report)
 
         def warned(self, notice: Fault) -> None:
-            """Tell the other."""
+            """Forward to the other listener."""
             other.warned(notice)
 
-    return Lines()
+    return OpenJdLines()
 
 
 @contextmanager
 def openjd_failure(calling: Calling, *, asked: bool) -> Iterator[None]:
-    """Say in such a line too what ends the whole, where that is asked for."""
+    """Report a fatal error as an OpenJD line too, if requested."""
     try:
         yield
     except AnimtoolError as error:
@@ -125,7 +125,7 @@ WIDTH = 40
 
 @contextmanager
 def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
-    """Give what a run tells what happens, which shows it."""
+    """Provide a listener that shows the progress of a run."""
     if not console.is_live():
         yield _lines(console, lines=lines)
         return
@@ -133,7 +133,7 @@ def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
     from rich.live import Live
 
     shown, renderable = _table(console, lines=lines)
-    # Drawn a few times a second, whatever happens in between.
+    # Redrawn a few times a second at most.
     with Live(
         get_renderable=renderable, console=RichConsole(stderr=True), transient=True
     ):
@@ -141,32 +141,32 @@ def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
 
 
 def _lines(console: Console, *, lines: bool) -> Listener:
-    class Lines(Listener):
-        """Says each item in a line."""
+    class TextLines(Listener):
+        """Prints one line per item."""
 
         due = ended_items = 0
 
         def planned(self, due: int, total: int) -> None:
-            """Say how many are to be made."""
+            """Receive the number of items to build."""
             self.due = due
             if due < total:
                 console.say(f"{total - due} of {total} are up to date")
 
         def ended(self, report: ItemReport) -> None:
-            """Say what became of one."""
+            """Print the result of one item."""
             self.ended_items += 1
             if lines:
                 _write(report.worded(console.calling))
             else:
-                told = report.worded(console.calling)
-                console.say(ended_text(told, self.ended_items, self.due))
+                worded_report = report.worded(console.calling)
+                console.say(ended_text(worded_report, self.ended_items, self.due))
 
         def warned(self, notice: Fault) -> None:
-            """Show a warning when it comes."""
+            """Print a warning."""
             self.shown = (*self.shown, notice)
             console.faults([notice])
 
-    return Lines()
+    return TextLines()
 
 
 def _table(
@@ -178,7 +178,7 @@ def _table(
     from rich.text import Text
 
     class ProgressListener(Listener):
-        """Knows how much is done, what failed, and what is being made since when."""
+        """Tracks finished, failed and running items with their start times."""
 
         due = ended_items = failed = 0
 
@@ -187,16 +187,16 @@ def _table(
             self.warning = ""
 
         def planned(self, due: int, total: int) -> None:
-            """Take how many are to be made."""
+            """Record the number of items to build."""
             del total
             self.due = due
 
         def began(self, item: Item) -> None:
-            """Take what is begun."""
+            """Record a started item."""
             self.running[item.number] = str(item.output), time.perf_counter()
 
         def ended(self, report: ItemReport) -> None:
-            """Take what became of one."""
+            """Record a finished item."""
             self.running.pop(report.item.number, None)
             self.ended_items += 1
             self.failed += bool(report.faults)
@@ -205,7 +205,7 @@ def _table(
                 _write(report.worded(console.calling))
 
         def warned(self, notice: Fault) -> None:
-            """Take a warning, which is shown until an item ends, and at the end."""
+            """Record a warning; it is shown until an item ends, and at the end."""
             self.warning = str(notice.worded(console.calling))
 
     shown = ProgressListener()
@@ -234,24 +234,26 @@ def _write(report: ItemReport) -> None:
 
 
 def scores_table(items: Sequence[ItemReport]) -> list[str]:
-    """Return a table for each pass that has scores.
+    """Return one score table per pass.
 
     Args:
-        items: The worst first, as the rows are.
+        items: Worst first, the order of the rows.
     """
-    places = dict.fromkeys(
+    passes = dict.fromkeys(
         (one.pass_name, one.where) for entry in items for one in entry.scores
     )
-    return [line for place in places for line in _pass_table(items, place)]
+    return [line for pass_key in passes for line in _pass_table(items, pass_key)]
 
 
-def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator[str]:
-    """Yield the lines of the pass of a name and place."""
+def _pass_table(
+    items: Sequence[ItemReport], pass_key: tuple[str, str]
+) -> Iterator[str]:
+    """Yield the table of one pass."""
     table_rows = [
         (entry, one)
         for entry in items
         for one in entry.scores
-        if (one.pass_name, one.where) == place
+        if (one.pass_name, one.where) == pass_key
     ]
     names = [score.name for score in table_rows[0][1].scores]
     rows = [("  item", *names, "above usual")]
@@ -261,7 +263,7 @@ def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator
         rows.append(
             (f"  {_item(entry)}", *(texts.get(name, "") for name in names), worse)
         )
-    yield f"{place[0]} ({place[1]}), worst first:"
+    yield f"{pass_key[0]} ({pass_key[1]}), worst first:"
     yield from columns(rows, {0, len(names) + 1})
     if len(table_rows) > MAX_ROWS:
         rest = counted(len(table_rows) - MAX_ROWS, "item")
@@ -290,7 +292,7 @@ SUMMARY = Template(
         "tables": scores_table,
     },
 )
-# Of a dry run: how many are to be made, and what, each with the reason.
+# Of a dry run: the number of items to build, and each with its reason.
 DRY = replace(
     SUMMARY,
     printers={**SUMMARY.printers, "counts": lambda one: _counts(one, "to build")},

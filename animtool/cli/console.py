@@ -1,4 +1,4 @@
-"""What a command says: results on stdout, the rest on stderr."""
+"""Output of a command: results on stdout, everything else on stderr."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SOURCE_NAMES = {"fps": "source_fps", "prim_path": "source_prim", "unit": "units"
 
 
 def as_flag(argument: Argument) -> str:
-    """Return an argument as commands have it whose options are called as it is.
+    """Return an argument as a flag of the same name.
 
     >>> as_flag(Argument("rig_layer")), as_flag(Argument("normals", "false"))
     ('--rig-layer', '--no-normals')
@@ -44,7 +44,7 @@ def as_flag(argument: Argument) -> str:
 
 
 def calling_of(command: click.Command) -> Calling:
-    """Return what a command calls arguments that it has: its flags."""
+    """Return how a command spells arguments: its flags."""
 
     def called(argument: Argument) -> str | None:
         value = argument.value or ""
@@ -64,17 +64,19 @@ def calling_of(command: click.Command) -> Calling:
 
 
 def _names(argument: Argument) -> tuple[str, ...]:
-    """Return what commands call an argument, the usual name first."""
+    """Return the option names of an argument, most common first."""
     field = argument.field
-    own = SOURCE_NAMES.get(field) if argument.name.startswith("source.") else None
-    if own is None:
+    source_name = (
+        SOURCE_NAMES.get(field) if argument.name.startswith("source.") else None
+    )
+    if source_name is None:
         return (field,)
-    # What is called so without `source.` is of the output; of a path either is meant.
-    return (own,) if field == "fps" else (own, field)
+    # Without `source.` the name is the output's; for a path, either is meant.
+    return (source_name,) if field == "fps" else (source_name, field)
 
 
 def _option(command: click.Command, names: tuple[str, ...]) -> click.Option | None:
-    """Return the option of the first name, None where the command has none."""
+    """Return the option of the first matching name; None if the command has none."""
     options = [each for each in command.params if isinstance(each, click.Option)]
     for name in names:
         for option in options:
@@ -88,17 +90,17 @@ _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
 
 @dataclass(slots=True)
 class Console:
-    """Where a command's words go."""
+    """Output streams of a command."""
 
-    verbosity: int = 0  # -1 errors only, 0 the usual, 1 notes and timings too
+    verbosity: int = 0  # -1 errors only, 0 default, 1 with notes and timings
     json_log: bool = False  # write each line on stderr as a JSON object
     debug: bool = False  # let a Python traceback through
-    calling: Calling = as_flag  # what the command calls arguments
+    calling: Calling = as_flag  # the command's spelling of arguments
 
     def result(self, *lines: str) -> None:
-        """Write lines of a result to stdout; what is in them makes no other line."""
-        told = (escaped(worded(line, self.calling)) for line in lines)
-        sys.stdout.write("".join(f"{line}\n" for line in told))
+        """Write result lines to stdout, control characters escaped."""
+        escaped_lines = (escaped(worded(line, self.calling)) for line in lines)
+        sys.stdout.write("".join(f"{line}\n" for line in escaped_lines))
         note_said()
 
     def result_json(self, value: object, *, line: bool = False) -> None:
@@ -109,7 +111,7 @@ class Console:
         sys.stdout.flush()
 
     def document(self, text: str) -> None:
-        """Write a whole text to stdout, whose format has its own escapes."""
+        """Write a document to stdout unescaped."""
         sys.stdout.write(text if text.endswith("\n") else text + "\n")
         note_said()
 
@@ -124,7 +126,7 @@ class Console:
             self._line("debug", text)
 
     def faults(self, faults: Iterable[Fault], *, fatal: bool = False) -> None:
-        """Write faults to stderr: errors and what ends the work always."""
+        """Write faults to stderr; errors even if quiet."""
         for unworded in faults:
             fault = unworded.worded(self.calling)
             if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
@@ -139,14 +141,14 @@ class Console:
         """Write a report, as JSON to stdout or as lines.
 
         Args:
-            form: ``json``, or another for lines.
+            form: ``json`` or ``text``.
             record: The report.
-            template: Its lines; those of a result go to stdout, others to stderr.
+            template: Its lines; result lines go to stdout, others to stderr.
         """
         if form == "json":
             self.result_json(record)
             return
-        lines = template.text(record, whole=self.verbosity > 0)
+        lines = template.text(record, all_names=self.verbosity > 0)
         if template.is_result:
             self.result(*lines)
         else:
@@ -165,22 +167,22 @@ class Console:
             self.say(line)
 
     def error(self, message: str, *others: str) -> None:
-        """Write an error that has no code to stderr, and further lines about it."""
+        """Write an error without a code to stderr, with detail lines."""
         label = self._color("error", _COLORS[Severity.ERROR])
         message, *more = (worded(text, self.calling) for text in (message, *others))
         lines = (f"{label}: {escaped(message)}", *map(escaped, more))
-        whole = "\n".join((message, *more))
-        self._write({"level": "error", "message": whole}, "\n".join(lines))
+        full_message = "\n".join((message, *more))
+        self._write({"level": "error", "message": full_message}, "\n".join(lines))
 
     def is_live(self) -> bool:
-        """Return whether somebody looks at stderr while things change."""
+        """Return whether stderr is a terminal for live updates."""
         return self.verbosity >= 0 and not self.json_log and sys.stderr.isatty()
 
     @contextmanager
     def progress(
         self, label: str, *, stdout: bool = False
     ) -> Iterator[Callable[[float], None] | None]:
-        """Give a function that shows the share done; None where nobody looks."""
+        """Provide a function that shows the fraction done; None without a terminal."""
         if not self.is_live() or (stdout and sys.stdout.isatty()):
             yield None
             return
@@ -197,11 +199,11 @@ class Console:
         )
         task = bar.add_task(escaped(label), total=1.0)
 
-        def show(share: float) -> None:
-            # Started late: what fails at once shows no bar.
+        def show(fraction: float) -> None:
+            # Started late: commands that fail at once show no bar.
             if not bar.live.is_started:
                 bar.start()
-            bar.update(task, completed=share)
+            bar.update(task, completed=fraction)
 
         try:
             yield show
@@ -209,13 +211,13 @@ class Console:
             bar.stop()
 
     def _worded(self, value: object) -> object:
-        """Return plain values whose texts call arguments as the command does."""
+        """Return plain values whose texts name arguments by their flags."""
         if isinstance(value, str):
             return worded(value, self.calling)
         if isinstance(value, Mapping):
-            return {key: self._worded(own) for key, own in value.items()}
+            return {key: self._worded(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
-            return [self._worded(own) for own in value]
+            return [self._worded(item) for item in value]
         return value
 
     def _line(self, level: str, text: str) -> None:
@@ -223,7 +225,7 @@ class Console:
         self._write({"level": level, "message": text}, escaped(text))
 
     def _write(self, entry: dict[str, object], text: str) -> None:
-        """Write what is escaped, with colours of our own, or an entry as JSON."""
+        """Write escaped text with our colors, or an entry as JSON."""
         sys.stderr.write((json_printed(entry) if self.json_log else text) + "\n")
         note_said()
 
@@ -232,7 +234,7 @@ class Console:
 
 
 def _wants_color(stream: TextIO) -> bool:
-    """Follow NO_COLOR and FORCE_COLOR, else whether a terminal listens."""
+    """Return whether to use color: NO_COLOR, FORCE_COLOR, else on a terminal."""
     if os.environ.get("NO_COLOR"):
         return False
     return bool(os.environ.get("FORCE_COLOR")) or stream.isatty()

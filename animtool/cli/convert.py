@@ -18,7 +18,7 @@ from animtool.cli.options import (
     stage_option,
     strict_option,
 )
-from animtool.cli.outputs import all_named, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skipped, writing_options
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.errors import counted
 from animtool.core.names import is_named
@@ -98,12 +98,12 @@ def convert(
         and _every_take(source, output, params)
     ):
         return
-    from animtool.core.readers import is_still
+    from animtool.core.readers import is_rig_only
     from animtool.core.writers import holds_rig, take_writer
     from animtool.scene.convert.takes import convert as run_convert
 
     of_rig = is_named(source, "rig") or is_named(output, "rig") or params["physics"]
-    of_rig = of_rig or (is_still(source) and holds_rig(output))
+    of_rig = of_rig or (is_rig_only(source) and holds_rig(output))
     outputs = [output] if of_rig else take_writer(output).files(output)
     if of_rig:
         from animtool.scene.convert.rigs import rig_outputs
@@ -120,7 +120,7 @@ def convert(
         prim_path=params["prim_path"],
         placement=params["placement"],
     )
-    with all_named(), console.progress(f"convert {source.name}") as progress:
+    with atomic_command(), console.progress(f"convert {source.name}") as progress:
         report = run_convert(
             source,
             output,
@@ -139,7 +139,7 @@ def convert(
 
 
 def _only_output(source: Path, output: Path | None, named: Path | None) -> Path:
-    """Return OUTPUT, an argument or -o; refuse it where it looks like the source."""
+    """Return OUTPUT from the argument or -o; refuse swapped arguments."""
     if output is not None and named is not None:
         raise click.UsageError("OUTPUT and -o both name the output: use one of them.")
     chosen = output or named
@@ -154,7 +154,7 @@ def _only_output(source: Path, output: Path | None, named: Path | None) -> Path:
 
 
 def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
-    """Convert each take of a file that holds several to a USD file of a folder.
+    """Convert each take of a multi-take file to a USD file in a folder.
 
     Returns whether it holds any.
     """
@@ -168,19 +168,19 @@ def _every_take(source: Path, folder: Path, params: dict[str, Any]) -> bool:
     folder.mkdir(parents=True, exist_ok=True)
     legal = distinct_names(names, names, names).names
     for name, stem in zip(names, legal, strict=True):
-        own = {
+        take_params = {
             **params,
             "named_output": None,
             "source": source,
             "output": folder / f"{stem}.usdc",
         }
-        click.get_current_context().invoke(convert, **{**own, "take": name})
+        click.get_current_context().invoke(convert, **{**take_params, "take": name})
     return True
 
 
 @dataclass(frozen=True, slots=True)
 class _Converted:
-    """What a conversion of markers did."""
+    """Result of a marker conversion."""
 
     frames: int
     markers: int
@@ -220,7 +220,7 @@ def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -
         if params[name]:
             option = f"--{name.replace('_', '-')}"
             raise click.UsageError(f"{option} applies to motion, not to a rig.")
-    with all_named():
+    with atomic_command():
         report = convert_rig(
             source,
             output,

@@ -28,7 +28,7 @@ from animtool.report.text import Each, Template
 
 
 def _largest(kind: str, size: str, where: str) -> str:
-    """Return the line of the largest difference of a kind, and where it is."""
+    """Return the template of the largest difference of a kind and its location."""
     width = 14 if "prim" in where else 12
     at = where.replace("@", kind)
     return (
@@ -39,7 +39,7 @@ def _largest(kind: str, size: str, where: str) -> str:
 
 
 _JOINT, _POINT = "joint {@.joint:repr}", "{@.prim:repr}, point {@.point}"
-_FOUND = (Each("mismatches", ("  {self}",)), Each("notes", ("  note: {self}",)))
+_DIFFERENCES = (Each("mismatches", ("  {self}",)), Each("notes", ("  note: {self}",)))
 _TAKES = Template(
     "animtool.report.compare:TakeDifference",
     (
@@ -50,7 +50,7 @@ _TAKES = Template(
         _largest("rotation", "plain", _JOINT).replace("plain}", "plain} deg"),
         _largest("scale", "plain", _JOINT),
         f"[{{?shapes}}{_largest('weight', 'plain', 'shape {@.shape:repr}')}]",
-        *_FOUND,
+        *_DIFFERENCES,
     ),
     {"several": lambda n: counted(n, "skeleton") if n > 1 else ""},
 )
@@ -61,13 +61,13 @@ _POINTS = Template(
         _largest("points", "length", _POINT),
         _largest("orientations", "plain", _POINT).replace("plain}", "plain} deg"),
         _largest("scales", "plain", _POINT),
-        *_FOUND,
+        *_DIFFERENCES,
     ),
 )
 
 
 def _choices(command: Command) -> Command:
-    """Add what to read of the files: options of both, and of either alone."""
+    """Add source options for both files, and for either one."""
     for name, metavar, what in (
         ("take", "NAME", "The take to read from clip libraries in USD"),
         ("prim-path", "PATH", "The character, where a file has several"),
@@ -153,7 +153,7 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
 
 
 def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
-    """Return what each file is: options of both where they fit, then its own."""
+    """Return each file's source options: shared ones that apply, then its own."""
     from animtool.scene.sources.open import fitting_options
 
     shared = source_options_record(
@@ -162,6 +162,8 @@ def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
     options = []
     for path, side in ((first, "a"), (second, "b")):
         names = ("take", "prim_path")
-        own = {n: v for n in names if (v := params[f"{n}_{side}"]) is not None}
-        options.append(replace(fitting_options(shared, path, [first, second]), **own))
+        side_options = {n: v for n in names if (v := params[f"{n}_{side}"]) is not None}
+        options.append(
+            replace(fitting_options(shared, path, [first, second]), **side_options)
+        )
     return options

@@ -12,7 +12,7 @@ from animtool.cli.help import command
 from animtool.cli.options import common_options, format_option
 from animtool.core.pages import KINDS, PageEntry, all_pages, find_page, page_markdown
 
-# Pages that are made of the records of commands and codes.
+# Generated pages.
 COMMANDS_PAGE = PageEntry("reference/commands", "Commands")
 CODES_PAGE = PageEntry("reference/codes", "Codes")
 _CODE = re.compile(r"[A-Za-z]{2,8}[0-9]{3}")
@@ -65,13 +65,13 @@ def docs(
 
 
 def _page_of(topic: str) -> PageEntry:
-    """Return the page of a topic, which may be a code or a command."""
+    """Return the page of a topic, code or command."""
     from animtool.cli.main import COMMANDS
     from animtool.core.rules import find_rule
 
-    for made in (COMMANDS_PAGE, CODES_PAGE):
-        if topic.lower() in {made.name, made.name.split("/")[-1]}:
-            return made
+    for entry in (COMMANDS_PAGE, CODES_PAGE):
+        if topic.lower() in {entry.name, entry.name.split("/")[-1]}:
+            return entry
     if _CODE.fullmatch(topic):
         rule = find_rule(topic)
         return PageEntry(f"rules/{rule.code}", rule.title)
@@ -82,7 +82,7 @@ def _page_of(topic: str) -> PageEntry:
 
 
 def _text(page: PageEntry) -> str:
-    """Return the Markdown of a page, of one that is made too."""
+    """Return the Markdown of a page, generated or stored."""
     from animtool.cli.docs_reference import codes_markdown, commands_markdown
     from animtool.core.rules import page_text
 
@@ -97,7 +97,7 @@ def _text(page: PageEntry) -> str:
 
 
 def _open(console: Console, name: str) -> bool:
-    """Open a page of the local build in the browser; return whether it did."""
+    """Open a page of the local site in the browser; return whether that worked."""
     from animtool.preview.show import has_browser, open_browser
 
     file, _, anchor = name.partition("#")
@@ -112,7 +112,7 @@ def _open(console: Console, name: str) -> bool:
 
 
 def _entries() -> list[PageEntry]:
-    """Return all pages in the order of their kinds."""
+    """Return all pages sorted by kind."""
     order = list(KINDS.values())
     pages = [*all_pages(), COMMANDS_PAGE, CODES_PAGE]
     return sorted(pages, key=lambda page: (order.index(page.kind), page.name))

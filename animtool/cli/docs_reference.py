@@ -1,4 +1,4 @@
-"""Reference pages that are made of the records: every command, every code."""
+"""Generated reference pages: all commands, all codes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import groupby
 
 import click
 
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 
 
 def commands_markdown(name: str | None = None) -> str:
@@ -36,17 +36,17 @@ def commands_markdown(name: str | None = None) -> str:
 def _command(
     command: click.Command, context: click.Context, level: int
 ) -> Iterator[str]:
-    """Yield the paragraphs of a command, and of those below it."""
+    """Yield the paragraphs of a command and its subcommands."""
     yield f"{'#' * level} {context.command_path}"
     yield _prose(command.help or "")
     yield f"```text\n{' '.join(command.collect_usage_pieces(context))}\n```".replace(
         "```text\n", f"```text\n{context.command_path} "
     )
     rows = [
-        found
+        record
         for one in command.get_params(context)
         if isinstance(one, click.Option)
-        if (found := one.get_help_record(context))
+        if (record := one.get_help_record(context))
     ]
     if rows:
         yield from _table(
@@ -63,7 +63,7 @@ def _command(
 
 def codes_markdown() -> str:
     """Return the list of all codes, by family, as Markdown."""
-    rules = own_rules()
+    rules = builtin_rules()
     parts = [
         "# Codes",
         "Each fault, warning and note has a code; `animtool explain CODE` prints it.",
@@ -85,12 +85,12 @@ def codes_markdown() -> str:
 
 
 def _cell(text: str) -> str:
-    """Return code that stands in a cell of a table."""
+    """Return code for a table cell."""
     return text.replace("|", "\\|")
 
 
 def _prose(text: str) -> str:
-    """Return a help text in which Markdown finds no marks of its own."""
+    """Escape Markdown in a help text."""
     joined = " ".join(text.replace("\b", "").split())
     return re.sub(r"([<>*_|\[\]])", r"\\\1", joined)
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
-    """A code, and what its page says."""
+class RulePage:
+    """A code and its rule page."""
 
     rule: Rule
     json_keys: ClassVar[str] = (
@@ -29,27 +29,27 @@ class Page:
 
     @property
     def page(self) -> str | None:
-        """The text of its page, Markdown; None where it has none."""
+        """Markdown of the rule page; None if it has none."""
         from animtool.core.rules import page_text
 
         return page_text(self.rule.code)
 
     @property
     def kind(self) -> Kind | None:
-        """The kind of file that it looks at, where that is one."""
+        """The kind of file that the rule checks, if there is exactly one."""
         return next(iter(self.kinds)) if len(self.kinds) == 1 else None
 
     @property
     def kinds(self) -> list[Kind]:
-        """The kinds of files that it looks at."""
+        """The kinds of files that the rule checks."""
         return sorted(self.rule.kinds)
 
 
 @dataclass(frozen=True, slots=True)
 class Pages:
-    """The codes that were asked for, or all."""
+    """The requested codes, or all."""
 
-    rules: list[Page]
+    rules: list[RulePage]
     json_keys: ClassVar[str] = "'explain' rules"
 
 
@@ -95,14 +95,14 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
         rules = [known[code] for code in sorted(known)]
     if not listing and report_format != "json":
         for rule in rules:
-            console.document(Page(rule).page or escaped_lines(_bare_page(rule)))
+            console.document(RulePage(rule).page or escaped_lines(_bare_page(rule)))
         return
-    pages = Pages([Page(rule) for rule in rules])
+    pages = Pages([RulePage(rule) for rule in rules])
     console.report(report_format, pages, PAGES)
 
 
 def _bare_page(rule: Rule) -> str:
-    """Return what is known of a code without a page, laid out as one."""
+    """Return a generated page for a code without one."""
     where = "Readers and commands report it."
     if rule.kinds:
         upper = {"bvh", "usd"}

@@ -10,7 +10,7 @@ import click
 
 
 class LazyGroup(click.Group):
-    """A group that imports a command's module when the command is called.
+    """A click group that imports a command's module when it is called.
 
     Attributes:
         table: By command name, its ``module:object`` and its one-line help.
@@ -48,7 +48,7 @@ class LazyGroup(click.Group):
     def format_commands(
         self, ctx: click.Context, formatter: click.HelpFormatter
     ) -> None:
-        """List the commands from the table, importing none."""
+        """List the commands from the table without importing them."""
         del ctx
         from animtool.cli.help import write_sections
 

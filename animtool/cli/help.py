@@ -1,4 +1,4 @@
-"""Help that one can scan: ``-h`` the usual options, ``--help`` all, by group."""
+"""Help: ``-h`` lists the common options, ``--help`` all of them, by group."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _GROUPS: dict[str, str] = {
     ),
 }
 _GROUP_OF = {word: name for name, words in _GROUPS.items() for word in words.split()}
-# Where a command means another thing by an option.
+# Groups of options that differ in one command.
 _ELSEWHERE = {
     "bake": {"prim-path": "Output"},
     "ik": {"prim-path": "Output", "pose": "Time"},
@@ -59,8 +59,8 @@ _ELSEWHERE = {
     "preview": {"camera": "Picture"},
     "job": {"chunk": "Run"},
 }
-# The options that most calls of a command need.
-_USUAL = {
+# The most common options of each command.
+_COMMON = {
     "bake": "output rig rig-layer fps range plan",
     "batch": "output scene set jobs dry-run items",
     "convert": "reduce units up take prim-path overwrite",
@@ -84,7 +84,7 @@ _MAX_SHORT = 40  # lines of the short help
 
 
 class Command(click.Command):
-    """A command with a short help and a whole one, its options by group."""
+    """A command with short and full help, options grouped."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the parameters, with ``-h`` and ``--help`` last."""
@@ -108,16 +108,16 @@ class Command(click.Command):
                 _section(formatter, name, records)
 
     def short_help_of(self, ctx: click.Context) -> str:
-        """Return the help of ``-h``: usage, the usual options, and examples."""
+        """Return the help of ``-h``: usage, common options, examples."""
         formatter = ctx.make_formatter()
         self.format_usage(ctx, formatter)
         about = (self.help or "").strip().split("\n\n")[0]
         formatter.write_paragraph()
         with formatter.indentation():
             formatter.write_text(" ".join(about.split()))
-        usual = usual_options(self.name or "")
+        common = common_options(self.name or "")
         records = {_word(option): record for option, record in self._records(ctx)}
-        shown = usual or [word for word in records if _GROUP_OF[word] != "Report"]
+        shown = common or [word for word in records if _GROUP_OF[word] != "Report"]
         firsts = [(records[w][0], _first(records[w][1])) for w in shown if w in records]
         if firsts:
             _section(formatter, "Options", firsts)
@@ -133,7 +133,7 @@ class Command(click.Command):
     def _records(
         self, ctx: click.Context
     ) -> Iterable[tuple[click.Option, tuple[str, str]]]:
-        """Yield the options, and the name and text of each."""
+        """Yield the options with name and help text."""
         for option in self.get_params(ctx):
             record = option.get_help_record(ctx)
             if isinstance(option, click.Option) and record is not None:
@@ -148,21 +148,21 @@ def command(*args: Any, **options: Any) -> Callable[[Callable[..., Any]], Comman
 def write_sections(
     formatter: click.HelpFormatter, sections: Mapping[str, list[tuple[str, str]]]
 ) -> None:
-    """Write commands, by group, their texts in one column."""
+    """Write commands by group, texts aligned."""
     width = max(len(name) for rows in sections.values() for name, _ in rows)
     for title, rows in sections.items():
         _section(formatter, title, [(name.ljust(width), text) for name, text in rows])
 
 
 def group_of(command: str, option: click.Option) -> str:
-    """Return the heading of an option; KeyError for one that has none."""
+    """Return the heading of an option; KeyError if it has none."""
     word = _word(option)
     return _ELSEWHERE.get(command, {}).get(word) or _GROUP_OF[word]
 
 
-def usual_options(command: str) -> list[str]:
-    """Return the options in the short help of a command; none: all but reports."""
-    return _USUAL.get(command, "").split()
+def common_options(command: str) -> list[str]:
+    """Return the options in a command's short help; empty for all but reports."""
+    return _COMMON.get(command, "").split()
 
 
 def _word(option: click.Option) -> str:
@@ -178,7 +178,7 @@ def _first(text: str) -> str:
 def _section(
     formatter: click.HelpFormatter, title: str, records: list[tuple[str, str]]
 ) -> None:
-    # Click takes colours out where no terminal listens.
+    # Click strips colors without a terminal.
     plain = bool(os.environ.get("NO_COLOR"))
     with formatter.section(title if plain else click.style(title, bold=True)):
         formatter.write_dl(records)
@@ -187,15 +187,15 @@ def _section(
 def _help_options() -> list[click.Parameter]:
     """Return ``-h`` and ``--help``."""
 
-    def whole(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+    def full_help(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
         if asked and not ctx.resilient_parsing:
             click.echo(ctx.get_help(), color=ctx.color)
             ctx.exit()
 
     def short(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
         if asked and not ctx.resilient_parsing:
-            made = ctx.command
-            text = made.short_help_of(ctx) if isinstance(made, Command) else ""
+            command = ctx.command
+            text = command.short_help_of(ctx) if isinstance(command, Command) else ""
             click.echo(text or ctx.get_help(), color=ctx.color)
             ctx.exit()
 
@@ -208,7 +208,7 @@ def _help_options() -> list[click.Parameter]:
         click.Option(["-h"], callback=short, hidden=True, **flags),
         click.Option(
             ["--help"],
-            callback=whole,
+            callback=full_help,
             help="Show this message; -h shows the usual options.",
             **flags,
         ),

@@ -28,12 +28,12 @@ from animtool.cli.options import (
     stacked,
 )
 from animtool.cli.outputs import (
-    all_named,
+    atomic_command,
     check_plot,
     goes_to_stdout,
     plot_option,
+    print_tradeoffs,
     refuse_alone,
-    say_tradeoffs,
     skipped,
     split_option,
     writing_options,
@@ -210,7 +210,7 @@ def ik(console: Console, /, **params: Any) -> None:
     from animtool.scene.solves.ik import MissedGoalsError, run_ik
 
     label = f"ik {params['targets'].name}"
-    with all_named(), console.progress(label, stdout=to_stdout) as progress:
+    with atomic_command(), console.progress(label, stdout=to_stdout) as progress:
         try:
             report = run_ik(_job(params), progress=progress)
         except MissedGoalsError as error:
@@ -221,7 +221,7 @@ def ik(console: Console, /, **params: Any) -> None:
 
 
 def _match(console: Console, params: dict[str, Any], source: Any) -> None:
-    """Write the targets of a take, and say what they are."""
+    """Write the targets file of a take and print a summary."""
     _check_match(params)
     output = params["output"]
     if skipped(console, "ik", params, output, lambda: [output]):
@@ -250,7 +250,7 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
 
 
 def _check_match(params: dict[str, Any]) -> None:
-    """Refuse what a match lacks, and what it would not heed."""
+    """Refuse missing and ignored options of `--match`."""
     for name, what in (("start", "--clip"), ("output", "-o")):
         if params[name] is None:
             raise click.UsageError(f"--match needs {what}.")
@@ -274,10 +274,10 @@ def _check(params: dict[str, Any]) -> None:
 
 
 def _source(params: dict[str, Any]) -> Any:
-    """Return what the start is."""
+    """Return the options of the start take."""
     named = ("prim_path", "take", "positions")
-    own = {"shot": params["shot"], "placement": params["placement"]}
-    return source_options_record(params, *named, **own)
+    extra = {"shot": params["shot"], "placement": params["placement"]}
+    return source_options_record(params, *named, **extra)
 
 
 def _table(console: Console, params: dict[str, Any]) -> None:
@@ -288,7 +288,7 @@ def _table(console: Console, params: dict[str, Any]) -> None:
     check_plot(params["plot"], inputs, overwrite=params["overwrite"])
     with console.progress(f"measure {params['targets'].name}") as progress:
         report = ik_tradeoffs(_job(params), progress=progress)
-    say_tradeoffs(console, report, params["report_format"], params["plot"])
+    print_tradeoffs(console, report, params["report_format"], params["plot"])
 
 
 def _job(params: dict[str, Any]) -> Any:
@@ -311,7 +311,7 @@ def _job(params: dict[str, Any]) -> Any:
 
 
 def _bake_options(params: dict[str, Any]) -> Any:
-    """Return how outputs are written."""
+    """Return the output options."""
     output = params["output"]
     flags = {
         "--split": params["split"],
@@ -323,13 +323,13 @@ def _bake_options(params: dict[str, Any]) -> Any:
     }
     if params["reduce"] is not None and output is None:
         raise click.UsageError("--reduce needs an output: pass -o.")
-    flags_given = [flag for flag, value in flags.items() if value]
+    set_flags = [flag for flag, value in flags.items() if value]
     from animtool.scene.sources.open import is_usd
 
-    if flags_given and output is None:
-        raise click.UsageError(f"{flags_given[0]} needs an output: pass -o.")
-    if flags_given and str(output) != "-" and not is_usd(output):
-        raise click.UsageError(f"{flags_given[0]} applies to USD, not to {output}.")
+    if set_flags and output is None:
+        raise click.UsageError(f"{set_flags[0]} needs an output: pass -o.")
+    if set_flags and str(output) != "-" and not is_usd(output):
+        raise click.UsageError(f"{set_flags[0]} applies to USD, not to {output}.")
     return written_options_record(
         params,
         start=params["first_code"],

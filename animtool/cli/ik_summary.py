@@ -1,4 +1,4 @@
-"""How what ``animtool ik`` reports is printed."""
+"""Text report of ``animtool ik``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def _size(miss: Misses, name: str) -> str:
-    """Return a miss as people read it."""
+    """Format the size of a miss."""
     value = getattr(miss, name)
     if miss.metric and not math.isfinite(value):
         return f"over {BEYOND:g} m"

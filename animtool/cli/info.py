@@ -21,7 +21,7 @@ from animtool.cli.options import (
     stage_option,
 )
 from animtool.core.errors import counted, listed, percent
-from animtool.core.names import check_given, is_named
+from animtool.core.names import check_unused, is_named
 from animtool.core.quantities import plain
 from animtool.core.values import VERSION
 from animtool.report.text import Each, Line, Template
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from animtool.usd.caches.info import PointPrim
 
 
-# Of a set with many prims, those that have a line each.
+# Prims of a set to list one by one.
 MAX_PRIMS = 20
 _WORDS = {"BasisCurves": "curves", "PointInstancer": "copies"}
 _PRIM = (
@@ -41,7 +41,7 @@ _PRIM = (
     "[, with {self:has}][{?samples}{!fixed}, not the same all along]"
     "[, from {extent:corners}]"
 )
-_ODD = "  warnings  [{notices:n notice}|none]"
+_WARNINGS = "  warnings  [{notices:n notice}|none]"
 _FRAMES = (
     "  frames    {frames} at {fps:rate}, {duration:plain 4} s, time codes "
     "{start:frame} to {end:frame}"
@@ -119,12 +119,12 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
         "or down by {characters.rise:extreme m} in a frame]",
         "[{?joints}  bounds    {bounds:corners} {units}, {up} up"
         "|  space     {units}, {up} up]",
-        _ODD,
+        _WARNINGS,
     ),
     "GltfDescription": (
         "{path}: {format} without nodes",
         *_GLTF,
-        _ODD,
+        _WARNINGS,
     ),
     "PointsDescription": (
         "{path}: {format} without a Skeleton",
@@ -139,7 +139,7 @@ _LINES: Mapping[str, tuple[Line, ...]] = {
                 "{missing:list}]",
             ),
         ),
-        _ODD,
+        _WARNINGS,
     ),
     "SceneDescription": (
         "{path}: scene",
@@ -194,8 +194,8 @@ def _extreme(extreme: Extreme, unit: str) -> str:
     return f"{plain(extreme.value, 3)} {unit} ({name}, frame {extreme.frame:g})"
 
 
-def _made(counts: dict[str, int]) -> str:
-    """Return what a system is made of."""
+def _system_counts(counts: dict[str, int]) -> str:
+    """Format the element counts of a system."""
     return ", ".join(
         f"at most {count} at once"
         if name == "max_particles"
@@ -208,7 +208,7 @@ def _met(system: SystemDescription) -> str:
     return listed([*system.meets, *(["the character"] if system.character else [])])
 
 
-# How these lines print values, beside `animtool.report.text.PRINTED`.
+# Formatters in addition to `animtool.report.text.PRINTED`.
 PRINTERS: dict[str, Callable[..., str]] = {
     "range": _range,
     "pieces": _pieces,
@@ -225,8 +225,8 @@ PRINTERS: dict[str, Callable[..., str]] = {
         for side, foot in feet.items()
     ),
     "extreme": _extreme,
-    "named": lambda named, most: listed([own.name for own in named], int(most)),
-    "made": _made,
+    "named": lambda named, most: listed([entry.name for entry in named], int(most)),
+    "made": _system_counts,
     "met": _met,
 }
 
@@ -286,20 +286,20 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     if params["report_format"] == "json":
         console.result_json({"info": VERSION, "files": described})
     else:
-        for found in described:
-            console.result(*TEMPLATES[type(found).__name__].text(found))
-            console.faults(found.notices)
+        for description in described:
+            console.result(*TEMPLATES[type(description).__name__].text(description))
+            console.faults(description.notices)
     for one in errors:
         console.faults(one.faults)
     code = max((int(one.exit_code) for one in errors), default=0)
     if params["variables"] and not code:
-        check_given(dict(params["variables"]), used)
+        check_unused(dict(params["variables"]), used)
     click.get_current_context().exit(code)
 
 
 def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
-    """Return what a file holds."""
-    from animtool.core.readers import is_still
+    """Describe a file."""
+    from animtool.core.readers import is_rig_only
     from animtool.formats.marker_files import is_marker_file
     from animtool.scene.sources.open import is_usd
 
@@ -310,7 +310,7 @@ def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
         return describe_markers(path, read_marker_file(path, params))
     if is_named(path, "scene"):
         return _scene(path, params, used)
-    if is_named(path, "rig") or is_still(path):
+    if is_named(path, "rig") or is_rig_only(path):
         return _rig(path)
     if is_named(path, "targets"):
         from animtool.report.describe_rig import describe_targets
@@ -322,7 +322,7 @@ def _described(path: Path, params: dict[str, Any], used: set[str]) -> Any:
 
 
 def _take(path: Path, params: dict[str, Any]) -> Any:
-    """Return what the take of a file is; of a glTF without nodes what else it holds."""
+    """Describe the take of a file; for a glTF without nodes, its other content."""
     from animtool.core.readers import GLTF, reader_of
     from animtool.report.describe import describe
 
@@ -339,7 +339,7 @@ def _take(path: Path, params: dict[str, Any]) -> Any:
 
 
 def _stage(path: Path, params: dict[str, Any]) -> Any:
-    """Return what a USD file holds."""
+    """Describe a USD file."""
     from animtool.report.describe import describe
     from animtool.scene.sources.open import SourceOptions
 

@@ -91,19 +91,19 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     )
     from animtool.batch.discover import find_batch
     from animtool.batch.file import load_batch
-    from animtool.batch.plan import check_places
+    from animtool.batch.plan import check_output_files
 
     if not is_named(batch_file, "batch"):
         raise click.UsageError(f"{batch_file} is not a batch file: use *.batch.yaml.")
     spec = load_batch(batch_file, of_shots=params["cuts"] is not None)
-    found_batch = find_batch(with_cuts(spec, params))
-    console.faults(found_batch.notices)
-    check_places(found_batch)
+    resolved_batch = find_batch(with_cuts(spec, params))
+    console.faults(resolved_batch.notices)
+    check_output_files(resolved_batch)
     costs = params["costs"]
     seconds = None if costs is None else mean_seconds(costs)
-    count = len(found_batch.items)
+    count = len(resolved_batch.items)
     chunk = params["chunk"] or chunk_size(count, seconds, params["task_seconds"])
     cuts = Cuts(params["cuts"], tuple(cut_words(params)))
-    bundle = batch_bundle(found_batch, batch_file, min(chunk, count), cuts)
+    bundle = batch_bundle(resolved_batch, batch_file, min(chunk, count), cuts)
     written = write_bundle(bundle, params["output"], overwrite=params["overwrite"])
     console.report(params["report_format"], written, WRITTEN)

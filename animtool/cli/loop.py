@@ -19,7 +19,7 @@ from animtool.cli.options import (
     source_options_record,
     strict_option,
 )
-from animtool.cli.outputs import all_named, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skipped, writing_options
 from animtool.edit.loop_options import LoopOptions
 from animtool.report.text import Template
 
@@ -62,7 +62,7 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
     for end in ("first", "last"):
         values[end] = None if values[end] is None else float(values[end])
     find = values["first"] is None or values["last"] is None
-    with all_named(), console.progress(f"loop {source.name}") as progress:
+    with atomic_command(), console.progress(f"loop {source.name}") as progress:
         result = loop_source(
             source,
             output,

@@ -1,4 +1,4 @@
-"""The command group, loaded lazily, and the one place where errors end."""
+"""The command group, loaded lazily, and the top-level error handler."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from animtool.core.process.supervisor import (
 )
 from animtool.core.quantities import escaped
 
-# What loaders and libraries say where the system gives them no memory.
+# Messages of loaders and libraries without memory.
 _SAID = (
     "failed to map segment",
     "Cannot allocate memory",
@@ -57,10 +57,10 @@ KILLED_HINT = (
 
 
 def is_out_of_memory(error: BaseException | None) -> bool:
-    """Return whether an error, or what it was raised from, is for want of memory."""
-    seen: set[int] = set()
-    while error is not None and id(error) not in seen:
-        seen.add(id(error))
+    """Return whether an error or its cause is an out-of-memory error."""
+    visited: set[int] = set()
+    while error is not None and id(error) not in visited:
+        visited.add(id(error))
         if isinstance(error, MemoryError):
             return True
         if isinstance(error, OSError) and error.errno == errno.ENOMEM:
@@ -74,7 +74,7 @@ def is_out_of_memory(error: BaseException | None) -> bool:
 
 
 def memory_fault(error: BaseException) -> Fault:
-    """Return the fault of an error for want of memory: how much, and what needed it."""
+    """Return the fault of an out-of-memory error: its size and the failed step."""
     needed = str(error).strip().rstrip(".")
     message = f"out of memory: {needed}" if needed else "out of memory"
     where = _step(error)
@@ -84,7 +84,7 @@ def memory_fault(error: BaseException) -> Fault:
 
 
 def _step(error: BaseException) -> str:
-    """Return the innermost function of animtool's, by module and name."""
+    """Return module and name of the innermost animtool function."""
     step, trace = "", error.__traceback__
     while trace is not None:
         code = trace.tb_frame.f_code
@@ -98,34 +98,34 @@ def _step(error: BaseException) -> str:
 
 
 def limited_bytes() -> int | None:
-    """Return the limit of this process's memory [bytes]; None where there is none."""
+    """Return the memory limit of this process [byte]; None for no limit."""
     try:
         import resource
     except ImportError:  # Windows has none
         return None
-    found = [
+    soft_limits = [
         resource.getrlimit(kind)[0]
         for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA)
     ]
-    limits = [limit for limit in found if limit != resource.RLIM_INFINITY]
+    limits = [limit for limit in soft_limits if limit != resource.RLIM_INFINITY]
     return min(limits) if limits else None
 
 
 def crash_reason(name: str, path: str = "") -> Fault | None:
-    """Return the fault of a process that a signal ended for reasons outside of it.
+    """Return the fault of a process that was killed from outside.
 
-    None is a crash of its own. ``path`` is the file that USD read; empty is none.
+    None for any other crash. ``path`` is the file that USD read; may be empty.
     """
-    place = path or None
+    location = path or None
     if name == "SIGKILL":
         message = "killed from outside (SIGKILL): out of memory or a time limit"
-        return Fault("IO014", message, place, (), KILLED_HINT)
+        return Fault("IO014", message, location, (), KILLED_HINT)
     limit = limited_bytes()
     if limit is None:
         return None
     message = f"the process ended ({name}) within its memory limit, "
     message += f"{limit / 1000000.0:,.0f} MB: libraries crash when memory runs out"
-    return Fault("IO013", message, place, (), MEMORY_HINT)
+    return Fault("IO013", message, location, (), MEMORY_HINT)
 
 
 COMMANDS = {
@@ -184,7 +184,7 @@ SECTIONS = {
     "Many": ("batch", "job"),
     "Setup": ("docs", "plugins", "completion"),
 }
-# What other tools call the work of a command.
+# Names in other tools of our commands.
 OTHER_NAMES = {
     "view": "preview",
     "render": "preview",
@@ -240,7 +240,7 @@ def cli() -> None:
     """
 
 
-# A child does the work of a command, in case USD crashes; these read none.
+# A child process runs commands, in case USD crashes; these read no USD.
 WITHOUT_USD = {"completion", "docs", "explain", "migrate", "plugins", "schema"}
 SUPERVISED = COMMANDS.keys() - WITHOUT_USD
 HELP = {"-h", "--help"}
@@ -248,10 +248,10 @@ HELP = {"-h", "--help"}
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if SUPERVISED.isdisjoint(given[:1]) or HELP & {*given} or not can_supervise():
+    argv = list(sys.argv[1:] if arguments is None else arguments)
+    if SUPERVISED.isdisjoint(argv[:1]) or HELP & {*argv} or not can_supervise():
         obey_signals()
-        leave(run(given))
+        leave(run(argv))
 
     def refuse(crash: Crash) -> int:
         error: AnimtoolError | _CrashError = _CrashError(crash.name)
@@ -260,13 +260,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             error = OutputError(reason)
         elif crash.path:
             error = FormatError(crash_fault(crash.path, crash.number))
-        return _report(Console(json_log=_logs_json(given)), error)
+        return _report(Console(json_log=_logs_json(argv)), error)
 
-    os._exit(supervise(lambda: run(given), refuse, _remove_leftovers))
+    os._exit(supervise(lambda: run(argv), refuse, _remove_leftovers))
 
 
 class _CrashError(Exception):
-    """The process that did the work crashed, over no file that is known."""
+    """The worker process crashed while reading an unknown file."""
 
 
 def _remove_leftovers(folders: Sequence[str], process: int) -> None:
@@ -293,7 +293,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _run(arguments: Sequence[str], console: Console) -> int:
-    """Run the command line; raises what signals do, once, and errors to debug."""
+    """Run the command line; raise interrupts, and errors under `--debug`."""
     streams = sys.stdout, sys.stderr
     try:
         receive_signals()
@@ -305,7 +305,7 @@ def _run(arguments: Sequence[str], console: Console) -> int:
     except SystemExit:
         if (sys.stdout, sys.stderr) == streams:
             raise
-        # Click wraps both and ends with 1 where nobody reads stdout any more.
+        # Click wraps both and exits with 1 if stdout is closed.
         sys.stdout, sys.stderr = streams
         code = _report(console, BrokenPipeError())
     except (Exception, click.Abort) as error:
@@ -320,7 +320,7 @@ def _run(arguments: Sequence[str], console: Console) -> int:
 
 
 def _report(console: Console, error: BaseException) -> int:
-    """Say what ended the command and return the exit code for it."""
+    """Report the error that ended the command and return its exit code."""
     match error:
         case AnimtoolError():
             console.faults(error.faults, fatal=True)
@@ -366,16 +366,16 @@ def _report(console: Console, error: BaseException) -> int:
 
 
 def _logs_json(arguments: Sequence[str]) -> bool:
-    """Return whether stderr is to be JSON.
+    """Return whether stderr is JSON.
 
-    Read here and not by the commands, so that misspelt options are said as JSON too.
+    Read here and not by the commands, so that usage errors are JSON too.
     """
     asked = " ".join(arguments).replace("=", " ")
-    usual = os.environ.get("ANIMTOOL_LOG_FORMAT") == "json"
-    return "--log-format json" in asked or (usual and "--log-format" not in asked)
+    is_default = os.environ.get("ANIMTOOL_LOG_FORMAT") == "json"
+    return "--log-format json" in asked or (is_default and "--log-format" not in asked)
 
 
-# What users of other commands and tools call an option, and ours.
+# Options of other commands and tools, and ours.
 OTHER_OPTIONS = {
     "--frames": ("--range",),
     "--frame-range": ("--range",),
@@ -398,7 +398,7 @@ OTHER_OPTIONS = {
 
 
 def _with_our_option(error: click.NoSuchOption) -> click.ClickException:
-    """Return an error that suggests the option of the command that does this."""
+    """Return a usage error that suggests this command's option."""
     params = [] if error.ctx is None else error.ctx.command.params
     known = {flag for option in params for flag in option.opts}
     meant = [o for o in OTHER_OPTIONS.get(error.option_name, ()) if o in known]
@@ -413,7 +413,7 @@ def _usage(console: Console, error: click.ClickException) -> None:
     if console.json_log:
         console.error(text)
         return
-    # All but this repeat what was written on the command line.
+    # All others repeat the command line.
     if not isinstance(error, click.MissingParameter):
         text = escaped(text)
     click.UsageError(text, getattr(error, "ctx", None)).show(file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Options and messages of commands that read and write files of markers."""
+"""Shared options and messages of marker commands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.cli.options import (
     stacked,
     strict_option,
 )
-from animtool.cli.outputs import all_named, writing_options
+from animtool.cli.outputs import atomic_command, writing_options
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.core.values import VERSION
@@ -47,7 +47,7 @@ output_option = click.option(
 
 @dataclass(frozen=True, slots=True)
 class WrittenMarkers:
-    """A file of markers that a command wrote."""
+    """Report of a written marker file."""
 
     command: str
     output: Path
@@ -58,7 +58,7 @@ class WrittenMarkers:
 
     @property
     def head(self) -> dict[str, str]:
-        """The name of the report, that of the command."""
+        """The report's key: the name of the command."""
         return {self.command: VERSION}
 
 
@@ -70,7 +70,7 @@ WRITTEN = Template(
 
 
 def read_marker_file(path: Path, params: Mapping[str, Any]) -> Any:
-    """Return the markers of a file, as the options say."""
+    """Read a marker file with a command's options."""
     from animtool.formats.marker_files import open_markers
 
     options = source_options_record(params)
@@ -92,7 +92,7 @@ def run_on_markers(
     work: Callable[..., tuple[Any, Any]],
     template: Template | None = None,
 ) -> None:
-    """Read files of markers, work on them, write the result and report.
+    """Read marker files, process them, write the result and report.
 
     work: From the markers of the sources to markers and a report, which has notices.
     template: Further lines of the report.
@@ -108,14 +108,14 @@ def run_on_markers(
     marker_writer(output)
     files = [file_of(path) for path in sources]
     check_outputs([output], files, overwrite=params["overwrite"])
-    with all_named(), console.progress(f"{command} {sources[0].name}"):
+    with atomic_command(), console.progress(f"{command} {sources[0].name}"):
         read = [read_marker_file(path, params) for path in sources]
-        made, report = work(*read)
+        markers, report = work(*read)
         notices = [n for one in (*read, report) for n in one.notices]
         refuse_warnings(notices, strict=params["strict"])
-        notices += write_markers(made, output, overwrite=params["overwrite"])
+        notices += write_markers(markers, output, overwrite=params["overwrite"])
     console.faults(notices)
-    written = WrittenMarkers(command, output, made, report, notices)
+    written = WrittenMarkers(command, output, markers, report, notices)
     console.report(params["report_format"], written, WRITTEN)
     if template is not None and params["report_format"] != "json":
         console.lines(template.text(report))

@@ -20,7 +20,7 @@ from animtool.cli.options import (
     source_options_record,
     strict_option,
 )
-from animtool.cli.outputs import all_named, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skipped, writing_options
 
 
 @command(
@@ -82,7 +82,7 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
     }
     for name in (name for name, on in settings.items() if on):
         passes.append((find_pass(name), find_pass(name).options()))
-    with all_named(), console.progress(f"clean {source.name}") as progress:
+    with atomic_command(), console.progress(f"clean {source.name}") as progress:
         report = convert_with_passes(
             source,
             output,

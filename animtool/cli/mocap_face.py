@@ -22,7 +22,7 @@ from animtool.cli.options import (
     source_options_record,
     strict_option,
 )
-from animtool.cli.outputs import all_named, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skipped, writing_options
 from animtool.core.quantities import length_text
 from animtool.report.text import SECONDS, Template
 
@@ -100,14 +100,14 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
     )
     if skipped(console, "mocap face", params, job.output, lambda: job.target.files):
         return
-    with all_named(), console.progress(f"face {landmarks.name}") as progress:
+    with atomic_command(), console.progress(f"face {landmarks.name}") as progress:
         result = run_face(job, progress=progress)
     console.faults(result.notices)
     console.report(params["report_format"], result, _template(result))
 
 
 def _ends(status: Sequence[object]) -> list[str]:
-    """Return how many frames ended how, nothing where all are solved."""
+    """Return frame counts by status; empty if all are solved."""
     counts = Counter(map(str, status))
     ends = [f"{count} {name}" for name, count in sorted(counts.items())]
     return [] if set(counts) == {"solved"} else ends

@@ -70,23 +70,23 @@ def fill(
         if path is not None and template is None:
             raise click.UsageError(f"{option} needs a skeleton: pass --template too.")
 
-    def work(read: Any, still: Any = None) -> tuple[Any, Any]:
+    def work(read: Any, static: Any = None) -> tuple[Any, Any]:
         from animtool.capture.markers.fill import fill as run_fill
 
         options = FillOptions(**read_values(FillOptions, params))
         if template is None:
             return run_fill(read, options)
-        from animtool.capture.markers.skeleton import Subject
+        from animtool.capture.markers.skeleton import MarkerSubject
         from animtool.capture.solve.source import at_file, named_rig
         from animtool.capture.templates.file import load_template
         from animtool.scene.sources.onto_rig import open_rig
 
         loaded = load_template(template)
         wearer, notices = open_rig(named_rig(loaded, rig, template))
-        subject = Subject(wearer, loaded, still)
-        made, report = at_file(markers, lambda: run_fill(read, options, subject))
+        subject = MarkerSubject(wearer, loaded, static)
+        filled, report = at_file(markers, lambda: run_fill(read, options, subject))
         report.notices[:0] = notices
-        return made, report
+        return filled, report
 
     sources = (markers,) if static is None else (markers, static)
     run_on_markers(console, "mocap fill", sources, output, params, work, _TEMPLATE)
@@ -101,7 +101,7 @@ _METHODS = {
 
 
 def _methods(gaps: Any) -> str:
-    """Return how gaps were filled."""
+    """Format the counts of filled gaps by method."""
     counts = Counter(gap.method for gap in gaps)
     return ", ".join(f"{counts[m]} {word}" for m, word in _METHODS.items() if counts[m])
 

@@ -51,8 +51,10 @@ def label(
 
 
 def _partial(coverage: dict[str, float]) -> list[str]:
-    """Return the markers that are seen in less than half of the frames."""
-    partial = [(name, share) for name, share in coverage.items() if share < 0.5]
+    """Return the markers visible in less than half of the frames."""
+    partial = [
+        (name, fraction) for name, fraction in coverage.items() if fraction < 0.5
+    ]
     partial.sort(key=lambda entry: entry[1])
     return [f"{name}: seen in {100 * c:.0f}% of the frames" for name, c in partial]
 
@@ -60,7 +62,7 @@ def _partial(coverage: dict[str, float]) -> list[str]:
 _TEMPLATE = Template(
     "animtool.capture.markers.label:LabelReport",
     (
-        "  {labelled} of {points} points named ({share:.1%}), {rejected} are not "
+        "  {labelled} of {points} points named ({fraction:.1%}), {rejected} are not "
         "markers; {runs} runs",
         Each("coverage:partial", ("  {self}",)),
     ),

@@ -125,20 +125,20 @@ def solve(
     console.report(params["report_format"], report, _TEMPLATE)
 
 
-def _bones(found: Calibration) -> str:
-    """Return how far bones were scaled, least and most."""
-    bones = found.scales[found.scales != 1.0]
+def _bones(calibration: Calibration) -> str:
+    """Format the range of bone scales."""
+    bones = calibration.scales[calibration.scales != 1.0]
     return f"{bones.min(initial=1.0):.3g} to {bones.max(initial=1.0):.3g}"
 
 
 def _worst(markers: Sequence[MarkerScore]) -> list[str]:
-    """Return the markers that are farthest off."""
+    """Return the markers with the largest residuals."""
     worst = sorted(markers, key=lambda each: -each.rms if each.seen else 1.0)
     return [f"{each.name} {length_text(each.rms)}" for each in worst[:3]]
 
 
 def _strays(markers: Sequence[MarkerScore]) -> list[str]:
-    """Return the markers that do not fit in some frames."""
+    """Return the markers rejected in some frames."""
     strays = [each for each in markers if each.outliers > 0.01]
     strays.sort(key=lambda each: -each.outliers)
     return [f"{each.name} ({percent(each.outliers)})" for each in strays]

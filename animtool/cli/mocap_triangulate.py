@@ -18,7 +18,7 @@ from animtool.cli.options import (
     source_options,
     strict_option,
 )
-from animtool.cli.outputs import all_named, skipped, writing_options
+from animtool.cli.outputs import atomic_command, skipped, writing_options
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.report.text import Table, Template
 
@@ -93,28 +93,30 @@ def triangulate(
     up = UpAxis(params["up"].upper()) if params["up"] else None
     cameras = load_all_cameras(calibrations, unit=unit, up=up)
     name = observations.name
-    with all_named(), console.progress(f"triangulate {name}") as progress:
+    with atomic_command(), console.progress(f"triangulate {name}") as progress:
         if observations.is_dir():
-            seen = read_keypoints(
+            observed = read_keypoints(
                 observations, cameras, fps=params["source_fps"], people=params["people"]
             )
         else:
-            seen = read_observations(observations, fps=params["source_fps"])
-        found = solve(seen, cameras, options, progress=progress)
-        refuse_warnings(found.notices, strict=params["strict"])
-        lost = write_markers(found.markers, output, overwrite=params["overwrite"])
-    found = replace(
-        found, source=observations, output=output, notices=(*found.notices, *lost)
+            observed = read_observations(observations, fps=params["source_fps"])
+        result = solve(observed, cameras, options, progress=progress)
+        refuse_warnings(result.notices, strict=params["strict"])
+        lost = write_markers(result.markers, output, overwrite=params["overwrite"])
+    result = replace(
+        result, source=observations, output=output, notices=(*result.notices, *lost)
     )
-    console.faults(found.notices)
-    console.report(params["report_format"], found, _TEMPLATE)
+    console.faults(result.notices)
+    console.report(params["report_format"], result, _TEMPLATE)
 
 
 def _remarks(report: CameraReport) -> str:
-    """Return where a camera moved, and where it does not agree with the others."""
+    """Return remarks on a camera: movement and disagreement."""
     from animtool.core.shot import frame_spans
 
-    said = [f"{'off' if m.kept else 'out'} {m.first + 1}-{m.end}" for m in report.moved]
+    said = [
+        f"{'off' if m.kept else 'out'} {m.first + 1}-{m.end}" for m in report.shifts
+    ]
     if report.disagrees:
         frames = [each.number for each in report.disagrees]
         said.append(f"disagrees {frame_spans(frames)}")
@@ -125,7 +127,8 @@ _TEMPLATE = Template(
     "animtool.capture.cameras.report:Triangulation",
     (
         "{output}: {markers:summary}",
-        "{found} of {seen} points that two cameras see ({share:hundredths2} %), "
+        "{triangulated} of {visible} points that two cameras see "
+        "({fraction:hundredths2} %), "
         "reprojection {error_px:.3f} px ({error_mm:.3f} mm)",
         Table(
             "cameras",
@@ -144,6 +147,6 @@ _TEMPLATE = Template(
     {
         "summary": lambda markers: f"{markers!r}".strip("<>"),
         "remarks": _remarks,
-        "hundredths2": lambda share: f"{100 * share:.2f}",
+        "hundredths2": lambda fraction: f"{100 * fraction:.2f}",
     },
 )

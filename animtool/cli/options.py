@@ -23,7 +23,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Parsed(click.ParamType[Any]):
-    """A value that a function makes of text, `ValueError` being a usage error."""
+    """A click type from a parsing function; `ValueError` is a usage error."""
 
     def __init__(self, name: str, parse: Callable[[str], Any]) -> None:
         self.name = name
@@ -32,7 +32,7 @@ class Parsed(click.ParamType[Any]):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> Any:
-        """Parse text; anything else is a default and stays as it is."""
+        """Parse text; defaults pass through."""
         if not isinstance(value, str):
             return value
         try:
@@ -62,14 +62,14 @@ def _tolerance(text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    # Nothing is within a tolerance that is no number.
+    # NaN is no tolerance.
     if not value >= 0:
         raise ValueError(f"{text!r} is not a tolerance: use a number from 0 up")
     return value
 
 
 def _distance(text: str) -> float:
-    """Return a distance [m]; a number alone is in metres."""
+    """Parse a distance [m]."""
     try:
         return _tolerance(text)
     except ValueError:
@@ -77,7 +77,7 @@ def _distance(text: str) -> float:
 
 
 def count_or_auto(text: str) -> int | None:
-    """Return a number from 1 up; None for ``auto``."""
+    """Parse a positive integer; None for ``auto``."""
     if text == "auto":
         return None
     if not text.isdigit() or not int(text):
@@ -86,11 +86,11 @@ def count_or_auto(text: str) -> int | None:
 
 
 def names_of(text: str | None) -> tuple[str, ...]:
-    """Return names that are separated by commas."""
+    """Parse comma-separated names."""
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
 
 
-def _whole(text: str) -> int:
+def _integer(text: str) -> int:
     try:
         value = int(text)
     except ValueError:
@@ -134,8 +134,8 @@ def _processes(text: str) -> int:
     return int(text)
 
 
-# What a file cannot be read for is said by whatever reads it.
-# A file that is looked for later, with a fault of its own.
+# Unreadable files are reported by their reader.
+# Existence is checked later, with a coded fault.
 FILE = click.Path(path_type=Path, dir_okay=False)
 INPUT = click.Path(path_type=Path, readable=False)
 OUTPUT = click.Path(path_type=Path, allow_dash=True, readable=False)
@@ -157,7 +157,7 @@ def _set(name: str, value: Any) -> Callable[..., None]:
 
 
 def stacked(*added: Callable[[Any], Any]) -> Callable[[Command], Command]:
-    """Return what adds several options to a command, in this order."""
+    """Return a decorator that adds several options in order."""
 
     def add(command: Command) -> Command:
         for option in reversed(added):
@@ -236,7 +236,7 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "names": (Parsed("text", names_of), "NAME,..."),
     "angle": (TOLERANCE, "DEGREES"),
     "amount": (TOLERANCE, None),
-    "seed": (Parsed("whole number", _whole), None),
+    "seed": (Parsed("whole number", _integer), None),
     "codes": (Parsed("codes", _codes), "CODE,…"),
     "severities": (Parsed("severity", _severity), "CODE=SEVERITY"),
     "processes": (Parsed("processes", _processes), "N"),
@@ -246,7 +246,7 @@ _MULTIPLE = {"lengths", "codes", "severities", "texts"}
 
 
 class _OneOf(click.ParamType[Any]):
-    """One of some names."""
+    """A click type: one of several names."""
 
     name = "name"
 
@@ -261,7 +261,7 @@ class _OneOf(click.ParamType[Any]):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> Any:
-        """Return the name, as the choices have it."""
+        """Return the matching choice."""
         if value not in self._names:
             self.fail(f"{value!r} is not one of {', '.join(self._names)}.", param, ctx)
         return self._names[self._names.index(value)]
@@ -274,14 +274,14 @@ def declared(
     called: str | None = None,
     about: str | None = None,
 ) -> Callable[[Command], Command]:
-    """Return what adds an option that a record declares to a command.
+    """Return a decorator that adds the option of a record's field.
 
     Args:
         option: The option.
-        name: Of its field.
-        default: Of its field.
-        called: What the command calls it, if not as the record does.
-        about: Its help, where that of the record is not what the command does.
+        name: Name of its field.
+        default: Default of its field.
+        called: Name in the command, if it differs from the field's.
+        about: Help text, if it differs from the record's.
     """
     word, shown = option.flag or name.replace("_", "-"), option.metavar
     flag, text = f"--{word}", worded(about or option.help, as_flag)
@@ -290,13 +290,13 @@ def declared(
         return click.option(f"{flag}/--no-{word}", param, default=None, help=text)
     if option.choices and option.kind != "name":
         chosen = click.Choice(option.choices)
-        usual = option.choices[0] if option.kind == "switch" else default
+        initial = option.choices[0] if option.kind == "switch" else default
         shows = option.kind != "switch" and default is not None
         return click.option(
             flag,
             param,
             type=chosen,
-            default=usual,
+            default=initial,
             show_default=shows,
             help=text,
         )
@@ -307,11 +307,11 @@ def declared(
     elif option.kind == "name":
         kind = _OneOf(option.choices)
     else:
-        kind, usual = _TYPES[option.kind]
-        shown = shown or usual
+        kind, initial = _TYPES[option.kind]
+        shown = shown or initial
     default = default if option.written is None else option.written
     if option.kind == "processes":
-        default = None  # a command takes what fits; a script has to ask for it
+        default = None  # commands choose the number; scripts must set it
     return click.option(
         *filter(None, (option.short, flag)),
         param,
@@ -330,10 +330,10 @@ def record_option(
     called: Mapping[str, str] | None = None,
     about: str | None = None,
 ) -> Callable[[Command], Command]:
-    """Return what adds options of a record, in this order; none named, all of them.
+    """Return a decorator that adds options of a record in order; all if none is named.
 
-    called: What the command calls some of them.
-    about: Help, where that of the record is not what the command does.
+    called: Names in the command that differ from the fields'.
+    about: Help texts that differ from the record's.
     """
     options = options_of(record)
     defaults = {
@@ -352,7 +352,7 @@ def record_option(
 
 
 def read_values(record: type, params: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of a record that a command line has."""
+    """Return a record's arguments from command parameters."""
     return {
         name: read_value(option, params[name])
         for name, option in options_of(record).items()
@@ -361,7 +361,7 @@ def read_values(record: type, params: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_value(option: Option, value: Any) -> Any:
-    """Return a value of the command line as records have it."""
+    """Convert a command-line value to a record's value."""
     if value is None:
         return None
     if option.kind == "switch" and option.choices:
@@ -380,14 +380,14 @@ _READ: dict[str, Callable[[Any], Any]] = {
 
 
 def source_option(*names: str) -> Callable[[Command], Command]:
-    """Return what adds some options of `SourceOptions`, in this order."""
+    """Return a decorator that adds options of `SourceOptions` in order."""
     return record_option(SourceOptions, *names, called=SOURCE_NAMES)
 
 
 def bake_option(*names: str, about: str | None = None) -> Callable[[Command], Command]:
-    """Return what adds some options of `BakeOptions`, in this order.
+    """Return a decorator that adds options of `BakeOptions` in order.
 
-    about: Help of the one, where that of the record is not what the command does.
+    about: Help text of a single option, if it differs from the record's.
     """
     return record_option(BakeOptions, *names, about=about)
 
@@ -422,7 +422,7 @@ format_option = click.option(
 
 
 def listed_paths(texts: Iterable[str]) -> Iterator[str]:
-    """Yield paths of a command line; for ``-`` those on stdin."""
+    """Yield the paths of a command line; ``-`` reads them from stdin."""
     for text in texts:
         if text == "-":
             yield from filter(None, stdin_lines())
@@ -433,7 +433,7 @@ def listed_paths(texts: Iterable[str]) -> Iterator[str]:
 def source_options_record(
     params: Mapping[str, Any], *names: str, **values: Any
 ) -> SourceOptions:
-    """Return what a BVH leaves open, more options by name, and values as they are."""
+    """Return `SourceOptions` from command parameters and values."""
     read = {
         name: read_value(option, params[SOURCE_NAMES.get(name, name)])
         for name, option in options_of(SourceOptions).items()

@@ -1,4 +1,4 @@
-"""Where results of commands go: files that may exist, stdout, or a picture."""
+"""Output options of commands: existing files, stdout, plots."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from animtool.cli.options import (
     stacked,
     strict_option,
 )
-from animtool.core.files.output import once_named, together
+from animtool.core.files.output import after_commit, atomic_outputs
 from animtool.core.process.signals import outlast_signals
 from animtool.scene.bake.options import BakeOptions
 
@@ -47,7 +47,7 @@ take_output_option = click.option(
 split_option = click.option(
     "--split", is_flag=True, help="Write USD in three files, as bake does."
 )
-# How commands write the take that they make.
+# Output options of commands that write a take.
 written_options = stacked(
     split_option,
     rig_layer_options,
@@ -63,9 +63,9 @@ written_options = stacked(
 def written_options_record(
     params: Mapping[str, Any], *more: str, **values: Any
 ) -> BakeOptions:
-    """Return how a take is written by a command, and values as they are.
+    """Return `BakeOptions` of a command that writes a take.
 
-    more: Names of options that the command has beyond those that all have.
+    more: Additional options of this command.
     """
     names = ("rig_layer", "force_fit", "prim_path", "reduce", "overwrite", *more)
     form = "split" if params["split"] else None
@@ -73,14 +73,14 @@ def written_options_record(
 
 
 @contextmanager
-def all_named() -> Iterator[None]:
-    """Let what a command writes get its names at the end; then signals come too late.
+def atomic_command() -> Iterator[None]:
+    """Rename a command's outputs into place at its end, with signals deferred.
 
     What is left is to tell what was written: a command that ends with 130 or 143 has
     written nothing.
     """
-    with together():
-        once_named(outlast_signals)
+    with atomic_outputs():
+        after_commit(outlast_signals)
         yield
 
 
@@ -91,7 +91,7 @@ def skipped(
     output: Path | None,
     outputs: Callable[[], Sequence[Path]],
 ) -> bool:
-    """Return whether ``--skip-existing`` leaves everything as it is, and say so."""
+    """Return whether ``--skip-existing`` skips the output, and report it."""
     if output is None or str(output) == "-" or not params["skip_existing"]:
         return False
     if params["overwrite"]:
@@ -132,7 +132,7 @@ def refuse_alone(params: dict[str, Any]) -> None:
 
 
 def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) -> None:
-    """Raise where the picture that is asked for cannot be drawn."""
+    """Raise if the requested plot cannot be drawn."""
     if plot is None:
         return
     from animtool.core.files.output import check_outputs
@@ -142,10 +142,10 @@ def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) ->
     check_drawable(plot)
 
 
-def say_tradeoffs(
+def print_tradeoffs(
     console: Console, report: Tradeoffs, form: str, plot: Path | None = None
 ) -> None:
-    """Print tables of time against error, and draw them where that is asked for."""
+    """Print tables of time against error, and plot them if requested."""
     from animtool.report.tradeoffs import TABLES
 
     console.faults(report.notices)

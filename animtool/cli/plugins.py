@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Plugins:
-    """What each table of plug-ins has."""
+    """The entries of each plug-in table."""
 
     passes: list[ListedPass]
     readers: list[ListedFormat]
@@ -35,7 +35,7 @@ class Plugins:
 
 
 def _lines(table: str, name: str, kind: str) -> Each:
-    """Return the lines of a table; kind: what an entry is called that loads."""
+    """Return the lines of a plug-in table; kind: the label of loaded entries."""
     head = f"{{{name}:<14}} [{kind}|broken     ]"
     return Each(table, (head + " {about} ({source})",))
 

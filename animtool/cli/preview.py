@@ -21,7 +21,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.core.options import given_options
+from animtool.core.options import chosen_options
 from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
 
 _OF_SOURCES = ("rig", "take", "positions", "remap", "dropped", "template", "cameras")
@@ -74,8 +74,10 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     chosen = read_values(PreviewOptions, params)
     pictures = PictureOptions(**read_values(PictureOptions, params))
     pictured = output is not None and picture_kind(output) is not None
-    if not pictured and (given := given_options(pictures)):
-        words = f"--{next(iter(given))} applies to pictures, such as -o walk.png."
+    if not pictured and (picture_flags := chosen_options(pictures)):
+        words = (
+            f"--{next(iter(picture_flags))} applies to pictures, such as -o walk.png."
+        )
         raise click.UsageError(words)
     if shows.watch and (output is not None or as_json or shows.plan):
         words = "--watch serves the page: remove -o, --plan and --format json."

@@ -1,4 +1,4 @@
-"""What ``animtool preview`` does with a page: write it, serve it, or describe it."""
+"""Preview pages: write, serve or describe them."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from animtool.cli.console import Console
 from animtool.cli.summary import PLAN
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.output import check_outputs
-from animtool.preview.build import Page, check_page_output, make_page, write_page
+from animtool.preview.build import PreviewPage, check_page_output, make_page, write_page
 from animtool.preview.options import PreviewOptions, ShowOptions
 from animtool.preview.pictures.kinds import picture_kind
 from animtool.preview.plan import page_steps
-from animtool.preview.serve import PageServer, Watched, follow
+from animtool.preview.serve import PageServer, WatchedPage, follow
 from animtool.preview.show import has_browser, open_browser, temporary_page
 from animtool.report.text import Each, Template
-from animtool.scene.bake.steps import Steps
+from animtool.scene.bake.steps import PlanSteps
 
 
 def plan(
@@ -28,12 +28,12 @@ def plan(
     *,
     as_json: bool,
 ) -> None:
-    """Print what a page would show and where it would be."""
+    """Print the plan of a page."""
     if output is not None:
         picture_kind(output)
         check_outputs([output], files, overwrite=True)
     steps = page_steps(files, output, options)
-    console.report("json" if as_json else "text", Steps(steps), PLAN)
+    console.report("json" if as_json else "text", PlanSteps(steps), PLAN)
 
 
 # What a page shows, how exactly, and what it does not show.
@@ -65,7 +65,7 @@ def write(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write a page, and open it where somebody would see it."""
+    """Write a page, and open it if a browser is available."""
     opens = shows.opened
     if opens is None:
         opens = output is None and has_browser()
@@ -91,7 +91,7 @@ def watch(
 ) -> None:
     """Serve a page until the command is interrupted."""
     opens = has_browser() if shows.opened is None else shows.opened
-    watched = Watched(lambda: make_page(files, options))
+    watched = WatchedPage(lambda: make_page(files, options))
     watched.build()
     assert watched.page is not None
     console.faults(watched.page.notices)
@@ -105,11 +105,11 @@ def watch(
         def failed(error: AnimtoolError) -> None:
             console.faults(error.faults)
 
-        def made(page: Page) -> None:
+        def report_built(page: PreviewPage) -> None:
             console.faults(page.notices)
             console.say(f"reloaded: page {watched.version}")
 
         try:
-            follow(watched, failed, made, threading.Event().wait)
+            follow(watched, failed, report_built, threading.Event().wait)
         finally:
             server.shutdown()

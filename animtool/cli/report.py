@@ -25,7 +25,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.cli.outputs import say_tradeoffs
+from animtool.cli.outputs import print_tradeoffs
 from animtool.core.errors import counted
 from animtool.scene.bake.options import BakeOptions
 
@@ -89,15 +89,17 @@ def report(
     if output is not None and output.suffix.lower() != ".html":
         raise click.UsageError(f"The page is HTML: name it {output.stem}.html.")
     with tempfile.TemporaryDirectory() as folder:
-        found = _measured(console, source, output, params, Path(folder))
-        say_tradeoffs(console, found, params["report_format"])
+        tradeoffs = _measured(console, source, output, params, Path(folder))
+        print_tradeoffs(console, tradeoffs, params["report_format"])
         if output is None:
             return
         from animtool.preview.tradeoff_page import write_tradeoff_page
 
         calling, overwrite = console.calling, params["overwrite"]
-        size = write_tradeoff_page(found, output, overwrite=overwrite, calling=calling)
-        tables = counted(len(found.tables), "table")
+        size = write_tradeoff_page(
+            tradeoffs, output, overwrite=overwrite, calling=calling
+        )
+        tables = counted(len(tradeoffs.tables), "table")
         console.say(f"{output}: {tables}, {size / 1e3:.0f} kB")
 
 
@@ -108,7 +110,7 @@ def _measured(
     params: dict[str, Any],
     folder: Path,
 ) -> Tradeoffs:
-    """Measure, with stages to look at in a folder where a page is asked for."""
+    """Measure tradeoffs; write stages to a folder if a page is requested."""
     from animtool.core.files.output import check_outputs
     from animtool.scene.tables.tradeoffs import measure_tradeoffs, suite_tradeoffs
 
@@ -123,9 +125,9 @@ def _measured(
     with console.progress(f"measure {name}") as progress:
         if opened is None:
             return suite_tradeoffs(budget=budget, progress=progress)
-        own = source_options_record(params, *_OF_SOURCE)
+        source_options = source_options_record(params, *_OF_SOURCE)
         values = {name: params[name] for name in _OF_OUTPUT}
-        options = BakeOptions(source=own, **read_values(BakeOptions, values))
+        options = BakeOptions(source=source_options, **read_values(BakeOptions, values))
         return measure_tradeoffs(
             opened,
             options,

@@ -40,12 +40,12 @@ if TYPE_CHECKING:
 
 
 MAX_RUNS = 6
-# What rounding leaves of lengths and angles [m, rad].
+# Rounding noise of lengths and angles [m, rad].
 NEGLIGIBLE = 1e-9
 
 
 def _verdict(verdict: Verdict) -> str:
-    """Return a verdict in a line: what to look at, and in which frames."""
+    """Format a verdict: what to check, in which frames."""
     reasons = []
     for reason in verdict.reasons:
         text = f"{reason.what} {reason.text}".rstrip()
@@ -66,13 +66,13 @@ def _angle(radians: float) -> str:
     return angle_text(math.degrees(radians if radians > NEGLIGIBLE else 0.0))
 
 
-def _held(held: Mapping[str, float]) -> list[str]:
-    most = sorted(held.items(), key=lambda item: -item[1])
-    return [f"{name} ({percent(share)} of frames)" for name, share in most]
+def _stopped_joints(stopped: Mapping[str, float]) -> list[str]:
+    most = sorted(stopped.items(), key=lambda item: -item[1])
+    return [f"{name} ({percent(fraction)} of frames)" for name, fraction in most]
 
 
 def _scored(value: float, printer: str) -> str:
-    """Return a score; nothing of what there is none of."""
+    """Format a score; empty for a missing one."""
     if math.isnan(value):
         return ""
     printers = {"angle": _angle, "percent": percent, "times": "{:.3g}".format}
@@ -103,13 +103,20 @@ _TEMPLATE = Template(
         "[  not mapped, of the rig: {score.unmapped_target:names}]",
         "[  written: {outputs:join}]",
     ),
-    {"verdict": _verdict, "metres": _length, "held": _held, "scored": _scored},
+    {
+        "verdict": _verdict,
+        "metres": _length,
+        "held": _stopped_joints,
+        "scored": _scored,
+    },
     (SECONDS,),
 )
 
 
 # Options of retargeting that those of writing do not have.
-OWN_OPTIONS = tuple(name for name in options_of(RetargetOptions) if name != "force_fit")
+RETARGET_OPTIONS = tuple(
+    name for name in options_of(RetargetOptions) if name != "force_fit"
+)
 
 
 @command(
@@ -133,7 +140,7 @@ Examples:
     help="The target rig: a rig file, USD file or BVH.",
 )
 @take_output_option
-@record_option(RetargetOptions, *OWN_OPTIONS)
+@record_option(RetargetOptions, *RETARGET_OPTIONS)
 @click.option(
     "--write-map",
     type=OUTPUT,

@@ -44,7 +44,7 @@ MODELS = {
     "markers": "animtool.capture.templates.file:MarkersModel",
     "remap": "animtool.rig.remap:RemapModel",
     "rig": "animtool.rig.schema:RigModel",
-    "scene": "animtool.scene.file.schema:whole_model",
+    "scene": "animtool.scene.file.schema:full_model",
     "targets": "animtool.ik.schema:TargetsModel",
 }
 # What commands print as JSON, likewise.
@@ -53,10 +53,10 @@ RESULTS = {"report": "animtool.report.tradeoffs_schema:TradeoffsModel"}
 
 def model_of(kind: str) -> type[BaseModel]:
     """Return the model of a kind of file."""
-    found = cast(
+    loaded = cast(
         "Callable[[], type[BaseModel]]", load_object({**MODELS, **RESULTS}[kind])
     )
-    return found if isinstance(found, type) else found()
+    return loaded if isinstance(loaded, type) else loaded()
 
 
 @command(

@@ -1,4 +1,4 @@
-"""How what was written, and what it cost, is printed: templates of records."""
+"""Text templates of bake reports."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from animtool.core.errors import Fault
     from animtool.scene.bake.files import ConvertReport
     from animtool.scene.bake.prims import BakeReport, MeshReport, TakeReport
-    from animtool.scene.bake.steps import Step
+    from animtool.scene.bake.steps import PlanStep
     from animtool.usd.takes.splines import CurveReport
 
 # Errors of channels that are not worth a line, in their units.
@@ -28,13 +28,13 @@ SHOT = "[  {shot.label}]"
 
 
 def _scores(indent: str) -> Each:
-    """Return the lines of the passes of a take: scores, and what they concern."""
+    """Return the score lines of a take's passes."""
     names = Each("names", (indent + "  {key}: [{value:list 8}]",))
     return Each("scores", (indent + "{pass_name}: [{scores:scores}]", names))
 
 
 def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
-    """Return what the channels of a clip are, and the largest error by their unit."""
+    """Return lines on a clip's channels and the largest error by unit."""
     if not errors:
         return []
     groups = Counter(error.target.partition("/")[0] for error in errors)
@@ -80,8 +80,8 @@ CONVERTED = Template(
 )
 
 
-def _thinned(indent: str) -> tuple[Line, ...]:
-    """Return the lines of what only some bakes do to a take."""
+def _reduction_lines(indent: str) -> tuple[Line, ...]:
+    """Return the lines of optional bake steps."""
     return (
         _scores(indent),
         f"[{indent}{{thinned.samples:n sample}} reduced to {{thinned.count}}: "
@@ -93,7 +93,7 @@ def _thinned(indent: str) -> tuple[Line, ...]:
 
 
 def _from(take: str) -> str:
-    """Return of which frames samples are, where that is not one each."""
+    """Format the frames of samples, unless it is one sample per frame."""
     return (
         f"[{{?{take}resampled}}, from {{{take}source_frames:n frame}} at "
         f"{{{take}source_fps:rate}}][{{?{take}between}}, {{{take}between}} of which "
@@ -133,7 +133,7 @@ def _speed(report: BakeReport) -> str:
 
 
 def _files(files: Sequence[Path]) -> str:
-    """Return the files of an output, or the one to open and the number of the rest."""
+    """Format the files of an output: all, or the main one and a count."""
     if len(files) <= MAX_FILES:
         return ", ".join(map(str, files)) or "stdout"
     return f"{files[-1]} and {len(files) - 1} more files"
@@ -145,7 +145,7 @@ def _beyond(notices: Sequence[Fault]) -> str:
 
 
 def _difference(curves: Sequence[CurveReport]) -> str:
-    """Return how far curves are off at most, and which."""
+    """Format the largest curve error and its curve."""
     worst = max(curves, key=lambda curve: curve.difference)
     where = f" (control {worst.name!r})" if worst.difference else ""
     return f"{plain(worst.difference, 2)}{where}"
@@ -156,12 +156,12 @@ def _rounded(take: TakeReport) -> str:
 
 
 def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
-    """Return meshes that are deformed, and what is simulated, with what they are."""
+    """Group meshes into deformed and simulated ones, with titles."""
     groups = []
     for simulated, print_title in ((False, _deformed), (True, _simulated)):
-        own = [mesh for mesh in meshes if mesh.simulated is simulated]
-        if own:
-            groups.append({"title": print_title(own), "meshes": own})
+        group_meshes = [mesh for mesh in meshes if mesh.simulated is simulated]
+        if group_meshes:
+            groups.append({"title": print_title(group_meshes), "meshes": group_meshes})
     return groups
 
 
@@ -177,7 +177,7 @@ def _simulated(meshes: list[MeshReport]) -> str:
     return f"{counted(len(meshes), 'system')} of {meshes[0].of}, simulated"
 
 
-# What is counted of a kind of system.
+# Counted elements by kind of system.
 _NOUNS = {"rigid": ("body", "bodies"), "crowds": ("agent",)}
 
 
@@ -222,7 +222,7 @@ BAKED = Template(
         "{worst.written.rounding.error:length 2}[{?worst.written.rounding.error} "
         f"([{{?library}}take {{worst.written.name:repr}}, ]"
         f"{_WHERE.replace('@', 'worst.')})]]",
-        Each("only:posed", _thinned("  ")),
+        Each("only:posed", _reduction_lines("  ")),
         Each(
             "library",
             (
@@ -230,7 +230,7 @@ BAKED = Template(
                 f"{{written.span.ends}} at {{fps:rate}}{_from('')}",
                 "    error of {self:rounded}: {written.rounding.error:length 2}"
                 f"[{{?written.rounding.error}} ({_WHERE.replace('@', '')})]",
-                *_thinned("    "),
+                *_reduction_lines("    "),
             ),
         ),
     ),
@@ -249,7 +249,9 @@ BAKED = Template(
         "posed": lambda take: [take] if take.posed else [],
         "knots": lambda curves: counted(sum(curve.knots for curve in curves), "knot"),
         "difference": _difference,
-        "stated": lambda values: ", ".join(f"{k} {own}" for k, own in values.items()),
+        "stated": lambda values: ", ".join(
+            f"{k} {value}" for k, value in values.items()
+        ),
         "times": lambda values: ", ".join(f"{k} {s:.3f}" for k, s in values.items()),
     },
     (
@@ -269,18 +271,18 @@ _OUTPUTS = {"BakeReport": BAKED, "ConvertReport": CONVERTED}
 
 
 def template_of(report: BakeReport | ConvertReport) -> Template:
-    """Return how what a bake reports of one of its outputs is printed."""
+    """Return the text template of an output's report."""
     return _OUTPUTS[type(report).__name__]
 
 
-def _others(step: Step, name: str) -> str:
-    """Return what a step reads or makes, but for itself."""
+def _others(step: PlanStep, name: str) -> str:
+    """Return the other prims that a step reads or writes."""
     entries = getattr(step, name)
     return "" if entries == (step.name,) else ", ".join(entries)
 
 
 PLAN = Template(
-    "animtool.scene.bake.steps:Steps",
+    "animtool.scene.bake.steps:PlanSteps",
     (
         Each(
             "steps",
@@ -296,7 +298,7 @@ PLAN = Template(
     is_result=True,
 )
 STATS = Template(
-    "animtool.scene.bake.progress:Stats",
+    "animtool.scene.bake.progress:BakeStats",
     (
         Table(
             "stats",

@@ -94,7 +94,7 @@ def _fixed(
     options: ValidateOptions,
     choices: ReportOptions,
 ) -> Report:
-    """Mend files, and return what is left."""
+    """Fix files and return the remaining findings."""
     from animtool.validation.fixes.run import fix_copy, fix_files
 
     overwrite = choices.overwrite
@@ -120,9 +120,9 @@ def _show_difference(
     choices: ReportOptions,
     missing: Sequence[Fault],
 ) -> None:
-    """Print what `--fix` would change, and findings that would stay.
+    """Print the diff of `--fix` and the remaining findings.
 
-    Ends with 1 where there is something to change, or as the findings say.
+    Exits with 1 if something would change, else by the findings.
     """
     from animtool.core.errors import ExitCode
     from animtool.validation.fixes.run import plan_files
@@ -154,26 +154,26 @@ def _show_difference(
 
 
 def _identity(fault: Fault) -> tuple[str | None, str, str | None]:
-    """Return what a finding keeps while others in its file are mended."""
+    """Return a finding's identity, stable across fixes."""
     return fault.path, fault.code, fault.where
 
 
 def _say(
     console: Console, report: Report, choices: ReportOptions, missing: Sequence[Fault]
 ) -> None:
-    """Write the report where it is wanted, and end as it says."""
+    """Write the report and exit with its code."""
     from animtool.validation.formats import written
     from animtool.validation.formats.plain import summary
 
     console.faults(report.broken)
-    whole, calling = console.verbosity > 0, console.calling
-    text = written(report, choices.report_format, whole=whole, calling=calling)
+    verbose, calling = console.verbosity > 0, console.calling
+    text = written(report, choices.report_format, repeats=verbose, calling=calling)
     if choices.output_file is None:
         console.document(text)
     else:
         from animtool.core.files.output import write_parts
 
-        # Names of files may hold bytes that are no text.
+        # File names may contain bytes that are not text.
         write_parts(choices.output_file, [text.encode("utf-8", "replace")])
     if choices.output_file is not None or choices.report_format != "text":
         console.say(summary(report))
@@ -184,6 +184,6 @@ def _say(
 def _exit_code(
     report: Report, choices: ReportOptions, missing: Sequence[Fault]
 ) -> ExitCode:
-    """Return the code of the process; missing: warnings about paths."""
-    whole = replace(report, findings=(*report.findings, *missing))
-    return whole.exit_code(strict=choices.strict, exit_zero=choices.exit_zero)
+    """Return the exit code; missing: warnings about paths."""
+    complete = replace(report, findings=(*report.findings, *missing))
+    return complete.exit_code(strict=choices.strict, exit_zero=choices.exit_zero)

@@ -1,4 +1,4 @@
-"""The keys of a curve as a file has them: checked, and made a channel."""
+"""Parsing of a curve's keys into a channel."""
 
 from __future__ import annotations
 
@@ -21,38 +21,38 @@ from animtool.rig.joint_entries import UNIT_LENGTH
 
 _ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
 _SCALAR = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
-# Whose segments have handles.
+# Interpolations with handles.
 _HANDLED = {Interp.BEZIER, Interp.HERMITE}
-# Components of a value; of a rotation, those of Euler angles.
+# Number of components; of a rotation, its Euler angles.
 _WIDTHS = {
     **dict.fromkeys(("control", "shape", "angle", "slide"), 1),
     **dict.fromkeys(("translation", "rotation", "scale"), 3),
 }
-# Shorter, a quaternion is a slip and not a rotation.
+# Shorter quaternions are mistakes, not rotations.
 SHORTEST = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelReader:
-    """Makes channels of the curves in a document; what is wrong is noted there."""
+    """Builds channels from a document's curves; records faults in the document."""
 
     document: Document  # the file
 
     def check(self, at: Location, model: CurveModel) -> None:
-        """Note times out of order and handles on the wrong side of their keys."""
+        """Record unordered times, and handles on the wrong side of their keys."""
         self._check_times(at, key_times(model))
         self._check_handles(at, model)
 
     def channel(
         self, at: Location, model: CurveModel, target: str, kind: str, unit: float
     ) -> ClipChannel | None:
-        """Return the channel of a curve; None where its values are of another width.
+        """Return the channel of a curve; None if its values have the wrong width.
 
         Args:
-            at: Where it stands.
-            model: Its content.
-            target: What it moves, for the channel and for messages.
-            kind: What that is, such as ``angle``, ``translation`` or ``rotation``.
+            at: Location of the curve.
+            model: The curve.
+            target: Its target, for the channel and messages.
+            kind: Its kind, such as ``angle``, ``translation`` or ``rotation``.
             unit: What a value of 1 means.
         """
         turning = kind == "rotation" and model.euler is None
@@ -60,14 +60,16 @@ class ChannelReader:
         if model.euler is not None and kind != "rotation":
             message = f"{target!r} is not a rotation"
             self.document.add("CLIP009", (*at, "euler"), message, "remove euler")
-        usual = Interp.SPLINE if turning else Interp.BEZIER
+        default_interp = Interp.SPLINE if turning else Interp.BEZIER
         if isinstance(model.keys, PlainKeys):
             plain = self._plain(at, model, target, kind, unit)
             if plain is not None:
                 return plain
             each = [KeyModel.model_construct(**one) for one in model.keys.entries()]
             model = model.model_copy(update={"keys": each})
-        interps = tuple(Interp(k.interp or model.interp or usual) for k in _each(model))
+        interps = tuple(
+            Interp(k.interp or model.interp or default_interp) for k in _each(model)
+        )
         fits = self._check_interps(at, model, target, _ROTATING if turning else _SCALAR)
         if turning and fits:
             self._refuse_slopes(at, model, _each(model))
@@ -99,7 +101,7 @@ class ChannelReader:
     def _plain(
         self, at: Location, model: CurveModel, target: str, kind: str, unit: float
     ) -> ClipChannel | None:
-        """Return the channel of plain keys; None where something is wrong with one."""
+        """Return the channel of plain keys; None on a fault."""
         keys = model.keys
         assert isinstance(keys, PlainKeys)
         turning = kind == "rotation" and model.euler is None
@@ -140,20 +142,20 @@ class ChannelReader:
         target: str,
         allowed: frozenset[Interp],
     ) -> bool:
-        places: list[tuple[Location, str | None]] = [((*at, "interp"), model.interp)]
-        places += [
+        named: list[tuple[Location, str | None]] = [((*at, "interp"), model.interp)]
+        named += [
             ((*at, "keys", k, "interp"), key.interp)
             for k, key in enumerate(_each(model))
         ]
         wrong = [
-            (place, name)
-            for place, name in places
+            (location, name)
+            for location, name in named
             if name is not None and Interp(name) not in allowed
         ]
-        for place, name in wrong:
+        for location, name in wrong:
             hint = f"allowed: {', '.join(sorted(allowed))}"
             message = f"{name} does not apply to {target!r}"
-            self.document.add("CLIP009", place, message, hint)
+            self.document.add("CLIP009", location, message, hint)
         return not wrong
 
     def _check_times(self, at: Location, times: FloatArray) -> None:
@@ -169,27 +171,27 @@ class ChannelReader:
                 if same
                 else (f"comes before the key at {times[before]:g}")
             )
-            place = (*at, "keys", k, "t")
+            location = (*at, "keys", k, "t")
             hint = "key times must ascend"
-            self.document.add("CLIP004", place, f"frame {times[k]:g} {what}", hint)
+            self.document.add("CLIP004", location, f"frame {times[k]:g} {what}", hint)
 
     def _check_handles(self, at: Location, model: CurveModel) -> None:
         """Refuse handles on the wrong side of their keys."""
         for k, key in enumerate(_each(model)):
-            for name, given, sign in (("in", key.in_, -1), ("out", key.out, 1)):
-                if not isinstance(given, list) or isinstance(given[0], list):
+            for name, handle, sign in (("in", key.in_, -1), ("out", key.out, 1)):
+                if not isinstance(handle, list) or isinstance(handle[0], list):
                     continue
-                if given[0] * sign < 0:
+                if handle[0] * sign < 0:
                     where = "before" if sign < 0 else "behind"
-                    message = f"the handle's time {given[0]:g} points the wrong way"
+                    message = f"the handle's time {handle[0]:g} points the wrong way"
                     hint = f"'{name}' is {where} its key"
-                    place = (*at, "keys", k, name)
-                    self.document.add("CLIP005", place, message, hint)
+                    location = (*at, "keys", k, name)
+                    self.document.add("CLIP005", location, message, hint)
 
     def _refuse_slopes(
         self, at: Location, model: CurveModel, keys: Sequence[KeyModel]
     ) -> None:
-        """Refuse what shapes the curves of numbers, on quaternions."""
+        """Refuse handles and tangents on quaternion keys."""
         hint = "write euler: XYZ to key three angles, which have them"
         spots: list[tuple[Location, CurveModel | KeyModel, tuple[str, ...]]]
         spots = [(at, model, ("tangents", "parametrization"))]
@@ -206,19 +208,19 @@ class ChannelReader:
     def _warn_of_idle(
         self, at: Location, model: CurveModel, interps: tuple[Interp, ...]
     ) -> None:
-        """Warn of what shapes curves of another kind than those beside its key.
+        """Warn of handles that the adjacent interpolation does not use.
 
-        Handles before the first key and behind the last wait for keys to come.
+        Handles before the first and after the last key are allowed.
         """
         inner = interps[:-1]
         for k, key in enumerate(_each(model)):
             before, behind = interps[max(k - 1, 0) : k], inner[k : k + 1]
-            for name, given, props, expected in (
+            for name, handle, props, expected in (
                 ("in", key.in_, before, _HANDLED),
                 ("out", key.out, behind, _HANDLED),
                 ("tcb", key.tcb, before + behind, {Interp.TCB}),
             ):
-                if given is not None and props and not expected & {*props}:
+                if handle is not None and props and not expected & {*props}:
                     kinds = " and ".join(dict.fromkeys(props))
                     message = f"'{name}' has no effect with {kinds}"
                     hint = f"it applies to {' and '.join(sorted(expected))}"
@@ -228,7 +230,7 @@ class ChannelReader:
     def _warn_of_path(
         self, at: Location, model: CurveModel, segments: Collection[Interp]
     ) -> None:
-        """Warn of which Catmull-Rom curve it is, where there is none."""
+        """Warn of a Catmull-Rom parametrization without Catmull-Rom keys."""
         named = "parametrization" in model.model_fields_set
         if named and Interp.CATMULL_ROM not in segments:
             message = "'parametrization' has no effect without catmull_rom"
@@ -243,9 +245,9 @@ class ChannelReader:
             if width == 3 and len(row) == 1 and even:
                 row = row * 3
             if len(row) != width:
-                place = (*at, "keys", k, "v")
+                location = (*at, "keys", k, "v")
                 message = f"{counted(len(row), 'number')} instead of {width}"
-                self.document.add("CLIP007", place, message)
+                self.document.add("CLIP007", location, message)
                 continue
             rows.append(row)
         if len(rows) < len(_each(model)):
@@ -261,17 +263,17 @@ class ChannelReader:
         unit: float,
         even: bool,
     ) -> tuple[Tangent, list[float], Tangent, list[float]]:
-        """Return tangent and handle before a key, and behind it."""
+        """Return in-tangent, in-handle, out-tangent and out-handle of a key."""
         if width == 4:
-            usual, none = Tangent(model.tangents), [0.0] * (1 + width)
-            return usual, none, usual, none
+            default, none = Tangent(model.tangents), [0.0] * (1 + width)
+            return default, none, default, none
         sides: list[tuple[Tangent, list[float]]] = []
-        for name, given in (("in", key.in_), ("out", key.out)):
+        for name, handle in (("in", key.in_), ("out", key.out)):
             none = [0.0] * (1 + width)
-            if given is None or isinstance(given, str):
-                sides.append((Tangent(given or model.tangents), none))
+            if handle is None or isinstance(handle, str):
+                sides.append((Tangent(handle or model.tangents), none))
                 continue
-            dt, dv = given
+            dt, dv = handle
             values = dv if isinstance(dv, list) else [dv]
             if width == 3 and len(values) == 1 and even:
                 values = values * 3
@@ -294,12 +296,12 @@ class ChannelReader:
 
 
 def _each(model: CurveModel) -> list[KeyModel]:
-    """Return the keys that have models."""
+    """Return the keys as models."""
     return [] if isinstance(model.keys, PlainKeys) else model.keys
 
 
 def file_quaternions(values: FloatArray) -> tuple[FloatArray, list[int]]:
-    """Return unit (x, y, z, w) of rows [w, x, y, z], and which have no length.
+    """Return unit (x, y, z, w) of rows [w, x, y, z], and a mask of zero ones.
 
     Signs continue from row to row.
 

@@ -1,4 +1,4 @@
-"""Channels of keys on named targets: units, curves between keys, values at any time."""
+"""Key channels on named targets: units, interpolation, evaluation."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from animtool.rig.skeleton import Rig
 
 @dataclass(frozen=True, slots=True)
 class ClipChannel:
-    """K keys of a target with D components, in metres, radians and frames."""
+    """K keys of a target with D components [m], [rad], [frame]."""
 
     target: str  # ``control/NAME``, ``shape/NAME`` or ``joint/NAME.PART``
     times: FloatArray  # ascending [frames] ``(K,)``
@@ -54,10 +54,10 @@ class ClipChannel:
 
 
 def target_kind(target: str, rig: Rig | None) -> str | Fault:
-    """Return what a target of a rig is, or what is wrong with it.
+    """Return the kind of a target, or its fault.
 
-    One of control, shape, angle, slide, translation, rotation, scale. Where the rig is
-    not known, all names are right.
+    One of control, shape, angle, slide, translation, rotation, scale. Without a rig,
+    all names are valid.
 
     >>> from animtool.rig.skeleton import Joint, JointType
     >>> arm = Rig("arm", (Joint("elbow", -1, JointType.PIN),))
@@ -98,16 +98,16 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
     if joint not in rig.names:
         hint = nearest(joint, rig.names)
         return Fault("CLIP002", f"unknown joint {joint!r}", hint=hint)
-    own = rig.joints[rig.index(joint)]
-    if own.type not in KEYED_PARTS[part]:
-        fitting = [p for p, types in KEYED_PARTS.items() if own.type in types]
-        message = f"a {own.type} joint has no {part}"
+    rig_joint = rig.joints[rig.index(joint)]
+    if rig_joint.type not in KEYED_PARTS[part]:
+        fitting = [p for p, types in KEYED_PARTS.items() if rig_joint.type in types]
+        message = f"a {rig_joint.type} joint has no {part}"
         return Fault("CLIP003", message, hint=f"it has {', '.join(fitting)}")
     return kind
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:
-    """Refuse targets that a rig has not."""
+    """Refuse targets that the rig does not have."""
     kinds = [target_kind(target, rig) for target in targets]
     faults = [fault for fault in kinds if isinstance(fault, Fault)]
     if faults:
@@ -119,14 +119,14 @@ _LENGTHS = frozenset({"translation", "local_translation", "slide"})
 
 @dataclass(frozen=True, slots=True)
 class ClipUnits:
-    """Metres a length of 1, radians an angle of 1."""
+    """Length unit [m] and angle unit [rad] of a clip."""
 
     length: float
     angle: float
 
     @staticmethod
     def of_rig(rig: Rig) -> ClipUnits:
-        """Return a rig's units; metres where the format has no name for its own."""
+        """Return a rig's units; metres if the format has no name for its unit."""
         name = unit_name(rig.meters_per_unit)
         radian = rig.radians_per_unit == 1.0
         return ClipUnits(
@@ -135,11 +135,11 @@ class ClipUnits:
         )
 
     def of(self, target: str, euler: str) -> float:
-        """Return what a value of 1 means: [m], [rad] or [1].
+        """Return the unit of a target's values: [m], [rad] or [1].
 
         Args:
             target: Of the channel.
-            euler: Order of its angles; empty where it holds none.
+            euler: Euler order; empty for other values.
 
         >>> ClipUnits(0.01, 1.0).of("joint/hips.translation", "")
         0.01
@@ -160,15 +160,15 @@ _ROTATION_KINDS = {
 
 
 def rotation_kinds(channel: ClipChannel) -> IntArray:
-    """Return how a quaternion channel runs behind each key ``(K,)``."""
+    """Return the interpolation of a quaternion channel after each key ``(K,)``."""
     return np.array([_ROTATION_KINDS[interp] for interp in channel.interps], np.int64)
 
 
 def curves_of(channels: Sequence[ClipChannel]) -> Curves:
-    """Return the components of channels as curves, in order: C = ΣD.
+    """Return the components of channels as C = ΣD scalar curves, in order.
 
-    Handles by a rule lie at thirds of their segments, so that time runs evenly; free
-    ones stay where they are. Catmull-Rom takes, uniform, the secant through the
+    Computed handles lie at thirds of their segments, so that time is linear; free
+    ones are kept. Uniform Catmull-Rom takes the secant through the
     neighbours over time, which keeps the velocity continuous for keys at any times;
     centripetal and chordal trace the path of Barry and Goldman's pyramid.
     """
@@ -196,7 +196,7 @@ def _joined(parts: list[FloatArray]) -> FloatArray:
 def _channel_curves(
     channel: ClipChannel,
 ) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
-    """Return times, values, kinds, handles of a channel, component by component."""
+    """Return times, values, interpolations and handles by component."""
     keys, width = channel.values.shape
     slopes = KeySlopes(
         channel.times, channel.values, channel.tcb, channel.parametrization
@@ -217,20 +217,20 @@ def _channel_curves(
     )
 
 
-# Rotations worked out at once: enough to make few calls, few enough to take 1 MB.
+# Rotations per batch: few calls, at most 1 MB.
 ROTATIONS_AT_ONCE = 2**15
 
 
 def evaluate_channels(
     channels: Sequence[ClipChannel], times: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return the value of every target ``(F, D)``, ``(1, D)`` where it never moves.
+    """Return the values of every target ``(F, D)``, or ``(1, D)`` if constant.
 
-    Rotations are quaternions (x, y, z, w), Euler angles made into some.
+    Rotations are quaternions (x, y, z, w); Euler angles are converted.
 
     Args:
-        channels: Each of a target of its own.
-        times: Any [frames] ``(F,)``; ascending ones are quickest.
+        channels: One per target.
+        times: Any [frame] ``(F,)``; ascending ones are fastest.
     """
     values: dict[str, FloatArray] = {}
     curves: list[ClipChannel] = []
@@ -254,16 +254,16 @@ def evaluate_channels(
 
 
 def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, FloatArray]:
-    """Return the rotations ``(F, 4)`` of every target, those keyed alike at once."""
-    alike: dict[tuple[object, ...], list[ClipChannel]] = {}
+    """Return the rotations ``(F, 4)`` of every target; equal key times are batched."""
+    by_timing: dict[tuple[object, ...], list[ClipChannel]] = {}
     for channel in channels:
         how = channel.interps, channel.pre, channel.post
-        alike.setdefault((channel.times.tobytes(), *how), []).append(channel)
+        by_timing.setdefault((channel.times.tobytes(), *how), []).append(channel)
     size = max(1, ROTATIONS_AT_ONCE // max(len(times), 1))
     values: dict[str, FloatArray] = {}
     groups = (
         same[begin : begin + size]
-        for same in alike.values()
+        for same in by_timing.values()
         for begin in range(0, len(same), size)
     )
     for group in groups:
@@ -277,18 +277,18 @@ def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, Floa
             first.post,
         )
         rows = np.ascontiguousarray(rotations.swapaxes(0, 1))
-        values |= {c.target: own for c, own in zip(group, rows, strict=True)}
+        values |= {c.target: row for c, row in zip(group, rows, strict=True)}
     return values
 
 
 def _is_static(channel: ClipChannel) -> bool:
-    """Return whether no key and no handle says another value than the first key."""
-    still = bool((channel.values == channel.values[0]).all())
-    return still and not channel.ins[:, 1:].any() and not channel.outs[:, 1:].any()
+    """Return whether all keys and handles have the first key's value."""
+    constant = bool((channel.values == channel.values[0]).all())
+    return constant and not channel.ins[:, 1:].any() and not channel.outs[:, 1:].any()
 
 
 def _turned(channel: ClipChannel, values: FloatArray) -> FloatArray:
-    """Return Euler angles as quaternions, everything else as it is."""
+    """Convert Euler angles to quaternions; return other values unchanged."""
     if not channel.euler:
         return values
     return euler.to_quaternion(np.degrees(values), channel.euler)

@@ -1,4 +1,4 @@
-"""A clip in memory: channels of keys over a range of frames; as text it comes back."""
+"""Clips in memory, and their text form."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from animtool.motion.motion import Motion
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 
-# Of a channel that does not say.
-USUAL_TANGENT = Tangent.AUTO_CLAMPED
+# Default of a channel.
+DEFAULT_TANGENT = Tangent.AUTO_CLAMPED
 
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """Keys over frames, for the rig that their targets are of.
+    """A keyframe clip for a rig.
 
     Attributes:
-        name: What it is called.
-        fps: Frames a second that key times count.
+        name: Name of the clip.
+        fps: Frame rate of the key times [1/s].
         first: First frame of the range.
         last: Last frame of the range, not before the first.
-        channels: One a target.
-        notices: What is odd about the file that it was read from; not compared.
+        channels: One per target.
+        notices: Warnings on the file that it was read from; not compared.
     """
 
     name: str
@@ -52,15 +52,15 @@ class Clip:
 
     @classmethod
     def load(cls, path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
-        """Return the clip of a clip file, its targets and units checked on a rig.
+        """Load a clip file and check its targets and units against a rig.
 
         Args:
             path: The file.
-            rig: Its rig, or the file of it; None is the one that it names.
+            rig: Its rig or rig file; None for the one that the clip names.
 
         Raises:
-            FormatError: The clip or its rig is malformed, with every fault.
-            OptionError: No rig is named (CLIP011).
+            FormatError: The clip or its rig is malformed; has every fault.
+            OptionError: The clip names no rig (CLIP011).
         """
         load = load_object("animtool.clip.file:load_clip_of")
         return cast("Clip", cast("Callable[..., object]", load)(path, rig))
@@ -68,15 +68,15 @@ class Clip:
     def frame_count(
         self, fps: FractionLike | None = None, step: Fraction = Fraction(1)
     ) -> int:
-        """Return how many frames the range has.
+        """Return the number of frames in the range.
 
         Args:
-            fps: Time codes a second; None is the clip's.
-            step: Time codes from one frame to the next.
+            fps: Frame rate; None for the clip's.
+            step: Time codes per frame.
 
         Raises:
-            FormatError: None, or more than 10 million (CLIP006).
-            OptionError: The rate is none (SCN022).
+            FormatError: No frame, or more than 10 million (CLIP006).
+            OptionError: The rate is invalid (SCN022).
 
         >>> Clip("nod", Fraction(24), Fraction(1), Fraction(13), ()).frame_count()
         13
@@ -98,13 +98,13 @@ class Clip:
         step: Fraction | float = 1,
         clamp: bool = False,
     ) -> Take:
-        """Return the clip on a rig over its range, the first frame's number kept.
+        """Sample the clip on a rig over its range.
 
-        Controls out of range and joints beyond their limits are named in the
+        Controls out of range and joints beyond their limits are listed in the
         take's notices.
 
         Args:
-            rig: Whose controls, shapes and joints the targets are.
+            rig: The rig of its targets.
             fps: Frames a second, such as 24, ``"23.976"`` or ``Fraction(24000,
                 1001)``; None is the clip's.
             step: Time codes from one frame to the next, such as 0.25 for four
@@ -112,10 +112,10 @@ class Clip:
             clamp: Bring controls into their ranges and joints into their limits.
 
         Raises:
-            OptionError: With every target that the rig has not (CLIP001 to CLIP003),
-                a rate that is none (SCN022), or a step (CLIP021).
-            FormatError: The range has no frame, or more than 10 million (CLIP006);
-                an expression of the rig has no value at some frame (CLIP015).
+            OptionError: A target is not in the rig (CLIP001 to CLIP003), or
+                the rate (SCN022) or the step (CLIP021) is invalid.
+            FormatError: The range has no frame, or over 10 million (CLIP006);
+                an expression of the rig is undefined at a frame (CLIP015).
 
         >>> from animtool.rig.skeleton import Joint
         >>> hero = Rig("hero", (Joint("hips", -1),))
@@ -139,12 +139,12 @@ class Clip:
 
         clock = Clock(rate, self.first, each, count)
         notices = tuple(sampled.notices)
-        own = not clamp and rate == self.fps
-        keyed = KeyedCurve(curve, lambda: self if own else None)
+        keeps_curve = not clamp and rate == self.fps
+        keyed = KeyedCurve(curve, lambda: self if keeps_curve else None)
         return Take(rig, clock, sampled.motion, notices, curve=keyed)
 
     def __repr__(self) -> str:
-        """Return the name, and how much there is of what."""
+        """Return the name and counts."""
         keys = counted(sum(len(channel.times) for channel in self.channels), "key")
         channels = counted(len(self.channels), "channel")
         return (
@@ -153,13 +153,13 @@ class Clip:
         )
 
 
-def _rate(fps: FractionLike | None, usual: Fraction) -> Fraction:
-    return usual if fps is None else rate_option(fps)
+def _rate(fps: FractionLike | None, default: Fraction) -> Fraction:
+    return default if fps is None else rate_option(fps)
 
 
 def _step(step: Fraction | float) -> Fraction:
     try:
-        # The decimal that a person meant, not the float nearest to it.
+        # The decimal as written, not the nearest float.
         each = Fraction(str(step))
     except ValueError:
         each = Fraction(0)
@@ -175,14 +175,14 @@ Choice = TypeVar("Choice", bound=Hashable)
 def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
     """Return a clip as the text of a clip file, in the units of its rig.
 
-    Numbers that the rig's unit cannot give back to the last digit are written in
+    Numbers that do not round-trip exactly in the rig's unit are written in
     metres or radians instead; the file says which.
 
     Args:
         clip: Quaternions of its keys at unit length, of signs that continue, and
             handles where tangents are free, as `animtool.clip.file.load_clip` has it.
         rig: Whose units it is written in.
-        rig_file: The rig file, as the clip is to name it.
+        rig_file: The rig file as named in the clip.
     """
     units = _units(clip, rig)
     angle = "rad" if units.angle == 1.0 else "deg"
@@ -203,18 +203,18 @@ def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
 
 
 def _units(clip: Clip, rig: Rig) -> ClipUnits:
-    """Return the units that a clip is written in."""
-    usual = ClipUnits.of_rig(rig)
+    """Return the units to write a clip in."""
+    rig_units = ClipUnits.of_rig(rig)
     lengths = _numbers_in(clip, ClipUnits(math.nan, 1.0))
     angles = _numbers_in(clip, ClipUnits(1.0, math.nan))
     return ClipUnits(
-        usual.length if _come_back(lengths, usual.length) else 1.0,
-        usual.angle if _come_back(angles, usual.angle) else 1.0,
+        rig_units.length if _round_trips(lengths, rig_units.length) else 1.0,
+        rig_units.angle if _round_trips(angles, rig_units.angle) else 1.0,
     )
 
 
 def _numbers_in(clip: Clip, marked: ClipUnits) -> Iterator[float]:
-    """Yield the values and handles of the channels whose unit is marked, by NaN."""
+    """Yield the values and handles of the channels whose unit is NaN."""
     for channel in clip.channels:
         if math.isnan(marked.of(channel.target, channel.euler)):
             yield from channel.values.ravel().tolist()
@@ -222,12 +222,12 @@ def _numbers_in(clip: Clip, marked: ClipUnits) -> Iterator[float]:
             yield from channel.outs[:, 1:].ravel().tolist()
 
 
-def _come_back(values: Iterable[float], unit: float) -> bool:
+def _round_trips(values: Iterable[float], unit: float) -> bool:
     return all(float(scaled(value, unit)) * unit == value for value in values)
 
 
 def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
-    """Yield the lines of a curve of keys, its target left out.
+    """Yield the lines of a key curve, without its target.
 
     Args:
         channel: The curve.
@@ -235,16 +235,16 @@ def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
     """
     interp = _commonest(channel.interps, Interp.LINEAR)
     ruled = [t for t in chain(*channel.tangents) if t is not Tangent.FREE]
-    tangent = _commonest(ruled, USUAL_TANGENT)
+    tangent = _commonest(ruled, DEFAULT_TANGENT)
     yield f"interp: {interp}"
-    for key, value, usual in (
-        ("tangents", tangent, USUAL_TANGENT),
+    for key, value, default in (
+        ("tangents", tangent, DEFAULT_TANGENT),
         ("parametrization", channel.parametrization, Parametrization.UNIFORM),
         ("euler", channel.euler, ""),
         ("pre", channel.pre, Extrapolation.HOLD),
         ("post", channel.post, Extrapolation.HOLD),
     ):
-        if value != usual:
+        if value != default:
             yield f"{key}: {value}"
     yield "keys:"
     for k in range(len(channel.times)):
@@ -255,7 +255,7 @@ def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
 def _key(
     channel: ClipChannel, k: int, interp: Interp, tangent: Tangent, unit: float
 ) -> Iterator[str]:
-    """Yield the entries of a key; what the channel says already is left out."""
+    """Yield the entries of a key that differ from the channel's."""
     row = channel.values[k].tolist()
     if row[3:]:
         x, y, z, w = row
@@ -265,13 +265,13 @@ def _key(
     if channel.interps[k] is not interp:
         yield f"interp: {channel.interps[k]}"
     handles = (channel.ins[k].tolist(), channel.outs[k].tolist())
-    for name, own, (dt, *dv) in zip(
+    for name, handle_tangent, (dt, *dv) in zip(
         ("in", "out"), channel.tangents[k], handles, strict=True
     ):
-        if own is Tangent.FREE:
+        if handle_tangent is Tangent.FREE:
             yield f"{name}: {flow([number(dt), _value(dv, unit)])}"
-        elif own is not tangent:
-            yield f"{name}: {own}"
+        elif handle_tangent is not tangent:
+            yield f"{name}: {handle_tangent}"
     if channel.tcb[k].any():
         yield f"tcb: {flow([number(value) for value in channel.tcb[k].tolist()])}"
 
@@ -281,6 +281,6 @@ def _value(row: Sequence[float], unit: float) -> str:
     return shown[0] if len(shown) == 1 else flow(shown)
 
 
-def _commonest(choices: Sequence[Choice], usual: Choice) -> Choice:
-    """Return what most of them are, the first of several; without any, the usual."""
-    return Counter(choices).most_common(1)[0][0] if choices else usual
+def _commonest(choices: Sequence[Choice], default: Choice) -> Choice:
+    """Return the most common choice; the default if there are none."""
+    return Counter(choices).most_common(1)[0][0] if choices else default

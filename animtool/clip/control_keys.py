@@ -1,4 +1,4 @@
-"""Controls of a rig as keys, solved for from what a take's joints and shapes do."""
+"""Control keys solved from a take's joints and shapes."""
 
 from __future__ import annotations
 
@@ -19,51 +19,51 @@ from animtool.motion.take import Take
 from animtool.rig.control_inverse import SolvedControls, keyed_values, solve_controls
 from animtool.rig.controls import Control, evaluate_controls
 from animtool.rig.driver_plan import plan_of
-from animtool.rig.shapes import own_weights
+from animtool.rig.shapes import uncombined_weights
 from animtool.rig.skeleton import Rig
 
-# Of the tolerance of the whole, what the keys of controls may use up [1].
-SHARE = 0.5
-# Frames at which it is tried how far a control moves things.
+# Fraction of the tolerance for control keys [1].
+CONTROL_FRACTION = 0.5
+# Frames at which a control's effect is probed.
 TRIED_FRAMES = 8
-# Times that the keys of controls are made finer before every frame gets one.
+# Refinements of control keys before every frame is keyed.
 FITS = 12
-# Control values that differ by less are the same but for rounding, relative.
+# Relative difference of control values that is rounding.
 ROUNDING = 1e-11
 
 
-def own_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
-    """Return the weights ``(F or 1,)`` that keys and controls add up to, by shape.
+def uncombined_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
+    """Return shape weights ``(F or 1,)`` before combination shapes are added.
 
-    What combined shapes get from those that they combine is taken off.
+    The products that combination shapes get from their drivers are subtracted.
     """
     names = [shape.name for shape in rig.shapes]
     weights = take.motion.weights
     values = np.zeros((1, len(names))) if weights is None else weights.dense()[..., 0]
-    return own_weights(rig.shapes, dict(zip(names, values.T, strict=True)))
+    return uncombined_weights(rig.shapes, dict(zip(names, values.T, strict=True)))
 
 
 def solved_controls(
     take: Take, rig: Rig, joints: Sequence[JointMotion], same: Same
 ) -> SolvedControls:
-    """Return the values of a rig's controls that move it as a take does.
+    """Return control values that reproduce a take.
 
-    Values that come with the take are where the search starts; without any, the
+    The search starts at the take's control values, or without any at the
     defaults.
     """
     frames, controls = take.motion.frames, keyable_controls(rig)
-    held = take.motion.controls
+    baked = take.motion.controls
     start = {c.name: np.full(frames, c.default) for c in controls}
-    if held is not None:
-        columns = held.dense()[..., 0].T
+    if baked is not None:
+        columns = baked.dense()[..., 0].T
         reached = {c.name: v for c, v in zip(controls, columns, strict=True)}
         start |= keyed_values(controls, reached)
     if rig.is_driven:
-        still = {c.name: np.full(frames, c.default) for c in controls}
-        start |= {name: still[name] for name in plan_of(rig).controls}
+        resting = {c.name: np.full(frames, c.default) for c in controls}
+        start |= {name: resting[name] for name in plan_of(rig).controls}
     near = evaluate_controls(controls, start).targets
     goals, keyed = requested_of_joints(rig, joints, set(near), near, same)
-    shapes = own_weights_of(take, rig)
+    shapes = uncombined_weights_of(take, rig)
     for shape, value in shapes.items():
         if f"shape/{shape}" in near:
             goals[f"shape/{shape}"] = value
@@ -72,18 +72,20 @@ def solved_controls(
     solved = solve_controls(controls, goals, tolerances, start, keyed=keyed)
     return SolvedControls(
         {
-            control.name: _settled(solved.values[control.name], control.default)
+            control.name: _without_rounding(
+                solved.values[control.name], control.default
+            )
             for control in controls
         },
         solved.kept,
-        () if held is not None else solved.released,
+        () if baked is not None else solved.released,
     )
 
 
 def keyable_controls(rig: Rig) -> Sequence[Control]:
-    """Return a rig's controls without drives of what takes no keys.
+    """Return a rig's controls without drives of unkeyable targets.
 
-    Those are what is driven by coordinates of joints, and what that drives.
+    Targets driven by joint coordinates, directly or indirectly, are unkeyable.
     """
     if not rig.is_driven:
         return rig.controls
@@ -103,17 +105,17 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
     ]
 
 
-def _settled(values: FloatArray, default: float) -> FloatArray:
-    """Return values without rounding: those of the default or of a still control."""
+def _without_rounding(values: FloatArray, default: float) -> FloatArray:
+    """Remove rounding noise: snap values to the default or to a constant."""
     small = ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
     values = np.where(np.abs(values - default) <= small, default, values)
-    still = np.ptp(values) <= small
-    return np.full_like(values, values[0]) if still else values
+    constant = np.ptp(values) <= small
+    return np.full_like(values, values[0]) if constant else values
 
 
 @dataclass(frozen=True, slots=True)
 class FittedControls:
-    """Keys of the controls that are not at their default."""
+    """Keys of the controls that leave their defaults."""
 
     channels: list[ReducedChannel]  # one each, in the rig's order
     # What the keys give, of every control ``(F or 1, 1)``, by target.
@@ -122,7 +124,7 @@ class FittedControls:
 
     @property
     def named(self) -> dict[str, FloatArray]:
-        """The values of the controls with keys ``(F or 1,)``, by their names."""
+        """Values of the keyed controls ``(F or 1,)`` by name."""
         return {n.removeprefix("control/"): v[:, 0] for n, v in self.values.items()}
 
 
@@ -130,7 +132,7 @@ def fit_controls(
     take: Take,
     rig: Rig,
     solved: Mapping[str, FloatArray],
-    own: frozenset[tuple[ChannelKind, int]],
+    keyed_tracks: frozenset[tuple[ChannelKind, int]],
     bounds: FloatArray,
     weight_tolerance: float,
 ) -> FittedControls:
@@ -139,51 +141,51 @@ def fit_controls(
     ``solved`` ``(F,)``, ``bounds`` ``(J,)`` [m], ``weight_tolerance`` [1].
     """
     defaults = {control.name: control.default for control in rig.controls}
-    held = [name for name in defaults if (solved[name] != defaults[name]).any()]
-    moving = [name for name in held if (solved[name] != solved[name][0]).any()]
-    effect = _Effect(take, rig, solved, own, bounds, weight_tolerance)
+    changed = [name for name in defaults if (solved[name] != defaults[name]).any()]
+    moving = [name for name in changed if (solved[name] != solved[name][0]).any()]
+    effect = _Effect(take, rig, solved, keyed_tracks, bounds, weight_tolerance)
     tolerances = {name: effect.tolerance(name) for name in moving}
     keys: dict[str, FittedKeys] = {}
     values: dict[str, FloatArray] = {}
     for fit in range(FITS):
-        for name in held:
+        for name in changed:
             column = solved[name][:, None]
             if name not in tolerances:
                 keys[name] = fit_keys(column[:1], 1.0)
                 continue
             keys[name] = fit_keys(column, tolerances[name])
         values = {
-            f"control/{name}": evaluate_keys(found, np.arange(take.motion.frames))
-            for name, found in keys.items()
+            f"control/{name}": evaluate_keys(fitted, np.arange(take.motion.frames))
+            for name, fitted in keys.items()
         }
         ratio = effect.ratio(values) if moving else 0.0
-        if ratio <= SHARE:
+        if ratio <= CONTROL_FRACTION:
             break
-        factor = 0.8 * SHARE / ratio if fit < FITS - 2 else 1e-9
+        factor = 0.8 * CONTROL_FRACTION / ratio if fit < FITS - 2 else 1e-9
         tolerances = {n: max(t * factor, 1e-13) for n, t in tolerances.items()}
     order = {control.name: i for i, control in enumerate(rig.controls)}
     channels = [
         ReducedChannel(
             f"control/{name}", ChannelKind.CONTROL, order[name], None, None, keys[name]
         )
-        for name in held
+        for name in changed
     ]
     return FittedControls(channels, values, take.motion.frames * len(moving))
 
 
 class _Effect:
-    """How far controls move a rig that is otherwise as in a take."""
+    """Measures how far controls move a rig in a take."""
 
     def __init__(
         self,
         take: Take,
         rig: Rig,
         solved: Mapping[str, FloatArray],
-        own: frozenset[tuple[ChannelKind, int]],
+        keyed_tracks: frozenset[tuple[ChannelKind, int]],
         bounds: FloatArray,
         weight_tolerance: float,
     ) -> None:
-        self.take, self.rig, self.own = take, rig, own
+        self.take, self.rig, self.keyed_tracks = take, rig, keyed_tracks
         self.exact = {f"control/{n}": v[:, None] for n, v in solved.items()}
         self.bounds, self.weight_tolerance = bounds, weight_tolerance
         self.points = attached_points(rig, SHELL)
@@ -191,19 +193,19 @@ class _Effect:
     def ratio(
         self, values: Mapping[str, FloatArray], frames: IntArray | None = None
     ) -> float:
-        """Return the largest error that values of controls make, in tolerances."""
+        """Return the largest error of control values, in units of the tolerance."""
         take, rig = self.take, self.rig
         at = np.arange(take.motion.frames) if frames is None else frames
         exact = {
             name: value[at] if len(value) > 1 else value
             for name, value in self.exact.items()
         }
-        given = {name: v[at] if len(v) > 1 else v for name, v in values.items()}
+        trial = {name: v[at] if len(v) > 1 else v for name, v in values.items()}
         times = take.clock.times[at]
         exact_motion = sample_values(exact, rig, times).motion
-        sampled = sample_values({**exact, **given}, rig, times).motion
+        sampled = sample_values({**exact, **trial}, rig, times).motion
         truth = take.motion.select(at)
-        posed = driven_pose(truth, sampled, exact_motion, self.own)
+        posed = driven_pose(truth, sampled, exact_motion, self.keyed_tracks)
         worlds = [motion.world(take.rig) for motion in (truth, posed)]
         errors = point_errors(self.points, *worlds)
         ratio = float((errors / self.bounds).max(initial=0.0))
@@ -215,30 +217,30 @@ class _Effect:
         return max(ratio, off / self.weight_tolerance)
 
     def tolerance(self, name: str) -> float:
-        """Return a first tolerance of a control's keys."""
+        """Return the initial tolerance of a control's keys."""
         values = self.exact[f"control/{name}"]
         step = 1e-3 * float(np.ptp(values))
         frames = np.unique(
             np.linspace(0, len(values) - 1, TRIED_FRAMES).astype(np.int64)
         )
         ratio = self.ratio({f"control/{name}": values + step}, frames)
-        return SHARE * step / ratio if ratio > 0 else 1e-3 * step
+        return CONTROL_FRACTION * step / ratio if ratio > 0 else 1e-3 * step
 
 
 def driven_pose(
     motion: Motion,
     controls: Motion,
     exact: Motion,
-    own: frozenset[tuple[ChannelKind, int]],
+    keyed_tracks: frozenset[tuple[ChannelKind, int]],
 ) -> Motion:
-    """Return a motion with the joints that controls move as they move them."""
+    """Return a motion whose control-driven joints follow other values."""
 
     def mixed(kind: ChannelKind, name: str) -> Channel:
         of_take: Channel = getattr(motion, name)
         now: Channel = getattr(controls, name)
         before: Channel = getattr(exact, name)
         moved = set(now.animated.tolist()) | set(before.animated.tolist())
-        joints = [j for j in sorted(moved) if (kind, j) not in own]
+        joints = [j for j in sorted(moved) if (kind, j) not in keyed_tracks]
         if not joints:
             return of_take
         at = np.array(joints)

@@ -1,4 +1,4 @@
-"""A take's joints relative to rest, and the keys that controls leave to them."""
+"""Joint motion relative to rest, less what controls drive."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.clip.reduction.keys import ChannelKind
-from animtool.clip.reduction.tracks import Track, euler_order
+from animtool.clip.reduction.tracks import KeyTrack, euler_order
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import euler, so3
@@ -17,22 +17,22 @@ from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Whole turns that the first angle of a pin may be off what is read of its rotation.
-MAX_TURNS = 3
+# Revolutions to try for a pin's first angle.
+MAX_REVOLUTIONS = 3
 _COORDINATE = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
 _TURNING = {JointType.FREE, JointType.BALL}
 
 
 @dataclass(frozen=True, slots=True)
 class Same:
-    """Differences that are rounding, and need no keys: [rad], [m], [1]."""
+    """Differences below which no keys are needed [rad], [m], [1]."""
 
     angle: float
     length: float
     weight: float
 
     def of(self, target: str) -> float:
-        """Return that of a target of a control.
+        """Return the tolerance of a control's target.
 
         >>> Same(1e-6, 1e-7, 1e-8).of("joint/hips.translation.x")
         1e-07
@@ -46,39 +46,39 @@ class Same:
 
 @dataclass(frozen=True, slots=True)
 class JointMotion:
-    """What a joint does relative to its rest frame, in n = F frames, or 1 if still."""
+    """Motion of a joint relative to rest: n = F frames, or 1 if static."""
 
-    turn: FloatArray  # ``(n, 4)``, signs continuous
+    rotation: FloatArray  # ``(n, 4)``, signs continuous
     shift: FloatArray  # ``(n, 3)`` [m]
     # Of a pin [rad], continuous, or of a prismatic joint [m] ``(n,)``, else 0.
     coordinate: FloatArray
-    # Largest part of the turn that the joint's type does not have [rad].
-    turn_off: float
-    shift_off: float  # likewise of the shift [m]
-    turn_rests: bool  # the local rotation is that of rest, to the last digit
+    # Largest rotation that the joint's type does not allow [rad].
+    rotation_error: float
+    shift_error: float  # likewise of the shift [m]
+    rotation_rests: bool  # the local rotation is that of rest, to the last digit
     shift_rests: bool  # the local translation is
 
 
 def joint_motions(rig: Rig, motion: Motion, same: Same) -> list[JointMotion]:
     """Return the motion of every joint relative to rest.
 
-    Whole turns of a pin's angle are those that keep it within its limits and agree
-    with the joints that follow it.
+    Revolutions of a pin's angle are chosen to keep it within its limits and agree
+    with its mimic joints.
     """
     moves = [set(c.animated.tolist()) for c in (motion.translations, motion.rotations)]
     motions = []
     for j, joint in enumerate(rig.joints):
         at = np.array([j])
         local = [
-            channel.gather(at)[:, 0] if j in own else channel.rest[at]
-            for channel, own in zip(
+            channel.gather(at)[:, 0] if j in moving else channel.rest[at]
+            for channel, moving in zip(
                 (motion.translations, motion.rotations), moves, strict=True
             )
         ]
         motions.append(_joint_motion(joint, local[0], local[1]))
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.PIN:
-            motions[j] = _on_turn(rig, motions, j, same)
+            motions[j] = _on_nearest_revolution(rig, motions, j, same)
     return motions
 
 
@@ -86,48 +86,50 @@ def _joint_motion(
     joint: Joint, translation: FloatArray, rotation: FloatArray
 ) -> JointMotion:
     undo = so3.conjugate(joint.rotation)
-    turn = so3.align_signs(so3.multiply(undo, rotation))
+    relative = so3.align_signs(so3.multiply(undo, rotation))
     shift = so3.rotate(undo, translation - np.array(joint.translation))
     axis = np.array(joint.axis)
     coordinate = np.zeros(1)
-    turn_off, shift_off = 0.0, float(np.abs(shift).max(initial=0.0))
+    rotation_error, shift_error = 0.0, float(np.abs(shift).max(initial=0.0))
     if joint.type is JointType.PIN:
-        coordinate = np.unwrap(2.0 * np.arctan2(turn[:, :3] @ axis, turn[:, 3]))
+        coordinate = np.unwrap(2.0 * np.arctan2(relative[:, :3] @ axis, relative[:, 3]))
         coordinate = coordinate - 2 * np.pi * np.round(coordinate[:1] / (2 * np.pi))
-        left = so3.angle_between(turn, so3.from_axis_angle(axis, coordinate))
-        turn_off = float(left.max(initial=0.0))
+        left = so3.angle_between(relative, so3.from_axis_angle(axis, coordinate))
+        rotation_error = float(left.max(initial=0.0))
     elif joint.type not in _TURNING:
-        turn_off = float(so3.angle_between(turn, so3.IDENTITY).max(initial=0.0))
+        rotation_error = float(
+            so3.angle_between(relative, so3.IDENTITY).max(initial=0.0)
+        )
     if joint.type is JointType.PRISMATIC:
         coordinate = shift @ axis
         left = shift - coordinate[:, None] * axis
-        shift_off = float(np.abs(left).max(initial=0.0))
+        shift_error = float(np.abs(left).max(initial=0.0))
     elif joint.type is JointType.FREE:
-        shift_off = 0.0
+        shift_error = 0.0
     return JointMotion(
-        turn,
+        relative,
         shift,
         coordinate,
-        turn_off,
-        shift_off,
+        rotation_error,
+        shift_error,
         bool((rotation == np.array(joint.rotation)).all()),
         bool((translation == np.array(joint.translation)).all()),
     )
 
 
-def _on_turn(
+def _on_nearest_revolution(
     rig: Rig, motions: Sequence[JointMotion], j: int, same: Same
 ) -> JointMotion:
-    """Return a pin's motion with its angle on the likeliest turn."""
-    joint, own = rig.joints[j], motions[j]
+    """Return a pin's motion with its angle on the likeliest revolution."""
+    joint, joint_motion = rig.joints[j], motions[j]
     led = [
         (motions[i], follower.mimic, follower.type)
         for i, follower in enumerate(rig.joints)
         if follower.mimic is not None and follower.mimic.joint == joint.name
     ]
 
-    def oddness(turns: int) -> tuple[bool, float, int]:
-        angle = own.coordinate + 2 * np.pi * turns
+    def misfit_cost(revolutions: int) -> tuple[bool, float, int]:
+        angle = joint_motion.coordinate + 2 * np.pi * revolutions
         astray = False
         for motion, mimic, kind in led:
             off = motion.coordinate - (mimic.gain * angle + mimic.offset)
@@ -138,10 +140,12 @@ def _on_turn(
         excess = 0.0
         if isinstance(joint.limits, RangeLimit):
             excess = float(np.abs(joint.limits.excess(angle)).max(initial=0.0))
-        return astray, round(excess, 9), abs(turns)
+        return astray, round(excess, 9), abs(revolutions)
 
-    turns = min(range(-MAX_TURNS, MAX_TURNS + 1), key=oddness)
-    return replace(own, coordinate=own.coordinate + 2 * np.pi * turns)
+    revolutions = min(range(-MAX_REVOLUTIONS, MAX_REVOLUTIONS + 1), key=misfit_cost)
+    return replace(
+        joint_motion, coordinate=joint_motion.coordinate + 2 * np.pi * revolutions
+    )
 
 
 def requested_of_joints(
@@ -151,10 +155,10 @@ def requested_of_joints(
     near: Mapping[str, FloatArray],
     same: Same,
 ) -> tuple[dict[str, FloatArray], set[str]]:
-    """Return what controls would have to add to joints, and what they cannot.
+    """Return what controls must add to joints, and the unreachable targets.
 
-    Returns the value of each target ``(F or 1,)``, and the targets of joints that also
-    move in ways that no control drives.
+    Returns target values ``(F or 1,)``, and the targets of joints that also
+    move along axes that no control drives.
     """
     requested: dict[str, FloatArray] = {}
     keyed: set[str] = set()
@@ -168,7 +172,7 @@ def requested_of_joints(
         if kind == "rotation":
             parts = [f"joint/{joint}.rotation.{axis}" for axis in "xyz"]
             thought = [near.get(part, np.zeros(1)) for part in parts]
-            vector = _near(motion.turn, np.stack(np.broadcast_arrays(*thought), -1))
+            vector = _near(motion.rotation, np.stack(np.broadcast_arrays(*thought), -1))
             requested[target] = vector[:, "xyz".index(axis)]
             spare = [i for i in range(3) if parts[i] not in targets]
             if np.abs(vector[:, spare]).max(initial=0.0) > same.angle:
@@ -177,15 +181,15 @@ def requested_of_joints(
             requested[target] = motion.shift[:, "xyz".index(axis)]
         else:
             requested[target] = motion.coordinate
-            off = motion.turn_off > same.angle if kind == "angle" else False
-            if off or (kind == "slide" and motion.shift_off > same.length):
+            off = motion.rotation_error > same.angle if kind == "angle" else False
+            if off or (kind == "slide" and motion.shift_error > same.length):
                 keyed.add(target)
     return requested, keyed
 
 
-def _near(turn: FloatArray, thought: FloatArray) -> FloatArray:
-    """Return rotation vectors ``(n, 3)``, on the turn nearest to those thought of."""
-    vector = so3.log(turn)
+def _near(rotation: FloatArray, thought: FloatArray) -> FloatArray:
+    """Return rotation vectors ``(n, 3)`` on the revolution nearest to a guess."""
+    vector = so3.log(rotation)
     vector, thought = np.broadcast_arrays(vector, thought)
     length = np.linalg.norm(vector, axis=1, keepdims=True)
     size = np.linalg.norm(thought, axis=1, keepdims=True)
@@ -193,8 +197,8 @@ def _near(turn: FloatArray, thought: FloatArray) -> FloatArray:
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
     along = (thought * axis).sum(axis=1, keepdims=True)
     start = (vector * axis).sum(axis=1, keepdims=True)
-    turns = np.round((along - start) / (2 * np.pi))
-    return np.where(size > np.pi / 2, vector + 2 * np.pi * turns * axis, vector)
+    revolutions = np.round((along - start) / (2 * np.pi))
+    return np.where(size > np.pi / 2, vector + 2 * np.pi * revolutions * axis, vector)
 
 
 def joint_tracks(
@@ -203,9 +207,9 @@ def joint_tracks(
     driven: Mapping[str, FloatArray],
     fitted: Mapping[str, FloatArray],
     same: Same,
-) -> list[Track]:
-    """Return tracks of what joints do beyond what controls and mimics make them do."""
-    tracks: dict[int, list[Track]] = {}
+) -> list[KeyTrack]:
+    """Return tracks of joint motion beyond controls and mimics."""
+    tracks: dict[int, list[KeyTrack]] = {}
     coordinates: dict[str, FloatArray] = {}
     last = [j for j, joint in enumerate(rig.joints) if joint.mimic is not None]
     first = [j for j, joint in enumerate(rig.joints) if joint.mimic is None]
@@ -232,7 +236,7 @@ def joint_tracks(
 
 @dataclass(frozen=True, slots=True)
 class _OneJoint:
-    """A joint whose keys are looked for."""
+    """A joint to key."""
 
     joint: Joint
     index: int
@@ -242,24 +246,24 @@ class _OneJoint:
     same: Same
 
     def driven(self, part: str, *, fitted: bool = False) -> FloatArray:
-        """Return what controls add to a part ``(F or 1,)``."""
+        """Return the controls' contribution to a part ``(F or 1,)``."""
         source = self.fitted if fitted else self.stated
         return source.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
 
     def vector(self, part: str, *, fitted: bool = False) -> FloatArray:
-        """Return what controls add to the axes of a part ``(F or 1, 3)``."""
+        """Return the controls' contribution to a vector part ``(F or 1, 3)``."""
         columns = [self.driven(f"{part}.{axis}", fitted=fitted) for axis in "xyz"]
         return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
-    def tracks(self, expected: FloatArray) -> Iterator[Track]:
+    def tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
         """Yield the tracks, translation first: ``expected`` ``(F or 1,)``."""
         yield from self._shift(expected)
-        yield from self._turn(expected)
+        yield from self._rotation_tracks(expected)
 
-    def _shift(self, expected: FloatArray) -> Iterator[Track]:
+    def _shift(self, expected: FloatArray) -> Iterator[KeyTrack]:
         motion, joint, same = self.motion, self.joint, self.same
         rest_t, rest_r = np.array(joint.translation), np.array(joint.rotation)
-        if motion.shift_off > same.length and not motion.shift_rests:
+        if motion.shift_error > same.length and not motion.shift_rests:
             local = rest_t + so3.rotate(rest_r, motion.shift)
             yield self._track(ChannelKind.TRANSLATION, "local_translation", local)
         elif joint.type is JointType.PRISMATIC:
@@ -284,15 +288,15 @@ class _OneJoint:
                     rest_t + so3.rotate(rest_r, before),
                 )
 
-    def _turn(self, expected: FloatArray) -> Iterator[Track]:
+    def _rotation_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
         motion, joint, same = self.motion, self.joint, self.same
         rest = np.array(joint.rotation)
-        if motion.turn_off > same.angle and not motion.turn_rests:
-            local = so3.align_signs(so3.multiply(rest, motion.turn))
+        if motion.rotation_error > same.angle and not motion.rotation_rests:
+            local = so3.align_signs(so3.multiply(rest, motion.rotation))
             yield self._euler("local_rotation", local, None)
         elif joint.type is JointType.PIN:
             off = _wrapped(motion.coordinate - expected)
-            if self._differs(off, same.angle, rests=motion.turn_rests):
+            if self._differs(off, same.angle, rests=motion.rotation_rests):
                 before = self.driven("angle", fitted=True)
                 yield self._track(
                     ChannelKind.ROTATION,
@@ -302,23 +306,27 @@ class _OneJoint:
                 )
         elif joint.type in _TURNING:
             added = so3.exp(self.vector("rotation"))
-            off = so3.angle_between(added, motion.turn)
-            if self._differs(off, same.angle, rests=motion.turn_rests):
+            off = so3.angle_between(added, motion.rotation)
+            if self._differs(off, same.angle, rests=motion.rotation_rests):
                 before = so3.exp(self.vector("rotation", fitted=True))
-                own = so3.align_signs(so3.multiply(so3.conjugate(before), motion.turn))
-                yield self._euler("rotation", own, so3.multiply(rest, before))
+                keyed = so3.align_signs(
+                    so3.multiply(so3.conjugate(before), motion.rotation)
+                )
+                yield self._euler("rotation", keyed, so3.multiply(rest, before))
 
     def _differs(self, off: FloatArray, same: float, *, rests: bool) -> bool:
-        """Return whether a coordinate needs keys: of an undriven joint, if it moves."""
+        """Return whether a coordinate needs keys."""
         name = f"joint/{self.joint.name}."
         driven = any(target.startswith(name) for target in self.stated)
         if not driven and self.joint.mimic is None:
             return not rests
         return bool(np.abs(off).max(initial=0.0) > same)
 
-    def _euler(self, part: str, turns: FloatArray, before: FloatArray | None) -> Track:
-        order = euler_order(self.joint, turns)
-        samples = euler.from_quaternion(turns, order)
+    def _euler(
+        self, part: str, rotations: FloatArray, before: FloatArray | None
+    ) -> KeyTrack:
+        order = euler_order(self.joint, rotations)
+        samples = euler.from_quaternion(rotations, order)
         return self._track(ChannelKind.ROTATION, part, samples, before, order)
 
     def _track(
@@ -328,16 +336,16 @@ class _OneJoint:
         samples: FloatArray,
         before: FloatArray | None = None,
         order: str | None = None,
-    ) -> Track:
+    ) -> KeyTrack:
         joint = self.joint
-        still: BoolArray = (samples == samples[:1]).all()
+        constant: BoolArray = (samples == samples[:1]).all()
         name = f"joint/{joint.name}."
         alone = not any(target.startswith(name) for target in self.stated)
-        return Track(
+        return KeyTrack(
             kind,
             self.index,
             order,
-            np.ascontiguousarray(samples[:1] if still else samples),
+            np.ascontiguousarray(samples[:1] if constant else samples),
             part,
             before,
             joint.rotation,

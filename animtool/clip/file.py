@@ -1,4 +1,4 @@
-"""Reading a clip file, ``*.clip.yaml``."""
+"""Clip file reader, ``*.clip.yaml``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.clip.schema import ChannelModel, ClipModel
 from animtool.core.arguments import argument
 from animtool.core.config import project_roots
 from animtool.core.errors import Fault, FormatError, OptionError
-from animtool.core.files.reading import is_there
+from animtool.core.files.reading import exists
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
@@ -26,7 +26,7 @@ from animtool.documents.references import missing_hint, referred
 from animtool.rig.joints import split_part
 from animtool.rig.skeleton import Rig
 
-# Motion, and what takes its place: one of them may hold a joint.
+# Motion parts and the local parts that replace them; a joint has one of them.
 _REPLACED = {
     "translation": "local_translation",
     "slide": "local_translation",
@@ -37,7 +37,7 @@ _REPLACED = {
 
 @dataclass(frozen=True, slots=True)
 class ClipFile:
-    """A clip file, not checked yet."""
+    """An unchecked clip file."""
 
     # Its text, with places and with the faults of its keys and types.
     document: Document
@@ -48,8 +48,8 @@ class ClipFile:
         """Return the rig that the clip names.
 
         Raises:
-            FormatError: It names none, and has other faults.
-            OptionError: It names none (CLIP011).
+            FormatError: It names no rig and has other faults.
+            OptionError: It names no rig (CLIP011).
         """
         if self.rig is None:
             check_clip(self)
@@ -63,10 +63,10 @@ class ClipFile:
 
 
 def open_clip(path: Path | str) -> ClipFile:
-    """Read a clip file; `load_clip` checks it and puts it on its rig.
+    """Read a clip file; `load_clip` checks it against its rig.
 
     Raises:
-        FormatError: It is no clip file of a version that is known.
+        FormatError: It is not a clip file of a known version.
     """
     return clip_of_document(read_document(Path(path)))
 
@@ -87,15 +87,15 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
 
     Args:
         file: The clip.
-        path: The rig's file; None is the one that the clip names.
+        path: The rig file; None for the one that the clip names.
 
     Raises:
-        FormatError: With every fault of the rig, and those of the clip that can be
-            told without it.
-        OptionError: No rig is named (CLIP011).
+        FormatError: Has every fault of the rig, and those of the clip that do not
+            depend on it.
+        OptionError: The clip names no rig (CLIP011).
     """
     named = file.needed_rig() if path is None else path
-    if path is None and not is_there(named):
+    if path is None and not exists(named):
         _note_missing(file)
     try:
         return Rig.load(named)
@@ -108,7 +108,7 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
 
 
 def _note_missing(file: ClipFile) -> NoReturn:
-    """Raise what is wrong with a clip whose rig is not there."""
+    """Raise the faults of a clip whose rig is missing."""
     message = f"{file.model.rig!r} does not exist"
     near = missing_hint(file.document, file.model.rig or "")
     hint = "; ".join(
@@ -120,21 +120,21 @@ def _note_missing(file: ClipFile) -> NoReturn:
 
 
 def load_clip(file: ClipFile, rig: Rig) -> Clip:
-    """Return the clip of a file, for a rig.
+    """Check a clip file against a rig and return the clip.
 
     Args:
         file: Its content.
         rig: Whose controls, shapes and joints its targets are.
 
     Raises:
-        FormatError: With every fault: unknown keys, values of the wrong type or width,
+        FormatError: Has every fault: unknown keys, values of the wrong type or width,
             unknown targets, key times out of order, handles that point backwards.
     """
     return _ClipReader(file.document, file.model, rig).clip()
 
 
 def load_clip_of(path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
-    """Return the clip of a path; see `Clip.load`."""
+    """Load a clip; see `Clip.load`."""
     file = open_clip(path)
     if not isinstance(rig, Rig):
         rig = load_rig_of(file, None if rig is None else Path(rig))
@@ -142,16 +142,16 @@ def load_clip_of(path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
 
 
 def check_clip(file: ClipFile) -> None:
-    """Check a clip file without its rig: its targets may be anything.
+    """Check a clip file without its rig: any target is valid.
 
     Raises:
-        FormatError: With every fault but those that need the rig.
+        FormatError: Has every fault that does not need the rig.
     """
     _ClipReader(file.document, file.model, None).clip()
 
 
 def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
-    """Return the units of the numbers in a clip: its own, else its rig's."""
+    """Return the units of a clip's numbers, by default its rig's."""
     length, angle = model.units.length, model.units.angle
     units = ClipUnits(1.0, 1.0)
     if rig is not None:
@@ -172,11 +172,11 @@ class _ClipReader:
 
     def clip(self) -> Clip:
         fps = self._fps()
-        seen: dict[str, int] = {}
+        claimed: dict[str, int] = {}
         channels = []
         for i, model in enumerate(self.model.channels):
             at = ("channels", i)
-            self._once((*at, "target"), model.target, seen, i)
+            self._once((*at, "target"), model.target, claimed, i)
             channel = self._channel(at, model)
             if channel is not None:
                 channels.append(channel)
@@ -204,13 +204,13 @@ class _ClipReader:
         first, last = self.model.range
         return checked_range(self.document, first, last)
 
-    def _once(self, at: Location, target: str, seen: dict[str, int], i: int) -> None:
-        """Refuse a target twice, or motion and its replacement on one joint."""
+    def _once(self, at: Location, target: str, claimed: dict[str, int], i: int) -> None:
+        """Refuse duplicate targets, and both motion and local motion of one joint."""
         name, part = split_part(target, _REPLACED)
         claim = f"{name}.{_REPLACED[part]}" if part else target
-        if claim in seen:
-            other = self.model.channels[seen[claim]].target
-            line = self.document.place(("channels", seen[claim]))[0]
+        if claim in claimed:
+            other = self.model.channels[claimed[claim]].target
+            line = self.document.position(("channels", claimed[claim]))[0]
             what = (
                 "appears twice"
                 if other == target
@@ -218,28 +218,28 @@ class _ClipReader:
             )
             hint = f"the other is on line {line}"
             self.document.add("CLIP010", at, f"target {target!r} {what}", hint)
-        seen.setdefault(claim, i)
+        claimed.setdefault(claim, i)
 
     def _channel(self, at: Location, model: ChannelModel) -> ClipChannel | None:
         self.curves.check(at, model)
         kind = self._kind((*at, "target"), model.target)
-        if kind is None or self.document.doubtful((*at, "target")):
+        if kind is None or self.document.is_placeholder((*at, "target")):
             return None
         unit = self.units.of(model.target, model.euler or "")
         return self.curves.channel(at, model, model.target, kind, unit)
 
     def _kind(self, at: Location, target: str) -> str | None:
-        found = target_kind(target, self.rig)
-        if isinstance(found, Fault):
-            self.document.add(found.code, at, found.message, found.hint)
+        kind = target_kind(target, self.rig)
+        if isinstance(kind, Fault):
+            self.document.add(kind.code, at, kind.message, kind.hint)
             return None
-        return found
+        return kind
 
 
 def checked_range(
     document: Document, first: float, last: float
 ) -> tuple[Fraction, Fraction]:
-    """Return the ends of a document's range; what is wrong with it is noted."""
+    """Return the ends of a document's range; record its faults."""
     if first > last:
         message = f"the range from {first:g} to {last:g} is reversed"
         hint = f"write [{last:g}, {first:g}]"

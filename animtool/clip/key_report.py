@@ -1,4 +1,4 @@
-"""What a take's keys lose: the error of each channel, and what departs from the rig."""
+"""Errors of a keyed take by channel, and notes on departures from the rig."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from animtool.clip.channels import ClipUnits
 from animtool.clip.clip import Clip
 from animtool.clip.coordinates import JointMotion
-from animtool.clip.reduction.tracks import Track
+from animtool.clip.reduction.tracks import KeyTrack
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import plain
@@ -28,7 +28,7 @@ MAX_NAMES = 6
 
 @dataclass(frozen=True, slots=True)
 class ChannelError:
-    """How far a channel of a clip is from the take that it was made of."""
+    """Largest error of a clip's channel."""
 
     target: str  # of the channel
     error: float  # the largest, in ``unit``
@@ -66,15 +66,15 @@ def channel_errors(
         joint, part = split_part(name, KEYED_PARTS)
         at = np.array([rig.index(joint)])
         if part in {"angle", "rotation", "local_rotation"}:
-            turns = [m.rotations.gather(at)[:, 0] for m in (take.motion, keyed)]
+            rotations = [m.rotations.gather(at)[:, 0] for m in (take.motion, keyed)]
             unit = "rad" if units.angle == 1.0 else "deg"
-            return so3.angle_between(*turns) / units.angle, unit
+            return so3.angle_between(*rotations) / units.angle, unit
         if part == "scale":
             pair = take.motion.scales, keyed.scales
             a, b = (_gathered(c, at, take.motion.frames, 1.0) for c in pair)
             return np.abs(a - b).max(axis=(1, 2)), None
-        places = [m.translations.gather(at)[:, 0] for m in (take.motion, keyed)]
-        off = np.linalg.norm(places[0] - places[1], axis=1)
+        positions = [m.translations.gather(at)[:, 0] for m in (take.motion, keyed)]
+        off = np.linalg.norm(positions[0] - positions[1], axis=1)
         return off / units.length, unit_name(units.length)
 
     reports = []
@@ -87,10 +87,10 @@ def channel_errors(
 
 
 def _gathered(
-    channel: Channel | None, at: IntArray, frames: int, usual: float = 0.0
+    channel: Channel | None, at: IntArray, frames: int, default: float = 0.0
 ) -> FloatArray:
     if channel is None:
-        return np.full((frames, 1, 1), usual)
+        return np.full((frames, 1, 1), default)
     return channel.gather(at)
 
 
@@ -98,15 +98,15 @@ def key_notices(
     rig: Rig,
     joints: Sequence[JointMotion],
     solved: SolvedControls,
-    tracks: Sequence[Track],
+    tracks: Sequence[KeyTrack],
     driven: Mapping[str, FloatArray],
 ) -> tuple[Fault, ...]:
-    """Return notes on where a take departs from what its rig can do by itself."""
+    """Return notes on motion that the rig's controls and mimics cannot produce."""
     notices = [
         *_released(solved),
         *_on_top(rig, tracks, driven),
         *_off_type(rig, joints, tracks),
-        *_astray(rig, tracks),
+        *_unreachable_notes(rig, tracks),
     ]
     return tuple(
         Fault(code, message, severity=Severity.NOTE, hint=hint)
@@ -126,9 +126,9 @@ def _released(solved: SolvedControls) -> Iterator[_Note]:
 
 
 def _on_top(
-    rig: Rig, tracks: Sequence[Track], driven: Mapping[str, FloatArray]
+    rig: Rig, tracks: Sequence[KeyTrack], driven: Mapping[str, FloatArray]
 ) -> Iterator[_Note]:
-    """Yield what moves by itself besides what a control that has keys moves."""
+    """Yield notes on joints that move in addition to their keyed controls."""
     units = ClipUnits.of_rig(rig)
     angle = "rad" if units.angle == 1.0 else "deg"
     for track in tracks:
@@ -139,10 +139,10 @@ def _on_top(
         if not any(np.ptp(driven[target]) > 0 for target in parts):
             continue
         if track.part in {"angle", "rotation"}:
-            turns = track.local(track.samples)
+            rotations = track.local(track.samples)
             before = track.before
             assert before is not None
-            most = so3.angle_between(turns, before).max() / units.angle
+            most = so3.angle_between(rotations, before).max() / units.angle
             amount = f"{plain(most)} {angle}"
         elif track.part in {"slide", "translation"}:
             most = np.linalg.norm(track.samples, axis=1).max() / units.length
@@ -155,7 +155,7 @@ def _on_top(
 
 
 def _off_type(
-    rig: Rig, joints: Sequence[JointMotion], tracks: Sequence[Track]
+    rig: Rig, joints: Sequence[JointMotion], tracks: Sequence[KeyTrack]
 ) -> Iterator[_Note]:
     units = ClipUnits.of_rig(rig)
     angle = "rad" if units.angle == 1.0 else "deg"
@@ -167,13 +167,13 @@ def _off_type(
             does = (
                 "turns" if joint.type is not JointType.PIN else ("rotates off its axis")
             )
-            amount = f"{plain(motion.turn_off / units.angle)} {angle}"
+            amount = f"{plain(motion.rotation_error / units.angle)} {angle}"
         elif track.part == "local_translation":
             does = (
                 "moves off its axis" if joint.type is JointType.PRISMATIC else "moves"
             )
             amount = (
-                f"{plain(motion.shift_off / units.length)} {unit_name(units.length)}"
+                f"{plain(motion.shift_error / units.length)} {unit_name(units.length)}"
             )
         else:
             continue
@@ -182,7 +182,7 @@ def _off_type(
         yield "CLIP117", message, hint
 
 
-def _astray(rig: Rig, tracks: Sequence[Track]) -> Iterator[_Note]:
+def _unreachable_notes(rig: Rig, tracks: Sequence[KeyTrack]) -> Iterator[_Note]:
     keyed = {t.index for t in tracks if t.part not in {"", "scale"}}
     for j in sorted(keyed):
         joint = rig.joints[j]

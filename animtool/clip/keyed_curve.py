@@ -1,4 +1,4 @@
-"""The motion of a clip at any time, which knows the clip that it is of."""
+"""Keyed motion that can be evaluated at any time, with its source clip."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SAME = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyedCurve:
-    """A `animtool.motion.motion.MotionCurve` of keys.
+    """A `animtool.motion.motion.MotionCurve` from keys.
 
     Attributes:
-        sample: From times ``(F,)`` [time codes] to the motion there.
-        clip: Makes the `animtool.clip.clip.Clip` of the keys, over the same time codes;
-            None where no clip holds them.
-        foreign: Whether they are of a file that is no clip.
-        native: The keys as that file has them, for a writer of its format.
+        sample: Returns the motion at times ``(F,)`` [time code].
+        clip: Returns the `animtool.clip.clip.Clip` of the keys, at the same time codes;
+            None if there is none.
+        foreign: Whether the keys are from a file of another format.
+        native: The keys in that format, for its writer.
     """
 
     sample: Callable[[FloatArray], Motion]
@@ -39,9 +39,9 @@ class KeyedCurve:
 
 
 def clip_of(take: Take) -> Any:
-    """Return the `animtool.clip.clip.Clip` that a take is still of; None without one.
+    """Return a take's `animtool.clip.clip.Clip`; None if it no longer matches.
 
-    A pass may have changed the samples: they are compared with the curve.
+    Samples are compared with the curve, as a pass may have changed them.
     """
     curve = take.curve
     if not isinstance(curve, KeyedCurve) or not is_of_curve(take):
@@ -50,22 +50,26 @@ def clip_of(take: Take) -> Any:
 
 
 def is_of_curve(take: Take) -> bool:
-    """Return whether a take is what its keyed curve gives at its frames."""
+    """Return whether a take's samples equal its keyed curve."""
     curve = take.curve
     if not isinstance(curve, KeyedCurve):
         return False
     motion = curve(take.clock.times)
     for name in ("translations", "rotations", "scales", "weights"):
         mine: Channel | None = getattr(take.motion, name)
-        own: Channel | None = getattr(motion, name)
-        if (mine is None) != (own is None):
+        channel: Channel | None = getattr(motion, name)
+        if (mine is None) != (channel is None):
             return False
-        if mine is not None and own is not None and not _alike(mine, own):
+        if (
+            mine is not None
+            and channel is not None
+            and not _equal_channels(mine, channel)
+        ):
             return False
     return True
 
 
-def _alike(one: Channel, other: Channel) -> bool:
+def _equal_channels(one: Channel, other: Channel) -> bool:
     if one.rest.shape != other.rest.shape or len(one.values) != len(other.values):
         return False
     a, b = one.dense(), other.dense()

@@ -1,4 +1,4 @@
-"""A take as a clip of sparse keys, which gives it back on a rig."""
+"""Fit sparse keys to a take."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from animtool.clip.control_keys import (
     FittedControls,
     driven_pose,
     fit_controls,
-    own_weights_of,
     solved_controls,
+    uncombined_weights_of,
 )
 from animtool.clip.coordinates import (
     JointMotion,
@@ -31,7 +31,7 @@ from animtool.clip.reduction.points import (
 )
 from animtool.clip.reduction.reduce import reduce_motion
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
-from animtool.clip.reduction.tracks import Track, in_order, pose_of, tracks_of
+from animtool.clip.reduction.tracks import KeyTrack, in_order, pose_of, tracks_of
 from animtool.clip.sample import sample_channels, sample_values
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
@@ -45,20 +45,20 @@ from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import JointType, Rig
 
-# What samples in float32 leave between joints and what drives them [rad], [m], [1].
+# Rounding of float32 samples between joints and drivers [rad], [m], [1].
 SAME_ANGLE, SAME_LENGTH, SAME_WEIGHT = 2e-6, 1e-6, 1e-6
-# Of a tolerance, what such a difference may use up [1].
-SAME_SHARE = 0.05
-# Numbers of ten digits may leave a tolerance that was just held [1].
+# Fraction of a tolerance for such rounding [1].
+SAME_FRACTION = 0.05
+# Rounding to ten digits may exceed a tolerance by this [1].
 ROUNDING = 1e-6
-# Times that all keys are made finer, by this factor, until the tolerance is held.
+# Refinements of all keys, and their factor, until within the tolerance.
 TRIES = 4
 FINER = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class KeyedTake:
-    """A clip, and how far it is from its take."""
+    """A clip of sparse keys and its error."""
 
     clip: Clip  # for the rig
     # Its keys; the errors are those of the clip sampled on the rig.
@@ -78,32 +78,32 @@ def keyed_take(
     joint_tolerances: Mapping[str, float] | None = None,
     base: Take | None = None,
 ) -> KeyedTake:
-    """Return a clip that gives a take back on a rig.
+    """Return a clip of sparse keys that reproduces a take.
 
-    Controls are keyed where their values follow from what they drive. Keys of joints
-    and shapes are what controls, mimics and combined shapes leave: an angle, a slide,
+    Controls are keyed if their values follow from their targets. Keys of joints
+    and shapes hold what controls, mimics and combination shapes leave: an angle, slide,
     a translation or rotation relative to rest, or the local transform where a joint
-    moves in a way that its type does not have.
+    moves beyond its type.
 
     Args:
-        take: With at least one frame.
-        rig: Its rig, as it will be read with the clip.
+        take: At least one frame.
+        rig: Its rig as read with the clip.
         name: What the clip is called.
         tolerance: Largest error of any joint > 0 [m].
-        joint_tolerances: Other tolerances, by names of joints or patterns > 0 [m].
-        base: For an additive take what it is put on. Its controls stay at their
+        joint_tolerances: Tolerances by joint name or pattern > 0 [m].
+        base: Base of an additive take. Its controls stay at their
             defaults.
 
     Raises:
-        OptionError: A joint is unknown or a tolerance not above 0 (CLIP020).
-        FormatError: An expression of the rig has no value at some frame (CLIP015).
+        OptionError: Unknown joint or a tolerance not above 0 (CLIP020).
+        FormatError: An expression of the rig is undefined at a frame (CLIP015).
     """
     others = joint_tolerances or {}
     bounds = joint_bounds(rig, tolerance, others)
     same = _same(rig, float(bounds.min()) if len(bounds) else tolerance)
     joints = joint_motions(rig, take.motion, same)
     solved = _solved(take, rig, joints, same, additive=base is not None)
-    weights = own_weights_of(take, rig)
+    weights = uncombined_weights_of(take, rig)
     job = _Job(take, rig, name, joints, weights, solved, same, tolerance, others, base)
     result = job.reduced(1.0)
     for i in range(TRIES):
@@ -115,8 +115,8 @@ def keyed_take(
 
 
 def _same(rig: Rig, tolerance: float) -> Same:
-    """Return which differences are rounding, next to a tolerance of joints [m]."""
-    least = SAME_SHARE * tolerance
+    """Return the differences that count as rounding for a tolerance [m]."""
+    least = SAME_FRACTION * tolerance
     return Same(
         min(SAME_ANGLE, least / max(rest_size(rig), SHELL)),
         min(SAME_LENGTH, least),
@@ -134,14 +134,14 @@ def _solved(
 ) -> SolvedControls:
     if additive:
         count = take.motion.frames
-        still = {c.name: np.full(count, c.default) for c in rig.controls}
-        return SolvedControls(still, (), ())
+        defaults = {c.name: np.full(count, c.default) for c in rig.controls}
+        return SolvedControls(defaults, (), ())
     return solved_controls(take, rig, joints, same)
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """A take to be keyed, and what is known of it."""
+    """A take to key, with its solved controls."""
 
     take: Take
     rig: Rig
@@ -155,7 +155,7 @@ class _Job:
     base: Take | None
 
     def reduced(self, factor: float) -> KeyedTake:
-        """Return the take's keys at a part of the tolerance."""
+        """Return the take's keys at a fraction of the tolerance."""
         take, rig, others = self.take, self.rig, self.others
         others = {pattern: factor * value for pattern, value in others.items()}
         bounds = joint_bounds(rig, factor * self.tolerance, others)
@@ -163,8 +163,12 @@ class _Job:
         exact = evaluate_controls(rig.controls, self.solved.values).targets | driven
         weights = self._weights(exact, exact)
         finest = WEIGHT_TOLERANCE * factor / _growth(rig, weights)
-        own = self._own(joint_tracks(rig, self.joints, exact, exact, self.same))
-        controls = fit_controls(take, rig, self.solved.values, own, bounds, finest)
+        keyed_tracks = self._keyed_tracks(
+            joint_tracks(rig, self.joints, exact, exact, self.same)
+        )
+        controls = fit_controls(
+            take, rig, self.solved.values, keyed_tracks, bounds, finest
+        )
         fitted = evaluate_controls(rig.controls, controls.named).targets | driven
         tracks = joint_tracks(rig, self.joints, exact, fitted, self.same)
         tracks += self._scales() + self._weights(exact, fitted)
@@ -175,7 +179,7 @@ class _Job:
             weight_tolerance=finest,
             base=self.base,
             tracks=in_order(tracks),
-            start=self._start(controls, own),
+            start=self._start(controls, keyed_tracks),
         )
         reduction = replace(
             reduction,
@@ -184,17 +188,17 @@ class _Job:
         )
         clip = clip_of_reduction(reduction, rig, self.name)
         sampled = sample_channels(clip.channels, rig, take.clock.times).motion
-        whole = joint_bounds(rig, self.tolerance, self.others)
+        bounds_of_all = joint_bounds(rig, self.tolerance, self.others)
         return KeyedTake(
             clip,
-            _measured(reduction, take, sampled, self.base, whole),
+            _measured(reduction, take, sampled, self.base, bounds_of_all),
             tuple(controls.named),
             channel_errors(clip, rig, take, sampled, self.solved.values),
             key_notices(rig, self.joints, self.solved, tracks, exact),
         )
 
     def _driven(self) -> dict[str, FloatArray]:
-        """Return what is driven by coordinates of joints, which has no keys."""
+        """Return the values of unkeyable targets, driven by joint coordinates."""
         rig = self.rig
         if not rig.is_driven:
             return {}
@@ -207,38 +211,40 @@ class _Job:
             for j in plan.joints
         } | {f"shape/{name}": self.weights[name] for name in plan.shapes}
 
-    def _own(self, tracks: list[Track]) -> frozenset[tuple[ChannelKind, int]]:
-        """Return what has keys of its own, and the joints that follow such a joint."""
-        own = {(track.kind, track.index) for track in tracks}
-        leading = {self.rig.joints[index].name for _, index in own}
+    def _keyed_tracks(
+        self, tracks: list[KeyTrack]
+    ) -> frozenset[tuple[ChannelKind, int]]:
+        """Return the keyed channels, and those of mimic joints of keyed joints."""
+        keyed = {(track.kind, track.index) for track in tracks}
+        leading = {self.rig.joints[index].name for _, index in keyed}
         for j, joint in enumerate(self.rig.joints):
             if joint.mimic is not None and joint.mimic.joint in leading:
-                own |= {(ChannelKind.TRANSLATION, j), (ChannelKind.ROTATION, j)}
-        return frozenset(own)
+                keyed |= {(ChannelKind.TRANSLATION, j), (ChannelKind.ROTATION, j)}
+        return frozenset(keyed)
 
     def _start(
-        self, controls: FittedControls, own: frozenset[tuple[ChannelKind, int]]
+        self, controls: FittedControls, keyed_tracks: frozenset[tuple[ChannelKind, int]]
     ) -> Motion:
-        """Return the take with joints as the keys of controls move them."""
+        """Return the take with joints driven by the fitted control keys."""
         times = self.take.clock.times
         exact = {f"control/{n}": v[:, None] for n, v in self.solved.values.items()}
         exact_motion = sample_values(exact, self.rig, times).motion
-        found = sample_values(controls.values, self.rig, times).motion
-        return driven_pose(self.take.motion, found, exact_motion, own)
+        fitted = sample_values(controls.values, self.rig, times).motion
+        return driven_pose(self.take.motion, fitted, exact_motion, keyed_tracks)
 
-    def _scales(self) -> list[Track]:
+    def _scales(self) -> list[KeyTrack]:
         motion = self.take.motion
         if motion.scales is None:
             return []
         bare = replace(motion, weights=None)
-        still = Channel.still(np.ones_like(motion.scales.rest))
-        tracks = tracks_of(self.rig, bare, replace(bare, scales=still))
+        unscaled = Channel.static(np.ones_like(motion.scales.rest))
+        tracks = tracks_of(self.rig, bare, replace(bare, scales=unscaled))
         return [track for track in tracks if track.kind is ChannelKind.SCALE]
 
     def _weights(
         self, exact: Mapping[str, FloatArray], fitted: Mapping[str, FloatArray]
-    ) -> list[Track]:
-        """Return tracks of weights, what controls and combined shapes add taken off."""
+    ) -> list[KeyTrack]:
+        """Return tracks of weights less controls and combination shapes."""
         tracks = []
         nothing = np.zeros(1)
         for i, shape in enumerate(self.rig.shapes):
@@ -249,15 +255,17 @@ class _Job:
             if np.abs(left).max(initial=0.0) <= (self.same.weight if comes else 0.0):
                 continue
             samples = np.array(total - fitted.get(target, nothing))[:, None]
-            still = (samples == samples[:1]).all()
+            constant = (samples == samples[:1]).all()
             tracks.append(
-                Track(ChannelKind.WEIGHT, i, None, samples[:1] if still else samples)
+                KeyTrack(
+                    ChannelKind.WEIGHT, i, None, samples[:1] if constant else samples
+                )
             )
         return tracks
 
 
-def _growth(rig: Rig, tracks: list[Track]) -> float:
-    """Return how many tolerances a weight from 0 to 1 may be off, 1 at least."""
+def _growth(rig: Rig, tracks: list[KeyTrack]) -> float:
+    """Return the error growth of combination shapes [1], at least 1."""
     keyed = {track.index for track in tracks}
     parts = {s.name: float(i in keyed) for i, s in enumerate(rig.shapes)}
     for shape in combination_order(rig.shapes):
@@ -272,7 +280,7 @@ def _measured(
     base: Take | None,
     bounds: FloatArray,
 ) -> Reduction:
-    """Return a reduction with the errors of a motion that came of it."""
+    """Return a reduction with measured errors."""
     weight_error = _weight_error(take.motion.weights, keyed.weights)
     if not take.rig.joints:
         return replace(reduction, weight_error=weight_error)

@@ -1,4 +1,4 @@
-"""Keys of times and values alone, as columns: most keys of large files are such."""
+"""Columnar storage of keys that have only time and value."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NUMBERS = {int, float}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlainKeys:
-    """K keys of D components that say nothing of the curve between them."""
+    """K keys of D components without interpolation settings."""
 
     times: FloatArray  # ``(K,)`` [frames]
     values: FloatArray  # ``(K, D)``, as the file has them
@@ -28,7 +28,7 @@ class PlainKeys:
 
     @staticmethod
     def of_entries(entries: Any) -> PlainKeys | None:
-        """Return a list of mappings as columns; None where it is more, or faulty.
+        """Return a list of mappings as columns; None if not plain or faulty.
 
         >>> keys = PlainKeys.of_entries([{"t": 1, "v": [0.5, 2]}])
         >>> keys.values.tolist()
@@ -62,23 +62,23 @@ class PlainKeys:
 
     @staticmethod
     def of_arrays(times: FloatArray, values: FloatArray) -> PlainKeys | None:
-        """Return keys of numbers; None where one is beyond what files may hold."""
+        """Return keys from arrays; None if a number exceeds the file limits."""
         good = all((np.abs(part) <= MAX_NUMBER).all() for part in (times, values))
         return PlainKeys(times, values) if good else None
 
     def entries(self) -> list[dict[str, Any]]:
-        """Return the keys as a file has them, one by one."""
+        """Yield the keys as mappings of a file."""
         values = self.values[:, 0] if self.values.shape[1] == 1 else self.values
         pairs = zip(self.times.tolist(), values.tolist(), strict=True)
         return [{"t": time, "v": value} for time, value in pairs]
 
 
 def _even(rows: list[list[Any]]) -> bool:
-    """Return whether all have as many numbers, and some."""
+    """Return whether all rows have the same positive length."""
     return {len(row) for row in rows} == {len(rows[0])} != {0}
 
 
 def plain_or_each(entries: Any, check: Callable[[Any], Any]) -> Any:
-    """Return keys as columns where they are plain, else as ``check`` has them."""
+    """Return plain keys as columns; pass others to ``check``."""
     keys = PlainKeys.of_entries(entries)
     return check(entries) if keys is None else keys

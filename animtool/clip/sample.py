@@ -1,4 +1,4 @@
-"""Sampling a clip on its rig: curves, controls, joints, shapes, limits."""
+"""Clip sampling on a rig: curves, controls, joints, shapes, limits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.shapes import combined_weights
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Beyond a limit by less is rounding [rad], [m], [1].
+# Excess below this is rounding [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-9
 
 
@@ -29,7 +29,7 @@ Parts = dict[str, FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class ClipNotice:
-    """A fault of a control or a joint."""
+    """A notice on a control or a joint."""
 
     fault: Fault  # it, without a place
     target: str  # ``control/NAME`` or ``joint/NAME``
@@ -37,8 +37,8 @@ class ClipNotice:
 
 
 @dataclass(frozen=True, slots=True)
-class Sampled:
-    """A clip at some times."""
+class SampledMotion:
+    """The sampled motion of a clip, with notices."""
 
     motion: Motion  # joints, shapes and controls; what does not move is stored once
     # Controls out of range and limits exceeded, with frame and by how much, the worst
@@ -58,10 +58,10 @@ def sample_channels(
     times: FloatArray,
     *,
     clamp: bool = False,
-) -> Sampled:
-    """Return channels of a clip on its rig at times ``(F,)`` [frames of the clip].
+) -> SampledMotion:
+    """Sample a clip's channels on a rig at times ``(F,)`` [frame of the clip].
 
-    Channels whose keys are all alike are not sampled, and joints that neither a
+    Channels with equal keys are not sampled; joints that neither a
     channel nor a moving control reaches are left at rest. What channels and controls
     say of one joint is added: turns of controls are rotation vectors, applied before
     the channel's rotation. A channel of ``local_translation`` or ``local_rotation``
@@ -76,7 +76,7 @@ def sample_channels(
         clamp: Bring controls into their ranges and joints into their limits.
 
     Raises:
-        FormatError: An expression of the rig has no value at some frame (CLIP015).
+        FormatError: An expression of the rig is undefined at a frame (CLIP015).
     """
     values = evaluate_channels(channels, times)
     sampled = sample_values(values, rig, times, clamp=clamp)
@@ -91,7 +91,7 @@ MAX_NAMED = 8
 def _with_keys(
     notice: ClipNotice, channels: Sequence[ClipChannel], rig: Rig, times: FloatArray
 ) -> ClipNotice:
-    """Return a notice of a control out of range with the frames of its keys there."""
+    """Return a notice with the key frames at which a control is out of range."""
     if notice.fault.code != "CLIP101":
         return notice
     name = notice.target.removeprefix("control/")
@@ -125,8 +125,8 @@ def sample_values(
     times: FloatArray,
     *,
     clamp: bool = False,
-) -> Sampled:
-    """Return the motion that values of targets give a rig, as `sample_channels` does.
+) -> SampledMotion:
+    """Return the motion of a rig from target values; see `sample_channels`.
 
     ``keyed``: values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
     rotations as quaternions.
@@ -164,24 +164,24 @@ def sample_values(
         run = DriverRun(rig, replaced=True)
         motion = run.drive(motion, times, coordinates)
         notices += [ClipNotice(*notice) for notice in run.targeted()]
-    return Sampled(motion, notices)
+    return SampledMotion(motion, notices)
 
 
 def _coordinates(
     rig: Rig, parts: Mapping[str, Parts], *, clamp: bool
 ) -> dict[str, FloatArray]:
-    """Return the angles and slides that keys and controls give joints, by name."""
-    found = {}
-    for name, own in parts.items():
+    """Return joint angles and slides from keys and controls, by name."""
+    coordinates = {}
+    for name, keyed in parts.items():
         joint = rig.joints[rig.index(name)]
-        part, whole = _FOLLOWING.get(joint.type, ("", ""))
-        value = _sum(own.get(part), own.get(f"+{part}"))
-        if value is None or whole in own:
+        part, full_part = _FOLLOWING.get(joint.type, ("", ""))
+        value = _sum(keyed.get(part), keyed.get(f"+{part}"))
+        if value is None or full_part in keyed:
             continue
         if clamp and isinstance(joint.limits, RangeLimit):
             value = joint.limits.clamped(value)
-        found[f"{name}.{part}"] = value[:, 0]
-    return found
+        coordinates[f"{name}.{part}"] = value[:, 0]
+    return coordinates
 
 
 def _refuse_undefined(driven: DrivenValues, times: FloatArray) -> None:
@@ -226,7 +226,7 @@ _CLAMPED = ": clamped"
 def _parts_by_joint(
     keyed: Mapping[str, FloatArray], driven: DrivenValues
 ) -> dict[str, Parts]:
-    """Return what moves each joint, by part; driven parts begin with ``+``."""
+    """Return the values of each joint, by part; driven parts begin with ``+``."""
     parts: dict[str, Parts] = {}
     for target, value in keyed.items():
         if target.startswith("joint/"):
@@ -240,7 +240,7 @@ def _parts_by_joint(
 
 
 def _replace(parts: Mapping[str, Parts]) -> list[ClipNotice]:
-    """Take away what controls add where a channel holds the joint as a whole."""
+    """Drop control contributions where a local channel replaces the joint's motion."""
     notices = []
     for name, part in parts.items():
         for local, added in _ADDED.items():
@@ -254,7 +254,7 @@ def _replace(parts: Mapping[str, Parts]) -> list[ClipNotice]:
     return notices
 
 
-# What the keys that hold a joint as a whole take the place of.
+# Parts that local keys replace.
 _ADDED = {
     "local_translation": ("+slide", *(f"+translation.{axis}" for axis in "xyz")),
     "local_rotation": ("+angle", *(f"+rotation.{axis}" for axis in "xyz")),
@@ -269,16 +269,16 @@ _FOLLOWING = {
 
 
 def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[ClipNotice]:
-    """Give joints that follow another the coordinate that comes of it.
+    """Set the coordinates of mimic joints.
 
-    Keys of its own take the place of what a joint follows, and a note says so.
+    Keys on a mimic joint override its mimic, with a note.
     """
     notices = []
     for joint in rig.joints:
         if joint.mimic is None:
             continue
-        part, whole = _FOLLOWING[joint.type]
-        if parts.get(joint.name, {}).keys() & {part, whole}:
+        part, full_part = _FOLLOWING[joint.type]
+        if parts.get(joint.name, {}).keys() & {part, full_part}:
             message = (
                 f"joint {joint.name!r} has keys, so it does not follow "
                 f"{joint.mimic.joint!r}"
@@ -296,9 +296,9 @@ def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[ClipNotic
         limits = rig.joints[rig.index(joint.mimic.joint)].limits
         if clamp and isinstance(limits, RangeLimit):
             coordinate = limits.clamped(coordinate)
-        own = joint.mimic.gain * coordinate + joint.mimic.offset
-        if own.any():
-            parts.setdefault(joint.name, {})[f"+{part}"] = own
+        value = joint.mimic.gain * coordinate + joint.mimic.offset
+        if value.any():
+            parts.setdefault(joint.name, {})[f"+{part}"] = value
     return notices
 
 
@@ -315,7 +315,7 @@ class _Joints:
     )
 
     def add(self, j: int, parts: Parts) -> None:
-        """Work out a joint's translation, rotation and scale ``(F or 1, K)``."""
+        """Compute a joint's translation, rotation and scale ``(F or 1, K)``."""
         joint = self.rig.joints[j]
         rest_t, rest_r = np.array(joint.translation), np.array(joint.rotation)
         base_t = parts.get("local_translation", rest_t[None])
@@ -323,30 +323,30 @@ class _Joints:
         if slide is not None:
             base_t = base_t + so3.rotate(rest_r, slide)
         base_r = parts.get("local_rotation", rest_r[None])
-        turn = self._turn(joint, parts)
-        if turn is not None:
-            base_r = so3.multiply(base_r, turn)
+        rotation = self._rotation(joint, parts)
+        if rotation is not None:
+            base_r = so3.multiply(base_r, rotation)
         if slide is not None or "local_translation" in parts:
             self.values["translations"][j] = base_t
-        if turn is not None or "local_rotation" in parts:
+        if rotation is not None or "local_rotation" in parts:
             self.values["rotations"][j] = base_r
         if "scale" in parts:
             self.values["scales"][j] = parts["scale"]
 
     def channel(self, name: str, rest: FloatArray) -> Channel:
-        """Return the channel of a part: what moves, and what stands elsewhere."""
-        still, count = rest.copy(), len(self.times)
+        """Return the channel of a part: animated values and constants."""
+        constant, count = rest.copy(), len(self.times)
         animated: list[int] = []
         columns: list[FloatArray] = []
         for j, values in sorted(self.values[name].items()):
             if len(values) == 1 or (values == values[0]).all():
-                still[j] = values[0]
+                constant[j] = values[0]
                 continue
             animated.append(j)
             columns.append(so3.align_signs(values) if name == "rotations" else values)
         shape = (count, 0, rest.shape[1])
         moving = np.stack(columns, axis=1) if columns else np.zeros(shape)
-        return Channel(still, np.array(animated, np.int64), moving)
+        return Channel(constant, np.array(animated, np.int64), moving)
 
     def _slide(self, joint: Joint, parts: Parts) -> FloatArray | None:
         """Return the motion's translation in the joint's rest frame."""
@@ -361,7 +361,7 @@ class _Joints:
                 total = moved if total is None else total + moved
         return total
 
-    def _turn(self, joint: Joint, parts: Parts) -> FloatArray | None:
+    def _rotation(self, joint: Joint, parts: Parts) -> FloatArray | None:
         """Return the motion's rotation in the joint's rest frame."""
         angle = _sum(parts.get("angle"), parts.get("+angle"))
         if angle is not None:
@@ -406,19 +406,19 @@ class _Joints:
 
 
 def _sum(keyed: FloatArray | None, driven: FloatArray | None) -> FloatArray | None:
-    """Return what a channel ``(F, 1)`` and controls ``(F,)`` come to."""
+    """Return the sum of a channel ``(F, 1)`` and controls ``(F,)``."""
     if driven is None:
         return keyed
     return driven[:, None] if keyed is None else keyed + driven[:, None]
 
 
 def _column_channel(columns: list[FloatArray], count: int) -> Channel:
-    """Return the channel of columns ``(F,)`` or ``(1,)``."""
+    """Return a channel from columns ``(F,)`` or ``(1,)``."""
     rest = np.array([column[0] for column in columns])[:, None]
     animated = [i for i, column in enumerate(columns) if (column != column[0]).any()]
     values = np.zeros((count, len(animated), 1))
-    for place, i in enumerate(animated):
-        values[:, place, 0] = columns[i]
+    for at, i in enumerate(animated):
+        values[:, at, 0] = columns[i]
     return Channel(rest, np.array(animated, np.int64), values)
 
 
@@ -429,7 +429,7 @@ def _control_channel(rig: Rig, driven: DrivenValues, count: int) -> Channel:
 def _weights(
     rig: Rig, keyed: Mapping[str, FloatArray], driven: DrivenValues, count: int
 ) -> Channel | None:
-    """Return the shapes' weights; None where all are zero throughout."""
+    """Return the shapes' weights; None if all are zero."""
     weights: dict[str, FloatArray] = {}
     for shape in rig.shapes:
         target = f"shape/{shape.name}"

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     Parametrized = str
     Order = str
 else:
-    # A tangent that is free has a handle in place of a rule.
+    # A free tangent has a handle.
     Tangent = Literal[tuple(str(one) for one in tangents.Tangent if one != "free")]
     Interp = Literal[tuple(map(str, curves.Interp))]
     Extrapolated = Literal[tuple(map(str, curves.Extrapolation))]
@@ -48,7 +48,7 @@ class ClipUnitsModel(FileModel):
 
 
 class KeyModel(FileModel):
-    """A key: time [frames], value, and how the curve leaves and meets it."""
+    """A key: time [frame], value and tangents."""
 
     t: Real = key(
         "Frame at the file's `fps`, which may be fractional; keys ascend.", 12.5
@@ -95,7 +95,7 @@ class _TargetModel(FileModel):
 
 
 class JoinModel(FileModel):
-    """How keys are joined up."""
+    """Interpolation of keys."""
 
     interp: Interp | None = key(
         "Interpolation between keys. Default: `bezier`, or `spline` for quaternions.",
@@ -123,7 +123,7 @@ class JoinModel(FileModel):
 
 
 class CurveModel(JoinModel):
-    """Keys, and how they are joined up."""
+    """Keys and their interpolation."""
 
     keys: Annotated[Keys, Len(1)] = key("One key or more.", [{"t": 1.0, "v": 0.0}])
 

@@ -1,4 +1,4 @@
-"""A take as a clip file of sparse keys, with the rig file that it is for beside it."""
+"""Write a take as a clip file of sparse keys with its rig file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.clip.keyed_take import keyed_take
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.files.reading import seen_from
+from animtool.core.files.reading import path_from_folder
 from animtool.core.units import parse_length
 from animtool.core.writers import CLIP, output_stem
 from animtool.motion.take import Take
@@ -24,12 +24,12 @@ MAX_NAMES = 6
 
 
 def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
-    """Return a take as keys within a tolerance: a clip, its rig and the rig's arrays.
+    """Return a take as files: a clip within a tolerance, its rig, the rig's arrays.
 
     Args:
-        take: The take; of an additive one the differences.
+        take: The take; the deltas of an additive one.
         path: The clip file.
-        options: ``tolerance`` is half a millimetre where none is given.
+        options: ``tolerance`` defaults to half a millimetre.
     """
     left_out = _left_out(take)
     below = options.base
@@ -47,7 +47,7 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         contents[rig_path] = [rig_text(rig).encode()]
     kept = _kept_keys(take, options)
     if kept is not None:
-        text = clip_text(kept, rig, seen_from(rig_path, path.parent))
+        text = clip_text(kept, rig, path_from_folder(rig_path, path.parent))
         contents[path] = [text.encode()]
         span = FrameSpan(kept.first, kept.last, kept.fps)
         notices = [*left_out, *kept.notices]
@@ -61,7 +61,7 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         joint_tolerances=options.joint_tolerances,
         base=below,
     )
-    text = clip_text(keyed.clip, rig, seen_from(rig_path, path.parent))
+    text = clip_text(keyed.clip, rig, path_from_folder(rig_path, path.parent))
     contents[path] = [text.encode()]
     return TakeFiles(
         contents,
@@ -73,7 +73,7 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
 
 
 def _kept_keys(take: Take, options: WriteOptions) -> Clip | None:
-    """Return the keys that a take has in a file of another format, where they hold."""
+    """Return a take's keys from a file of another format, if still valid."""
     asked = options.tolerance is not None or options.joint_tolerances
     foreign = isinstance(take.curve, KeyedCurve) and take.curve.foreign
     if not foreign or asked or options.base is not None:
@@ -83,7 +83,7 @@ def _kept_keys(take: Take, options: WriteOptions) -> Clip | None:
 
 
 def _left_out(take: Take) -> list[Fault]:
-    """Return a warning of what a clip has no place for."""
+    """Return a warning of content that a clip cannot store."""
     names = [*(track.path for track in take.tracks), *take.motion.points]
     if not names:
         return []
@@ -93,7 +93,7 @@ def _left_out(take: Take) -> list[Fault]:
 
 
 def without_rest(rig: Rig) -> Rig:
-    """Return a rig whose rest pose, for an additive take, changes nothing."""
+    """Return a rig with an identity rest pose, for an additive take."""
     joints = tuple(
         replace(joint, translation=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0, 1.0))
         for joint in rig.joints
@@ -102,9 +102,9 @@ def without_rest(rig: Rig) -> Rig:
 
 
 def typed_by_motion(take: Take) -> Rig:
-    """Return the rig of a take with joints that can do what the take does.
+    """Return a take's rig with joint types that allow its motion.
 
-    A joint whose translation moves, or is not that of rest, is free; the others are
+    A joint whose translation moves or differs from rest is free; the others are
     balls. A rig with controls, pins, slides or fixed joints keeps its own types.
     """
     free = {JointType.FREE, JointType.BALL}

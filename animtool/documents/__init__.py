@@ -1,1 +1,1 @@
-"""Files that people write: YAML and JSON, read with places, checked all at once."""
+"""Hand-written YAML and JSON files: read with line numbers, checked all at once."""

@@ -1,4 +1,4 @@
-"""Archives of arrays, npz files, read without trust in what they claim.
+"""npz archives, read without trusting the sizes that they declare.
 
 References:
     numpy, ``numpy.lib.format``, NEP 1: "A Simple File Format for NumPy Arrays".
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from zipfile import ZipInfo
 
 MAGIC = b"\x93NUMPY"
-# What numpy.load itself takes.
+# The same limits as numpy.load.
 MAX_HEAD_BYTES = 10_000
 MAX_DIMENSIONS = 8
-# Bytes of the number that says how long the head is, by the format's version.
+# Size of the header-length field by format version [byte].
 _WIDTHS = {(1, 0): 2, (2, 0): 4, (3, 0): 4}
 _ENTRY = re.compile(
     r"""\s*(?P<quote>['"])(?P<key>descr|fortran_order|shape)(?P=quote)\s*:\s*
@@ -40,7 +40,7 @@ _ENTRY = re.compile(
       | \((?P<shape>[\dL,\ ]*)\) )\s*(?:,|$)""",
     re.ASCII | re.VERBOSE,
 )
-# An object, or a structure, which is a list.
+# Object and structured types are refused.
 _OBJECTS = re.compile(r"""['"]descr['"]\s*:\s*['"]\|?O\d*['"]""")
 _STRUCTURE = re.compile(r"""['"]descr['"]\s*:\s*\[""")
 
@@ -49,8 +49,8 @@ class ArrayError(ValueError):
     """An array or its archive cannot be read; the text says why."""
 
 
-class Source(Protocol):
-    """What arrays are read from."""
+class ArrayFile(Protocol):
+    """A seekable binary file that arrays are read from."""
 
     def read(self, size: int, /) -> bytes:
         """Return the next bytes."""
@@ -58,7 +58,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StoredArray:
-    """How an array stands in a file."""
+    """Location, type and shape of an array in a file."""
 
     shape: tuple[int, ...]  # of it
     dtype: np.dtype[Any]  # of its values
@@ -76,8 +76,8 @@ class StoredArray:
         return self.count * self.dtype.itemsize
 
 
-def read_head(file: Source, where: str) -> StoredArray:
-    """Return the head of an array; nothing behind it is read."""
+def read_head(file: ArrayFile, where: str) -> StoredArray:
+    """Return the header of an array without reading its values."""
     start = file.read(len(MAGIC) + 2)
     version = tuple(start[len(MAGIC) :])
     width = _WIDTHS.get(version)  # type: ignore[arg-type]
@@ -123,7 +123,7 @@ def _parsed(text: str, where: str, begin: int) -> StoredArray:
 
 
 def _shape(text: str, where: str) -> tuple[int, ...]:
-    # Python 2 wrote whole numbers with an L.
+    # Python 2 wrote integers with a trailing L.
     parts = [part.strip().removesuffix("L") for part in text.split(",")]
     if parts[-1] == "":
         parts.pop()
@@ -141,7 +141,7 @@ ARRAY_LIMIT = "ANIMTOOL_MAX_ARRAY_MB"
 # What stays small may be all zeros.
 MAX_RATIO = 100
 SMALL_BYTES = 64_000_000
-# The list of what an archive holds: some hundred thousand arrays.
+# Limit of an archive's directory: some hundred thousand arrays.
 MAX_LIST_BYTES = 8_000_000
 MAX_SHOWN = 12
 _METHODS = (0, 8)  # stored and deflated
@@ -162,7 +162,7 @@ _DAMAGE = (
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Make an `ArrayError` of what an archive and reading it raise.
+    """Turn exceptions of reading an archive into `ArrayError`.
 
     Raises:
         FormatError: The file changed while it was read (IO004).
@@ -185,10 +185,10 @@ def reading(path: Path) -> Iterator[None]:
 
 
 class Archive:
-    """An open archive, and what is known of its arrays."""
+    """An open archive and the headers of its arrays."""
 
     def __init__(self, path: Path) -> None:
-        """Open a file and read what it holds; to be called within `reading`."""
+        """Open a file and read its directory; call it within `reading`."""
         self._path = path
         self._file = open_input(path, None)
         try:
@@ -215,11 +215,11 @@ class Archive:
         self._file.close()
 
     def has(self, key: str) -> bool:
-        """Return whether there is an array of a name."""
+        """Return whether an array exists."""
         return key in self._members
 
     def head(self, key: str, kinds: str = "fiub") -> StoredArray:
-        """Return how an array stands in the archive, its length checked."""
+        """Return an array's header, its length checked."""
         if key not in self._heads:
             info = self._member(key)
             where = f"{self._path.name}#{key}"
@@ -228,7 +228,7 @@ class Archive:
             self._file.check()
             if head.dtype.kind not in kinds:
                 raise ArrayError(f"{where} contains {head.dtype}, not numbers")
-            # A dimension of 0 hides another that no array has.
+            # A dimension of 0 hides impossible other ones.
             most = max(info.file_size, SMALL_BYTES)
             empty = not head.count and math.prod(max(n, 1) for n in head.shape) > most
             if head.begin + head.size > info.file_size or empty:
@@ -237,7 +237,7 @@ class Archive:
         return self._heads[key]
 
     def values(self, key: str) -> npt.NDArray[Any]:
-        """Return an array of numbers, not to be written to."""
+        """Return a read-only array of numbers."""
         return self._values(key, self.head(key))
 
     @property
@@ -246,14 +246,14 @@ class Archive:
         return list(self._members)
 
     def texts(self, key: str) -> list[str]:
-        """Return texts that are stored as an array of one dimension."""
+        """Return the texts of a one-dimensional array."""
         head = self.head(key, "fiubU")
         if head.dtype.kind != "U" or len(head.shape) != 1:
             raise ArrayError(f"{self._path.name}#{key} is not a list of texts")
         return [str(text) for text in self._values(key, head)]
 
     def text(self, key: str) -> str:
-        """Return a text that is stored as an array without dimensions."""
+        """Return the text of a zero-dimensional array."""
         head = self.head(key, "fiubU")
         if head.dtype.kind != "U" or head.shape:
             raise ArrayError(f"{self._path.name}#{key} is not text")
@@ -261,7 +261,7 @@ class Archive:
 
     def _values(self, key: str, head: StoredArray) -> npt.NDArray[Any]:
         info = self._member(key)
-        # Numbers of any width are worked with as float64.
+        # Computation is in float64, whatever is stored.
         self._check_size(key, info, max(info.file_size, 8 * head.count))
         with self._zip.open(info) as file:
             file.read(head.begin)
@@ -275,7 +275,7 @@ class Archive:
         return np.require(flat.reshape(head.shape, order=head.order), requirements="A")
 
     def _listed(self) -> tuple[dict[str, ZipInfo], set[str]]:
-        """Return the arrays by name, and names that stand twice."""
+        """Return the arrays by name, and duplicate names."""
         members: dict[str, ZipInfo] = {}
         twice = set()
         for info in self._zip.infolist():
@@ -302,7 +302,7 @@ class Archive:
         return info
 
     def _check_size(self, key: str, info: ZipInfo, size: int) -> None:
-        """Refuse an array that would take more memory than is allowed."""
+        """Refuse an array larger than the memory limit."""
         others = self._total - self._read.get(key, 0)
         dense = size <= max(SMALL_BYTES, MAX_RATIO * info.compress_size)
         if others + size > MAX_BYTES or not dense:
@@ -329,22 +329,22 @@ class Archive:
 
 
 def _stated_limit(path: Path) -> int | None:
-    """Return the most bytes that may be read of an archive; None where none is stated.
+    """Return the configured size limit of archives [byte]; None for no limit.
 
     Raises:
-        ArrayError: The variable of the environment is no number.
+        ArrayError: The environment variable is not a number.
     """
-    given = os.environ.get(ARRAY_LIMIT)
-    if given:
-        if not (given.isascii() and given.isdecimal() and len(given) < 10):
-            raise ArrayError(f"{ARRAY_LIMIT} is {given[:40]!r}, not a number of MB")
-        return int(given) * 1_000_000
+    text = os.environ.get(ARRAY_LIMIT)
+    if text:
+        if not (text.isascii() and text.isdecimal() and len(text) < 10):
+            raise ArrayError(f"{ARRAY_LIMIT} is {text[:40]!r}, not a number of MB")
+        return int(text) * 1_000_000
     stated = find_config(path).max_array_mb
     return None if stated is None else stated * 1_000_000
 
 
 class _Bounded:
-    """A file of which the list of an archive is read, no longer than is allowed."""
+    """A file whose reads of the archive's directory are limited in size."""
 
     def __init__(self, file: InputFile) -> None:
         self.file = file

@@ -1,4 +1,4 @@
-"""References from a file to arrays in npz files: where they lead, what is there."""
+"""References from a file to arrays in npz files, resolved and read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.documents.archive import Archive, reading
 
-# Files held open at once: systems allow a few hundred.
+# Files open at once: systems allow a few hundred.
 MAX_OPEN = 16
 
 
@@ -25,9 +25,9 @@ class ArrayHeader:
 
 
 class Archives:
-    """Archives of arrays, each opened once and its directory read once while this is.
+    """Cache of open archives, each opened and indexed once.
 
-    To be closed as soon as the arrays are read: Windows replaces no file that is open.
+    Close it as soon as the arrays are read: Windows cannot replace an open file.
 
     >>> with Archives() as archives:
     ...     archives.header(Path("none.npz"), "points")  # doctest: +ELLIPSIS
@@ -48,11 +48,11 @@ class Archives:
             self._open.popitem()[1].close()
 
     def header(self, path: Path, key: str) -> ArrayHeader:
-        """Return the header of an array, without its numbers.
+        """Return the header of an array without its values.
 
         Raises:
-            ValueError: There is no such file or array, it holds no numbers, or more
-                than may be read.
+            ValueError: The file or array is missing, not numeric, or larger
+                than the limit.
             FormatError: The file changed while it was read (IO004).
         """
         with reading(path):
@@ -60,39 +60,39 @@ class Archives:
         return ArrayHeader(head.shape, head.dtype.kind)
 
     def stored(self, path: Path, key: str) -> npt.NDArray[Any]:
-        """Return an array of numbers as it is stored, not to be written to.
+        """Return an array in its stored type, read-only.
 
         Raises:
-            ValueError: There is no such file or array, it holds no numbers, or more
-                than may be read.
+            ValueError: The file or array is missing, not numeric, or larger
+                than the limit.
             FormatError: The file changed while it was read (IO004).
         """
         with reading(path):
             return self._archive(path).values(key)
 
     def has(self, path: Path, key: str) -> bool:
-        """Return whether there is an array of a name.
+        """Return whether an array exists.
 
         Raises:
-            ValueError: There is no such file.
+            ValueError: The file is missing.
         """
         with reading(path):
             return self._archive(path).has(key)
 
     def text(self, path: Path, key: str) -> str:
-        """Return a text that stands among the arrays.
+        """Return a text stored as an array.
 
         Raises:
-            ValueError: There is no such file or text.
+            ValueError: The file or text is missing.
         """
         with reading(path):
             return self._archive(path).text(key)
 
     def texts(self, path: Path, key: str) -> list[str]:
-        """Return texts that stand among the arrays, a list of one dimension.
+        """Return a list of texts stored as a one-dimensional array.
 
         Raises:
-            ValueError: There is no such file or list.
+            ValueError: The file or list is missing.
         """
         with reading(path):
             return self._archive(path).texts(key)
@@ -101,13 +101,13 @@ class Archives:
         """Return the names of the arrays of a file.
 
         Raises:
-            ValueError: There is no such file.
+            ValueError: The file is missing.
         """
         with reading(path):
             return self._archive(path).names
 
     def load(self, path: Path, key: str) -> FloatArray:
-        """Return an array as float64, not to be written to.
+        """Return an array as read-only float64.
 
         Raises:
             ValueError: As `stored`, or a value is not finite.
@@ -122,7 +122,7 @@ class Archives:
         archive = self._open.pop(path, None) or Archive(path)
         if len(self._open) >= MAX_OPEN:
             self._open.pop(next(iter(self._open))).close()
-        # The one asked for last stands last.
+        # Least recently used first.
         self._open[path] = archive
         return archive
 

@@ -1,4 +1,4 @@
-"""A document against a model: every fault at once, in words, with its place."""
+"""Validation of a document against a model: all faults at once, with locations."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from animtool.documents.placeholders import (
     fields_at,
     fields_of,
     models_of,
+    placeholder_of,
     replaced,
-    stand_in,
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
 
-# Faulty values that something stands in for, before the rest is not looked at.
+# Faulty values to replace before checking stops.
 MAX_MENDED = 200
 
 Model = TypeVar("Model", bound=BaseModel)
 Record = TypeVar("Record")
-Located = list[tuple[Location, Fault]]  # faults, each with its place in a value
+Located = list[tuple[Location, Fault]]  # faults with their locations in a value
 
 
 class FileModel(BaseModel):
-    """A mapping in a file: no unknown keys, no text for numbers, all finite."""
+    """Base model of a mapping: strict types, no unknown keys, finite numbers."""
 
-    # Models within others are built with them, not once more by themselves.
+    # Nested models are built with their parents, not again alone.
     model_config = ConfigDict(
         extra="forbid", strict=True, allow_inf_nan=False, defer_build=True
     )
 
 
 def check_version(document: Document, kind: str) -> None:
-    """Raise `FormatError` where a document is not of a kind, in its newest version."""
+    """Raise `FormatError` unless a document has the kind and its newest version."""
     _, version = version_of(document, STEPS, kind)
     if version < newest(STEPS[kind]):
         message = f"animtool/{version} is an older version"
@@ -55,14 +55,14 @@ def check_version(document: Document, kind: str) -> None:
 
 
 def validated(document: Document, model: type[Model]) -> Model:
-    """Return a document as a model; faults of its keys, types and values are noted.
+    """Return a document as a model; record faults of keys, types and values.
 
-    Something stands in for each faulty value, and `Document.add` notes no fault of it,
+    Each faulty value is replaced by a placeholder that `Document.add` ignores,
     so that the rest can be checked before `Document.check` raises all at once. A key
     that is nearly right counts as given, and its value is not checked.
 
     Raises:
-        FormatError: Nothing can stand in.
+        FormatError: No placeholder fits.
     """
     value: Any = document.value
     while True:
@@ -75,35 +75,37 @@ def validated(document: Document, model: type[Model]) -> Model:
 
 
 def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
-    """Return what is wrong in a value that is of no model, and where."""
-    merged = _by_place(value, error.errors(include_url=False)[:MAX_MENDED])
-    inner = {place[:depth] for place, _ in merged for depth in range(len(place))}
+    """Return location and message of each fault in a value outside of a model."""
+    merged = _by_location(value, error.errors(include_url=False)[:MAX_MENDED])
+    inner = {
+        location[:depth] for location, _ in merged for depth in range(len(location))
+    }
     return [
-        (place, "; or ".join(dict.fromkeys(map(_words, faults))))
-        for (place, _), faults in merged.items()
-        if place not in inner
+        (location, "; or ".join(dict.fromkeys(map(_words, faults))))
+        for (location, _), faults in merged.items()
+        if location not in inner
     ]
 
 
 def unknown_options(
-    given: Mapping[str, Any], names: Collection[str], owner: str
+    options: Mapping[str, Any], names: Collection[str], owner: str
 ) -> Located:
-    """Return a fault of each option that its owner has none of."""
+    """Return a fault for each option that its owner does not have."""
     return [
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
-        for key in given
+        for key in options
         if key not in names
         for hint in [nearest(key, names)]
     ]
 
 
 def record_of_options(
-    kind: type[Record], given: Mapping[str, Any], owner: str
+    kind: type[Record], options: Mapping[str, Any], owner: str
 ) -> tuple[Record | None, Located]:
-    """Return a record of the options of what has them; None of wrong values."""
+    """Return options as a record, with their faults; None where a value is wrong."""
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    faults = unknown_options(given, names, owner)
-    known = {key: value for key, value in given.items() if key in names}
+    faults = unknown_options(options, names, owner)
+    known = {key: value for key, value in options.items() if key in names}
     try:
         return TypeAdapter(kind).validate_python(known), faults
     except ValidationError as error:
@@ -112,29 +114,29 @@ def record_of_options(
 
 
 def renamed_options(
-    document: Document, at: Location, given: Mapping[str, Any], kind: str
+    document: Document, at: Location, options: Mapping[str, Any], kind: str
 ) -> dict[str, Any]:
-    """Return options whose old names are noted, and are new ones.
+    """Return options with old names replaced by new ones; warn of each.
 
     Args:
-        document: That has them.
-        at: Where.
-        given: By their names.
-        kind: Of the document.
+        document: The file that has them.
+        at: Their location.
+        options: By name.
+        kind: Kind of the document.
     """
-    found: dict[str, Any] = {}
-    for key, value in given.items():
+    renamed: dict[str, Any] = {}
+    for key, value in options.items():
         name = new_key(kind, (*at, key), value)
-        if name is None or name in given:
-            found[key] = value
+        if name is None or name in options:
+            renamed[key] = value
             continue
-        found[name] = value
+        renamed[name] = value
         _note_renamed(document, (*at, key), name)
-    return found
+    return renamed
 
 
 def _note_renamed(document: Document, location: Location, name: str) -> None:
-    """Note a key that has a new name (DOC102)."""
+    """Warn of a renamed key (DOC102)."""
     *around, key = location
     document.spellings[*around, name] = str(key)
     message = f"the key {key!r} is now called {name!r}"
@@ -144,17 +146,17 @@ def _note_renamed(document: Document, location: Location, name: str) -> None:
 
 @dataclass(slots=True)
 class _Faults:
-    """The faults of a value: they are noted, and mended in the value."""
+    """Faults of a value, recorded and replaced by placeholders in the value."""
 
-    document: Document  # where they are noted
-    model: type[BaseModel]  # what the value should be
-    value: Any  # the document's value with what was mended before
+    document: Document  # where faults are recorded
+    model: type[BaseModel]  # model of the value
+    value: Any  # the document's value, with placeholders
 
     def mend(self, error: ValidationError) -> None:
-        """Note what an attempt to read the value found, and mend it."""
+        """Record the faults of a validation attempt and replace the faulty values."""
         errors = error.errors(include_url=False)
-        merged = _by_place(self.value, errors[:MAX_MENDED])
-        inner = {place[:depth] for place, _ in merged for depth in range(len(place))}
+        merged = _by_location(self.value, errors[:MAX_MENDED])
+        inner = {spot[:depth] for spot, _ in merged for depth in range(len(spot))}
         by_kind: dict[str, list[tuple[Location, str]]] = {}
         for key, faults in merged.items():
             by_kind.setdefault(faults[0]["type"], []).append(key)
@@ -164,7 +166,7 @@ class _Faults:
         for location, missing in by_kind.pop("missing", ()):
             self._missing_key(location, missing)
         for key in [key for keys in by_kind.values() for key in keys]:
-            # Of a type that may be several, the one that comes farthest was meant.
+            # Of a union, the member whose faults lie deepest was meant.
             if key[0] not in inner:
                 self._wrong_value(key[0], merged[key])
         if len(errors) > MAX_MENDED:
@@ -192,18 +194,18 @@ class _Faults:
         self.document.add("DOC020", location, message, hint)
         meant = meant or similar(str(key), names)
         if meant and meant not in node:
-            # Names in it may be referred to; but whether it was meant is not known.
+            # Its names may be referenced, but whether it was meant is unknown.
             node[meant] = left
             self.document.spellings[*around, meant] = str(key)
             self.document.guesses.add((*around, meant))
 
     def _missing_key(self, around: Location, key: str) -> None:
-        place = (*around, key)
-        if place in self.document.spellings:
+        location = (*around, key)
+        if location in self.document.spellings:
             return
-        if not self._of_another_kind(place):
+        if not self._of_another_kind(location):
             self.document.add("DOC021", around, f"key {key!r} is missing")
-        self._stand_in(place)
+        self._put_placeholder(location)
 
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
         texts = dict.fromkeys(_words(fault) for fault in faults)
@@ -223,21 +225,21 @@ class _Faults:
                 or self._form_hint(location, faults)
             )
             self.document.add("DOC022", location, _either(texts), hint)
-        self._stand_in(location)
+        self._put_placeholder(location)
 
     def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
-        """Return the right form of what is no mapping or list where one is wanted."""
-        wanted = {_KINDS.get(fault["type"]) for fault in faults}
-        if not wanted & _STRUCTURES:
+        """Return a hint with the right form where a mapping or list is expected."""
+        expected = {_KINDS.get(fault["type"]) for fault in faults}
+        if not expected & _STRUCTURES:
             return None
         axis = AXES.get(str(faults[0]["input"]).upper())
-        if axis is not None and wanted == {_KINDS["list_type"]}:
+        if axis is not None and expected == {_KINDS["list_type"]}:
             return f"write three numbers: {faults[0]['input']} is {axis}"
-        listed = wanted & _STRUCTURES == {_KINDS["list_type"]}
+        listed = expected & _STRUCTURES == {_KINDS["list_type"]}
         return form_hint(self.model, self.value, location, listed=listed)
 
     def _of_another_kind(self, location: Location) -> bool:
-        """Return whether a key is one of some kinds only, and the kind is not known."""
+        """Return whether only some kinds have a key while the kind is unknown."""
         for depth, key in enumerate(location):
             around = location[:depth]
             unknown = self.document.doubts | self.document.guesses
@@ -248,21 +250,21 @@ class _Faults:
                     return True
         return False
 
-    def _stand_in(self, location: Location) -> None:
-        """Mend a value, or where that was done in vain, the one around it."""
+    def _put_placeholder(self, location: Location) -> None:
+        """Replace a value by a placeholder; if that failed before, its parent."""
         while location in self.document.doubts:
             location = location[:-1]
         if not location:
             self.document.check()
         annotation = annotation_at(self.model, self.value, location)
         self.document.doubts.add(location)
-        replaced(self.value, location, stand_in(annotation))
+        replaced(self.value, location, placeholder_of(annotation))
 
 
-def _by_place(
+def _by_location(
     value: Any, errors: Sequence[Any]
 ) -> dict[tuple[Location, str], list[Any]]:
-    """Return faults by where they are, and by the key that is missing there."""
+    """Group faults by location and missing key."""
     merged: dict[tuple[Location, str], list[Any]] = {}
     for fault in errors:
         missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
@@ -271,7 +273,7 @@ def _by_place(
 
 
 def _within(value: Any, fault: Any) -> Location:
-    """Return where a fault is, without the names of variants that were tried."""
+    """Return the location of a fault, without names of union members."""
     node, steps = value, []
     for step in fault["loc"]:
         try:
@@ -282,37 +284,41 @@ def _within(value: Any, fault: Any) -> Location:
     return tuple(steps)
 
 
-def _lacking(last: int | str, value: Any) -> str:
-    """Return what is missing: a key, or an item behind those that are there."""
+def _missing_message(last: int | str, value: Any) -> str:
+    """Return a message for a missing key or list item."""
     if isinstance(last, str):
         return f"key {last!r} is missing"
     return f"{counted(len(value), 'item')} where {_are(last + 1)} needed"
 
 
 def _either(texts: Iterable[str]) -> str:
-    """Return what is wrong with a value that may be of several types, as one text."""
+    """Join the messages of a union's members into one."""
     first, *others = texts
     start, negation, _ = first.partition(" is not ")
-    if others and negation and all(own.startswith(start + negation) for own in others):
-        kinds = [own.removeprefix(start + negation) for own in (first, *others)]
+    if (
+        others
+        and negation
+        and all(text.startswith(start + negation) for text in others)
+    ):
+        kinds = [text.removeprefix(start + negation) for text in (first, *others)]
         return f"{start} is neither {' nor '.join(kinds)}"
     return "; or ".join((first, *others))
 
 
-# Faults of values that are none of a few.
+# Faults of values outside an enumeration.
 _CHOICES = {"literal_error", "enum", "union_tag_invalid"}
 
 
 def _words(fault: Any) -> str:
-    """Return what is wrong, with the value."""
-    given, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
-    shown = excerpt(given) if isinstance(given, str) else _shown(given)
+    """Return the message of a fault, with the value."""
+    value, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
+    shown = excerpt(value) if isinstance(value, str) else _shown(value)
     if kind in {"too_short", "too_long", "string_too_long"}:
         length = context.get("min_length", context.get("max_length"))
-        noun = "letter" if isinstance(given, str) else "item"
-        return f"{counted(len(given), noun)} where {_are(length)} needed"
+        noun = "letter" if isinstance(value, str) else "item"
+        return f"{counted(len(value), noun)} where {_are(length)} needed"
     if kind == "missing":
-        return _lacking(fault["loc"][-1], given)
+        return _missing_message(fault["loc"][-1], value)
     if kind == "union_tag_not_found":
         return f"key {context['discriminator']} is missing"
     if kind in _CHOICES:
@@ -321,11 +327,11 @@ def _words(fault: Any) -> str:
         return f"{tag} is not one of {allowed}"
     if kind in _KINDS:
         return f"{shown} is not {_KINDS[kind]}"
-    return _told(shown, fault)
+    return _value_fault(shown, fault)
 
 
-def _told(shown: str, fault: Any) -> str:
-    """Return what is wrong with a value of the right kind."""
+def _value_fault(shown: str, fault: Any) -> str:
+    """Return the message for a value of the right type but out of range."""
     context, kind = fault.get("ctx", {}), fault["type"]
     if kind == "extra_forbidden":
         return f"unknown key {excerpt(str(fault['loc'][-1]))}"
@@ -341,37 +347,37 @@ def _told(shown: str, fault: Any) -> str:
 
 
 def _choice_hint(faults: list[Any]) -> str | None:
-    """Return the value that one of a few was meant to be, where it is nearly one."""
+    """Return a hint with the nearest allowed value."""
     for fault in faults:
         context = fault.get("ctx", {})
-        given = context.get("tag", fault["input"])
+        value = context.get("tag", fault["input"])
         allowed = context.get("expected", context.get("expected_tags"))
-        if fault["type"] in _CHOICES and isinstance(given, str):
+        if fault["type"] in _CHOICES and isinstance(value, str):
             names = re.findall(r"'([^']*)'", str(allowed))
-            other = OTHER_VALUES.get(given.lower())
+            other = OTHER_VALUES.get(value.lower())
             if other in names:
-                return f"{given!r} is called {other!r} here"
-            meant = similar(given, names)
+                return f"{value!r} is called {other!r} here"
+            meant = similar(value, names)
             if meant is not None:
                 return f"did you mean {meant!r}?"
     return None
 
 
 def _entry_hint(location: Location, fault: Any) -> str | None:
-    """Return how a list is written, or an entry that is only a name, such as a pass."""
-    given, expected = fault["input"], _KINDS.get(fault["type"])
+    """Return a hint on how to write an entry that is only a name, such as a pass."""
+    value, expected = fault["input"], _KINDS.get(fault["type"])
     if expected != _KINDS["dict_type"] or not isinstance(location[-1], int):
         return None
-    if not isinstance(given, str) or not given.isidentifier():
+    if not isinstance(value, str) or not value.isidentifier():
         return None
-    return f"write '{given}: {{}}'"
+    return f"write '{value}: {{}}'"
 
 
 def _are(count: int) -> str:
     return f"{count} is" if count == 1 else f"{count} are"
 
 
-# A bound at least this large is none of the key's own.
+# Larger bounds are general limits, not the key's.
 LARGE = 1e9
 # A bound at most this small is how "above 0" is checked.
 SMALL = 1e-30
@@ -396,7 +402,7 @@ _KINDS = {
 }
 
 
-# Those of values that hold others.
+# Types of containers.
 _STRUCTURES = {"a list", "a mapping of keys"}
 
 

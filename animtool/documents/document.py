@@ -1,4 +1,4 @@
-"""A file that a person wrote, with the line and column of each value."""
+"""A hand-written file with the line and column of each value."""
 
 from __future__ import annotations
 
@@ -22,37 +22,37 @@ MAX_FAULTS = 100
 
 @dataclass(slots=True)
 class Document:
-    """A file that a person wrote."""
+    """A parsed hand-written file."""
 
     path: Path  # as the user named it
     value: dict[str, Any]  # its content: mappings, lists, text, numbers, booleans, None
     # 1-based line and column of every node, keys included, in the order of the file,
     # and by their numbers in these what is written without quotes.
     marks: Callable[[], Marks] = field(repr=False)
-    # What is wrong with its content, as `add` found.
+    # Faults recorded by `add`.
     faults: list[Fault] = field(default_factory=list)
-    # What is odd about it, as `note` and `warn` found.
+    # Notices recorded by `note` and `warn`.
     notices: list[Fault] = field(default_factory=list)
     # Where a value is faulty and something else stands in for it, so that the rest can
     # be checked.
     doubts: set[Location] = field(default_factory=set)
-    # Values under a key that is nearly the one that they are read as.
+    # Values whose key was guessed from a misspelling.
     guesses: set[Location] = field(default_factory=set)
-    # Keys of lists that have more entries in another file, which cannot be read.
+    # Keys of lists with more entries in another, unreadable file.
     partial: set[str] = field(default_factory=set)
-    # The key as written, of a value that is read under another key.
+    # The written key of each renamed value.
     spellings: dict[Location, str] = field(default_factory=dict)
     _marks: Marks | None = field(default=None, init=False, repr=False)
     _starts: dict[tuple[int, str | int], int] = field(
         default_factory=dict, init=False, repr=False
     )
 
-    def place(self, location: Location) -> tuple[int, int]:
-        """Return line and column of a value, or of the nearest one around it."""
-        return self._marked().places[self._index(location)]
+    def position(self, location: Location) -> tuple[int, int]:
+        """Return line and column of a value, or of its nearest ancestor."""
+        return self._marked().positions[self._index(location)]
 
     def written(self, location: Location) -> str | None:
-        """Return a scalar as it is written; None where it is none, or has quotes."""
+        """Return the source text of an unquoted scalar; None for anything else."""
         return self._marked().plain.get(self._index(location))
 
     def _marked(self) -> Marks:
@@ -61,7 +61,7 @@ class Document:
         return self._marks
 
     def _index(self, location: Location) -> int:
-        """Return the number in `places` of a value, or of the nearest around it."""
+        """Return the index in `Marks.positions` of a value or its nearest ancestor."""
         if not self._starts:
             self._number(self.value, 0)
         node: Any = self.value
@@ -73,7 +73,7 @@ class Document:
         return index
 
     def _number(self, node: Any, index: int) -> int:
-        """Note where the values in a node stand in `places`; return what follows."""
+        """Index the values in a node by position; return the next index."""
         index += 1
         if isinstance(node, dict):
             for key, value in node.items():
@@ -89,20 +89,20 @@ class Document:
         for depth, step in enumerate(location, 1):
             yield self.spellings.get(location[:depth], step)
 
-    def doubtful(self, location: Location) -> bool:
-        """Return whether a value, or one around it, is not known.
+    def is_placeholder(self, location: Location) -> bool:
+        """Return whether a value or an ancestor is a placeholder.
 
-        Something stands in for it, or its key is guessed.
+        It replaced a faulty value, or its key was guessed.
         """
         unknown = self.doubts | self.guesses
         return bool(unknown) and any(
             location[:depth] in unknown for depth in range(1, len(location) + 1)
         )
 
-    def unnamed(self, key: str, *parts: str) -> bool:
-        """Return whether a list holds an entry whose name is not known.
+    def has_unnamed(self, key: str, *parts: str) -> bool:
+        """Return whether a list has an entry whose name is unknown.
 
-        What refers to it by name cannot be told from what refers to nothing.
+        References to that entry cannot be told from broken ones.
 
         Args:
             key: Of the list.
@@ -117,16 +117,16 @@ class Document:
     def descents(
         self, location: Location, values: Sequence[float], key: str | int
     ) -> Iterator[tuple[int, int]]:
-        """Yield the entries of a list that do not ascend, each with the one before.
+        """Yield the entries of a list that are not in ascending order.
 
         Args:
             location: Of the list.
             values: Of its entries.
-            key: Under which an entry has its value; doubtful ones are left out.
+            key: Under which an entry has its value; placeholders are left out.
         """
         last: int | None = None
         for i, value in enumerate(values):
-            if self.doubtful((*location, i, key)):
+            if self.is_placeholder((*location, i, key)):
                 continue
             if last is not None and not value > values[last]:
                 yield i, last
@@ -135,12 +135,12 @@ class Document:
     def add(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
-        """Note a fault at a location, unless something stands in for what is there.
+        """Record a fault at a location, unless the value is a placeholder.
 
         Raises:
-            FormatError: There are so many that the rest is not looked at.
+            FormatError: Too many faults; checking stops.
         """
-        if not self.doubtful(location):
+        if not self.is_placeholder(location):
             self.faults.append(self.fault(code, location, message, hint))
             if len(self.faults) >= MAX_COLLECTED:
                 self.check()
@@ -148,13 +148,13 @@ class Document:
     def warn(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
-        """Note a warning at a location, as `add` notes a fault."""
+        """Record a warning at a location; see `add`."""
         self._notice(Severity.WARNING, code, location, message, hint)
 
     def note(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
-        """Note what is odd but no fault, at a location."""
+        """Record a note at a location; see `add`."""
         self._notice(Severity.NOTE, code, location, message, hint)
 
     def _notice(
@@ -165,28 +165,28 @@ class Document:
         message: str,
         hint: str | None,
     ) -> None:
-        if not self.doubtful(location):
-            found = self.fault(code, location, message, hint)
-            self.notices.append(replace(found, severity=severity))
+        if not self.is_placeholder(location):
+            fault = self.fault(code, location, message, hint)
+            self.notices.append(replace(fault, severity=severity))
 
     def fault(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> Fault:
-        """Return a fault at a location, without noting it."""
-        line, column = self.place(location)
+        """Return a fault at a location without recording it."""
+        line, column = self.position(location)
         where = spelled(tuple(self._as_written(location)))
         path = str(self.path)
         return Fault(code, message, path, (line,), hint, column=column, where=where)
 
     def check(self) -> None:
-        """Raise `FormatError` with every fault noted so far, in the file's order."""
+        """Raise `FormatError` with every recorded fault, in file order."""
         if self.faults:
             ordered = sorted(self.faults, key=lambda f: (f.lines, f.column or 0))
             raise FormatError(_cut(ordered))
 
 
 def spelled(location: Location) -> str:
-    """Return a location as a person reads it.
+    """Return a location as text, such as `keys[2].t`.
 
     >>> spelled(("joints", 3, "axis"))
     'joints[3].axis'
@@ -198,7 +198,7 @@ def spelled(location: Location) -> str:
 
 
 def location_of(where: str) -> Location:
-    """Return the location that a person reads as a text.
+    """Parse the text of a location.
 
     >>> location_of("joints[3].axis")
     ('joints', 3, 'axis')
@@ -208,25 +208,25 @@ def location_of(where: str) -> Location:
 
 
 def read_document(path: Path) -> Document:
-    """Read a file that a person wrote.
+    """Read a YAML or JSON file.
 
     Raises:
-        FormatError: It cannot be read, is no YAML, holds an anchor, alias or tag, a
-            key that stands twice, or is no mapping.
+        FormatError: It cannot be read, is not YAML, holds an anchor, alias or tag, a
+            duplicate key, or is not a mapping.
     """
     return document_of(read_text(path), path)
 
 
 def document_of(text: str, path: Path) -> Document:
-    """Return a text as `read_document` reads a file.
+    """Parse text the way `read_document` parses a file.
 
     Args:
         text: YAML.
         path: Where it is from, for messages and references.
 
     Raises:
-        FormatError: It is no YAML, holds an anchor, alias or tag, a key that stands
-            twice, or is no mapping.
+        FormatError: It is not YAML, holds an anchor, alias or tag, a duplicate
+            key, or is not a mapping.
     """
     try:
         value, marks = read_values(text, path)
@@ -241,7 +241,7 @@ def document_of(text: str, path: Path) -> Document:
 
 
 def kind_named(path: Path, other: str = "rig") -> str:
-    """Return what the name of a file says that it is: ``hero.targets.yaml``."""
+    """Return the kind in a file's name: ``targets`` of ``hero.targets.yaml``."""
     kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in KINDS]
     return kinds[-1] if kinds else other
 
@@ -250,7 +250,7 @@ def read_text(path: Path) -> str:
     """Return the text of a file.
 
     Raises:
-        FormatError: It cannot be read, is too large, changes meanwhile, or is no
+        FormatError: It cannot be read, is too large, changes while read, or is not
             UTF-8.
     """
     with open_input(path, None) as file:
@@ -258,7 +258,7 @@ def read_text(path: Path) -> str:
             message = f"is larger than {MAX_TEXT_BYTES // 1_000_000} MB"
             hint = "put arrays in npz files"
             raise FormatError(Fault("DOC006", message, str(path), (), hint))
-        data = file.whole()
+        data = file.read_all()
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -269,7 +269,7 @@ def read_text(path: Path) -> str:
 
 
 def _cut(faults: Sequence[Fault]) -> Sequence[Fault]:
-    """Return the first faults, and a last one that counts the rest."""
+    """Return the first faults and one that counts the others."""
     if len(faults) <= MAX_FAULTS:
         return faults
     rest = f"{len(faults) - MAX_FAULTS} more faults are not shown"

@@ -1,7 +1,7 @@
-"""A document's text with some values changed, and all else as it stands.
+"""Edit values in a document's text and keep everything else as written.
 
-Comments, quotes, order, layout and ends of lines stay: the places of the values are
-found in the text, and only these are written anew.
+Comments, quotes, order, layout and line ends stay: only the text of the edited
+values is replaced.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from animtool.core.record import dataclass
 from animtool.documents.document import Location, document_of, spelled
 from animtool.documents.yaml_values import compose
 
-# Escapes and ends of lines that YAML takes for others than JSON does, all of a length.
+# Escapes and line ends that YAML and JSON interpret differently, all of one length.
 _JSON_ONLY = re.compile("\\\\u[dD][89a-fA-F][0-9a-fA-F]{2}|[\x85\u2028\u2029]")
 
 
 class EditError(ValueError):
-    """An edit finds no place in the text, or does other than it should."""
+    """An edit does not apply to the text, or changes more than it should."""
 
 
 @dataclass(frozen=True, slots=True)
 class Replace:
-    """Another text in place of one."""
+    """Replace a value by text."""
 
     location: Location
     value: str
@@ -40,7 +40,7 @@ class Replace:
 
 @dataclass(frozen=True, slots=True)
 class Rename:
-    """Another key in place of one, its value kept."""
+    """Rename a key and keep its value."""
 
     location: Location
     key: str
@@ -48,7 +48,7 @@ class Rename:
 
 @dataclass(frozen=True, slots=True)
 class Add:
-    """A key more, at the end of a mapping."""
+    """Add a key at the end of a mapping."""
 
     location: Location
     key: str
@@ -57,7 +57,7 @@ class Add:
 
 @dataclass(frozen=True, slots=True)
 class Remove:
-    """An entry of a list, or a key, less. The only Remove of its list or mapping."""
+    """Remove a list entry or key; the only Remove of its list or mapping."""
 
     location: Location
 
@@ -66,15 +66,15 @@ Edit = Replace | Rename | Add | Remove
 
 
 def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
-    """Return the text of a file with edits, their places being those of this text.
+    """Apply edits to the text of a file; locations refer to that text.
 
     Args:
         text: As read, without a byte order mark.
         path: Whose text it is: JSON is written as such.
-        edits: No two of one place.
+        edits: At most one a location.
 
     Raises:
-        EditError: An edit finds no place, or the new text would not read as the old
+        EditError: An edit does not apply, or the new text would not parse as the old
             one with the edits.
     """
     edits = list(edits)
@@ -86,15 +86,15 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
     value = copy.deepcopy(document_of(text, path).value)
     for edit in edits:
         _apply(value, edit)
-    # What is read decides, whatever the layout was.
+    # Accepted only if it parses to the expected values.
     if _reads_as(after, path, value):
         return after
-    places = ", ".join(spelled(edit.location) for edit in edits)
-    raise EditError(f"the layout around {places} cannot be preserved")
+    locations = ", ".join(spelled(edit.location) for edit in edits)
+    raise EditError(f"the layout around {locations} cannot be preserved")
 
 
 def _reads_as(text: str, path: Path, value: Any) -> bool:
-    """Return whether a text holds some values; one that is malformed holds none."""
+    """Return whether a text parses to some values; False if it is malformed."""
     try:
         return bool(document_of(text, path).value == value)
     except FormatError:
@@ -102,7 +102,7 @@ def _reads_as(text: str, path: Path, value: Any) -> bool:
 
 
 def _apply(value: Any, edit: Edit) -> None:
-    """Do to values what an edit does to their text."""
+    """Apply an edit to parsed values."""
     outer = edit.location if isinstance(edit, Add) else edit.location[:-1]
     node = value
     for step in outer:
@@ -123,7 +123,7 @@ Splice = tuple[int, int, str]
 
 @dataclass(frozen=True, slots=True)
 class _Page:
-    """A text and the nodes in it."""
+    """A text and its YAML nodes."""
 
     text: str  # of the file
     root: Any  # its outermost node
@@ -132,12 +132,12 @@ class _Page:
 
     @classmethod
     def of(cls, text: str, *, json: bool) -> _Page:
-        safe = _JSON_ONLY.sub(lambda found: "_" * len(found[0]), text) if json else text
+        safe = _JSON_ONLY.sub(lambda match: "_" * len(match[0]), text) if json else text
         root = compose(safe)
         return cls(text, root, json, "\r\n" if "\r\n" in text else "\n")
 
     def splice(self, edit: Edit) -> Splice:
-        """Return which part of the text becomes what."""
+        """Return the text range to replace, and its new text."""
         match edit:
             case Replace(location, value):
                 return self._written(self._node(location), value)
@@ -166,7 +166,7 @@ class _Page:
         raise EditError(f"{spelled((*outer, key))} does not exist")
 
     def _written(self, node: Any, value: str) -> Splice:
-        """Write a text in the quotes of the one before it."""
+        """Write a text in the quote style of the value that it replaces."""
         style = getattr(node, "style", None)
         new = _unquoted(value)
         if style == '"':
@@ -188,39 +188,39 @@ class _Page:
         if node.flow_style:
             return end, end, f", {entry}"
         indent = " " * node.value[0][0].start_mark.column
-        behind = self._behind(end)
+        behind = self._line_after(end)
         if self.text[behind - 1] == "\n":
             return behind, behind, f"{indent}{entry}{self.newline}"
         return behind, behind, f"{self.newline}{indent}{entry}"
 
     def _removed(self, node: Any, step: str | int) -> Splice:
         spans = list(_entries(node))
-        place = step
-        if isinstance(place, str):
-            place = [name.value for name, _ in spans].index(place)
-        first, last = spans[place]
+        index = step
+        if isinstance(index, str):
+            index = [name.value for name, _ in spans].index(index)
+        first, last = spans[index]
         start, end = first.start_mark.index, _end(last)
         if node.flow_style:
-            if place + 1 < len(spans):
-                end = self._over(end, spans[place + 1][0].start_mark.index)
-            elif place:
-                start = _end(spans[place - 1][1])
-                self._over(start, first.start_mark.index)
+            if index + 1 < len(spans):
+                end = self._across_comma(end, spans[index + 1][0].start_mark.index)
+            elif index:
+                start = _end(spans[index - 1][1])
+                self._across_comma(start, first.start_mark.index)
             return start, end, ""
         line = self.text.rfind("\n", 0, start) + 1
         if self.text[line:start].strip() not in {"", "-"}:
             raise EditError("its line contains something else")
-        return line, self._behind(end), ""
+        return line, self._line_after(end), ""
 
-    def _behind(self, end: int) -> int:
-        """Return where the line after a place begins, its comment left behind."""
+    def _line_after(self, end: int) -> int:
+        """Return the start of the next line, after a trailing comment."""
         if end and self.text[end - 1] == "\n":
             return end
         newline = self.text.find("\n", end)
         return len(self.text) if newline < 0 else newline + 1
 
-    def _over(self, end: int, start: int) -> int:
-        """Return the second of two places between which only a comma may stand."""
+    def _across_comma(self, end: int, start: int) -> int:
+        """Return the end of a range that may contain only a comma."""
         if self.text[end:start].strip() != ",":
             raise EditError("a comment separates it from the next")
         return start
@@ -233,7 +233,7 @@ def _entries(node: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _end(node: Any) -> int:
-    """Return where a value ends: block collections do where their last value does."""
+    """Return where a value ends; block collections end with their last value."""
     while not isinstance(node, yaml.ScalarNode) and not node.flow_style:
         last = node.value[-1]
         node = last[1] if isinstance(last, tuple) else last
@@ -241,14 +241,14 @@ def _end(node: Any) -> int:
 
 
 def _flow(value: Any) -> str:
-    """Return a number, a text or a list of them on one line."""
+    """Return a value as YAML on one line."""
     if isinstance(value, list):
         return flow([_flow(entry) for entry in value])
     return plain_text(value) if isinstance(value, str) else number(value)
 
 
 def _unquoted(value: str) -> str:
-    """Return a text without quotes where it is read back as it is, brackets around."""
+    """Return a text unquoted if it parses back to itself, with its brackets."""
     try:
         read = document_of(f"a: [{value}]", Path("a.yaml")).value
     except FormatError:

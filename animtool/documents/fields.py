@@ -1,4 +1,4 @@
-"""Types of keys, and models whose keys are fields of a record."""
+"""Types of file keys, and models built from the fields of a record."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field, create_model
 from pydantic_core import PydanticUndefined
 
-from animtool.core.options import Key, Kind, Place, Range, keys_of, options_of
+from animtool.core.options import FileKind, Key, OptionKind, Range, keys_of, options_of
 from animtool.documents.check import FileModel
 
 # The largest number in a file, in its own unit. The square of one is held by float32,
@@ -33,19 +33,19 @@ MAX_NUMBER = 1e18
 MIN_POSITIVE = 1e-36
 # A year at 30 frames a second; time codes there are still apart by 1e-7.
 MAX_FRAME = 1e9
-# Whole numbers up to here are the same as floats.
-MAX_WHOLE = 2**53
-# Whole numbers among options, where a seed has 64 bits.
+# Integers up to here are exact in float64.
+MAX_INTEGER = 2**53
+# Integers among options; seeds have 64 bits.
 MAX_SEED = 2**64
 
 Real = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
-Whole = Annotated[int, Field(ge=-MAX_WHOLE, le=MAX_WHOLE)]
+Integer = Annotated[int, Field(ge=-MAX_INTEGER, le=MAX_INTEGER)]
 Frame = Annotated[float, Field(ge=-MAX_FRAME, le=MAX_FRAME)]
-WholeFrame = Annotated[int, Field(ge=-int(MAX_FRAME), le=int(MAX_FRAME))]
+IntegerFrame = Annotated[int, Field(ge=-int(MAX_FRAME), le=int(MAX_FRAME))]
 Positive = Annotated[Real, Gt(0), Ge(MIN_POSITIVE)]
 NotNegative = Annotated[Real, Ge(0)]
-# Of bodies of a system.
-Count = Annotated[Whole, Ge(1), Le(2 * 10**6)]
+# Number of a system's bodies.
+Count = Annotated[Integer, Ge(1), Le(2 * 10**6)]
 # On one line: control characters are in no text that is read. No path is longer.
 Name = Annotated[str, Field(min_length=1, max_length=4096, pattern=r"^[^\n\t]*$")]
 Pair = Annotated[list[Real], Len(2, 2)]
@@ -55,18 +55,18 @@ Quaternion = Annotated[list[Real], Len(4, 4)]
 
 
 def key(text: str, example: Any, default: Any = PydanticUndefined) -> Any:
-    """Return the field of a key: what it is, an example, and its value if not given.
+    """Return the field of a key: description, example and default.
 
-    Without a default it must be given. `animtool.core.options.key` is that of a record.
+    Without a default it is required. For records, see `animtool.core.options.key`.
     """
     return Field(default=default, description=text, examples=[example])
 
 
 def check_numbers(value: Any) -> Any:
-    """Return options as they are, where no number in them is beyond `MAX_NUMBER`.
+    """Return options unchanged; refuse numbers beyond `MAX_NUMBER`.
 
     Raises:
-        ValueError: One is, or is not finite.
+        ValueError: A number is too large or not finite.
 
     >>> check_numbers({"drag": [{"linear": 1e39}]})
     Traceback (most recent call last):
@@ -83,14 +83,14 @@ def check_numbers(value: Any) -> Any:
 
 
 def _digits(number: int) -> str:
-    # The text of a very long number in decimals takes as long as the square of it.
+    # Formatting a very long integer takes quadratic time.
     return f"{number:#x}"[:20] + "…"
 
 
 def _numbers(
     value: Any, keys: tuple[str, ...]
 ) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield the numbers in mappings and lists, each with the keys that lead to it."""
+    """Yield the numbers in nested mappings and lists, with their locations."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             yield from _numbers(item, (*keys, str(key)))
@@ -102,7 +102,7 @@ def _numbers(
 
 
 class IgnoreModel(FileModel):
-    """A finding of `animtool validate` that is known and stays."""
+    """A finding of `animtool validate` that is accepted."""
 
     code: str = Field(
         min_length=1, description="Code of the finding.", examples=["RIG201"]
@@ -126,12 +126,12 @@ Model = TypeVar("Model", bound=FileModel)
 _TYPES: dict[Any, Any] = {
     float: Real,
     float | None: Real | None,
-    int: Whole,
+    int: Integer,
     Sequence[float] | None: Vector | None,
     Sequence[tuple[float, int]]: list[Pair],
 }
-# As a file writes a kind of option; what is not given is None, if nothing else is said.
-_WRITTEN: dict[Kind, Any] = {
+# Type of a key by kind of option; None is the default of optional ones.
+_WRITTEN: dict[OptionKind, Any] = {
     "switch": bool,
     "answer": bool | None,
     "text": str | None,
@@ -139,63 +139,69 @@ _WRITTEN: dict[Kind, Any] = {
     "unit": Literal["m", "cm", "mm", "in"] | None,
     "axis": Literal["Y", "Z"] | None,
     "rate": Real | str | None,
-    "range": Annotated[list[WholeFrame], Len(2, 2)] | None,
+    "range": Annotated[list[IntegerFrame], Len(2, 2)] | None,
     "frame": Frame | None,
     "offsets": list[Frame],
     "length": str | None,
     "lengths": dict[str, str],
-    "count": Annotated[Whole, Ge(1)] | None,
+    "count": Annotated[Integer, Ge(1)] | None,
 }
-_DEFAULTS: dict[Kind, Any] = {"switch": False, "offsets": [], "lengths": {}}
+_DEFAULTS: dict[OptionKind, Any] = {"switch": False, "offsets": [], "lengths": {}}
 Ranges: TypeAlias = Literal["record", "model", "schema"]
 
 
 def with_fields(
     record: Any,
     *names: str,
-    place: Place | None = None,
+    file_kind: FileKind | None = None,
     order: Sequence[str] = (),
     before: str = "",
     ranges: Ranges = "record",
 ) -> Callable[[type[Model]], type[Model]]:
-    """Give a model the fields of a record as keys, beside its own.
+    """Add the fields of a record to a model as keys.
 
-    What is infinite if it is not given is None in a file. Of what else a model has,
-    class variables stay; methods are for a subclass.
+    Infinite defaults are None in files. Class variables of the model stay;
+    methods belong in a subclass.
 
     Args:
         record: A dataclass; the annotations of fields have a `Key`.
-        names: Of the fields, in the order of the keys; none is each that has a `Key`
-            and is none of the model yet.
-        place: Kind of file, where the keys are those of the record's options.
-        order: Of all keys; others come last. None is that of the record.
-        before: Key that they come before; the last ones where none is named.
-        ranges: Who checks the `Range` of a field: what reads the file on the record or
-            on the model, or the model, which has it in its schema.
+        names: Fields, in the order of the keys; empty for every field with a `Key`
+            that the model lacks.
+        file_kind: Kind of file whose names of the record's options are used.
+        order: Order of keys; others come last. Empty keeps the record's order.
+        before: Key to insert them before; empty appends them.
+        ranges: What checks the `Range` of a field: the file's reader on the record or
+            on the model, or the model's schema.
     """
 
     def decorate(model: type[Model]) -> type[Model]:
-        own: dict[str, Any] = {
+        declared: dict[str, Any] = {
             name: (model.model_fields[name].annotation, model.model_fields[name])
             for name in get_annotations(model)
             if name in model.model_fields
         }
-        at = list(own).index(before) if before else len(own)
-        keys = keys_of(record, place)
-        given = {}
+        at = list(declared).index(before) if before else len(declared)
+        keys = keys_of(record, file_kind)
+        added = {}
         for name in names or keys:
             key = keys[name].alias or name
             if names or key not in model.model_fields:
-                given[key] = _definition(record, name, keys[name], ranges)
-        made = [*list(own.items())[:at], *given.items(), *list(own.items())[at:]]
+                added[key] = _definition(record, name, keys[name], ranges)
+        definitions = [
+            *list(declared.items())[:at],
+            *added.items(),
+            *list(declared.items())[at:],
+        ]
         if order:
-            made.sort(key=lambda e: order.index(e[0]) if e[0] in order else len(order))
+            definitions.sort(
+                key=lambda e: order.index(e[0]) if e[0] in order else len(order)
+            )
         model_type: Any = create_model(
             model.__name__,
             __base__=model.__bases__,
             __module__=model.__module__,
             __doc__=model.__doc__,
-            **dict(made),
+            **dict(definitions),
         )
         for name in vars(model).keys() & model.__class_vars__:
             setattr(model_type, name, vars(model)[name])
@@ -204,30 +210,30 @@ def with_fields(
     return decorate
 
 
-Made = TypeVar("Made")
+RecordT = TypeVar("RecordT")
 
 
-def record_of(record: type[Made], model: FileModel, **others: Any) -> Made:
-    """Return a record of the fields that a model has too, and of others."""
-    kind, given = cast(Any, record), others
+def record_of(record: type[RecordT], model: FileModel, **others: Any) -> RecordT:
+    """Return a record from a model's fields of the same names, and other arguments."""
+    kind, arguments = cast(Any, record), others
     keys = keys_of(kind)
     for each in fields(kind):
         if each.name in others or each.name not in type(model).model_fields:
             continue
         value = getattr(model, each.name)
-        if value is None and _endless(each.default):
+        if value is None and _is_infinite(each.default):
             continue
         read = keys[each.name].read if each.name in keys else None
-        given[each.name] = value if read is None else read(value)
-    return record(**given)
+        arguments[each.name] = value if read is None else read(value)
+    return record(**arguments)
 
 
-def _endless(default: Any) -> bool:
+def _is_infinite(default: Any) -> bool:
     return isinstance(default, float) and math.isinf(default)
 
 
 def _definition(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
-    """Return the type of a key, and what documents it."""
+    """Return the type and the documentation of a key."""
     type_, default = _typed(record, name, key, ranges)
     described: dict[str, Any] = {} if default is MISSING else {"default": default}
     return type_, Field(
@@ -236,7 +242,7 @@ def _definition(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, 
 
 
 def _typed(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
-    """Return the type of a key, and its default."""
+    """Return the type and the default of a key."""
     option = options_of(record).get(name)
     if option is not None:
         kind = option.kind
@@ -246,7 +252,7 @@ def _typed(record: Any, name: str, key: Key, ranges: Ranges) -> tuple[Any, Any]:
     type_, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     type_ = Literal[key.choices] if key.choices else _TYPES.get(type_, type_)
     (default,) = (each.default for each in fields(record) if each.name == name)
-    if _endless(default):
+    if _is_infinite(default):
         type_, default = type_ | None, None
     elif default == ():
         default = []

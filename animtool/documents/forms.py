@@ -1,4 +1,4 @@
-"""The right form of a value that was written in another one."""
+"""Hints that show the right form of a value."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from animtool.documents.placeholders import (
 )
 from animtool.documents.yaml_text import flow_text
 
-# A longer example is no help on one line.
+# Longer examples do not fit on one line.
 MAX_FORM = 100
 _PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*[-xX:,]\s*(-?\d+(?:\.\d+)?)")
 _TWO = 2
@@ -27,7 +27,7 @@ _TWO = 2
 
 @dataclass(frozen=True, slots=True)
 class Forms:
-    """Examples of the options of each name that a mapping of one entry may have."""
+    """Option examples by name, for mappings with a single entry."""
 
     options: Mapping[str, Any] = field(hash=False)
 
@@ -35,73 +35,73 @@ class Forms:
 def form_hint(
     model: type[BaseModel], value: Any, location: Location, *, listed: bool
 ) -> str | None:
-    """Return how the key around a value is written; None where no example is short.
+    """Return a hint that shows how to write a key; None if its example is too long.
 
     Args:
-        model: What the document should be.
+        model: Model of the document.
         value: The document.
         location: Of the value.
-        listed: Whether a list is wanted.
+        listed: Whether a list is expected.
     """
-    found = field_at(model, value, location)
-    if found is None:
+    match = field_at(model, value, location)
+    if match is None:
         return None
-    depth, info = found
-    given = value
+    depth, info = match
+    entry = value
     for step in location:
-        given = given[step]
+        entry = entry[step]
     examples = info.examples or [None]
     example, rest = examples[0], location[depth:]
-    if listed and isinstance(given, dict) and not rest:
-        example = [given]
+    if listed and isinstance(entry, dict) and not rest:
+        example = [entry]
     forms = _forms(annotation_of(info))
-    name = rest[0] if rest else given
+    name = rest[0] if rest else entry
     if forms is not None and isinstance(name, str) and name in forms.options:
         example = {name: forms.options[name]}
-    elif isinstance(given, str) and _takes_file(annotation_of(info)):
-        # Of a list, the entry.
+    elif isinstance(entry, str) and _takes_file(annotation_of(info)):
+        # For a list, its entry.
         several = rest or not models_of(annotation_of(info))
-        example = [{"file": given}] if several else {"file": given}
+        example = [{"file": entry}] if several else {"file": entry}
     if not isinstance(example, list | tuple | dict):
         return None
     key = str(location[depth - 1])
-    meant = None if rest else _meant(given, example)
+    meant = None if rest else _meant(entry, example)
     if meant is not None:
         return f"write {flow_text(key, meant)}"
     text = flow_text(key, example)
-    word = "write" if _holds(example, given) else "for example"
+    word = "write" if _holds(example, entry) else "for example"
     return f"{word} {text}" if len(text) <= MAX_FORM else None
 
 
-def _meant(given: Any, example: Any) -> list[Any] | None:
-    """Return a value in the form of an example, where it is clear what was meant."""
+def _meant(value: Any, example: Any) -> list[Any] | None:
+    """Convert a value to the form of an example, if its meaning is unambiguous."""
     if not isinstance(example, list | tuple):
         return None
-    ends = _PAIR.fullmatch(given.strip()) if isinstance(given, str) else None
+    ends = _PAIR.fullmatch(value.strip()) if isinstance(value, str) else None
     if ends is not None and len(example) == _TWO:
         return [float(one) if "." in one else int(one) for one in ends.groups()]
-    if isinstance(given, int | float) and not isinstance(given, bool):
+    if isinstance(value, int | float) and not isinstance(value, bool):
         # A size along the one axis that the example has: gravity of 9.81 is downwards.
         along = [i for i, one in enumerate(example) if one]
         if len(example) > _TWO and len(along) == 1:
-            side = -1 if example[along[0]] < 0 < given else 1
-            return [side * given if i in along else 0 for i in range(len(example))]
-    if isinstance(given, list) and example and isinstance(example[0], list):
-        return [given] if len(given) == len(example[0]) else None
+            side = -1 if example[along[0]] < 0 < value else 1
+            return [side * value if i in along else 0 for i in range(len(example))]
+    if isinstance(value, list) and example and isinstance(example[0], list):
+        return [value] if len(value) == len(example[0]) else None
     return None
 
 
-def _holds(example: Any, given: Any) -> bool:
-    """Return whether an example is made of what was given."""
+def _holds(example: Any, value: Any) -> bool:
+    """Return whether an example contains the value."""
     if isinstance(example, dict):
-        return any(_holds(one, given) for one in (*example, *example.values()))
+        return any(_holds(one, value) for one in (*example, *example.values()))
     if isinstance(example, list | tuple):
-        return any(_holds(one, given) for one in example)
-    return bool(example == given)
+        return any(_holds(one, value) for one in example)
+    return bool(example == value)
 
 
 def _forms(annotation: Any) -> Forms | None:
-    """Return the forms that a type, or one that it may be, is marked with."""
+    """Return the `Forms` annotation of a type or of a union's member."""
     for note in getattr(annotation, "__metadata__", ()):
         if isinstance(note, Forms):
             return note
@@ -110,7 +110,7 @@ def _forms(annotation: Any) -> Forms | None:
 
 
 def _takes_file(annotation: Any) -> bool:
-    """Return whether a mapping of a type has the name of a file."""
+    """Return whether a type's mapping has a `file` key."""
     models = models_of(annotation)
     if models:
         return any("file" in fields_of(one) for one in models)

@@ -1,4 +1,4 @@
-"""Files of an older version of their format, rewritten as the newest."""
+"""Migration of files to the newest version of their format."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from animtool.core.errors import (
     listed,
     refuse_warnings,
 )
-from animtool.core.files.output import check_outputs, together, write_parts
+from animtool.core.files.output import atomic_outputs, check_outputs, write_parts
 from animtool.core.record import dataclass
 from animtool.documents.document import (
     Document,
@@ -41,15 +41,15 @@ from animtool.documents.yaml_text import comments_in, json_text, yaml_text
 
 @dataclass(frozen=True, slots=True)
 class Migration:
-    """A file, and what it is in the newest version of its format."""
+    """A file and its text in the newest version."""
 
     path: Path  # the file
     kind: str  # ``rig``, ``clip`` or ``scene``
-    version: int  # that it is written in
-    newest: int  # that it becomes
+    version: int  # version that it is written in
+    newest: int  # version that it becomes
     before: str  # its text
     after: str  # its new text; the same where it is of the newest version
-    notices: tuple[Fault, ...] = ()  # comments that are not kept
+    notices: tuple[Fault, ...] = ()  # comments that are lost
     written: bool = False  # whether the file is replaced
     json_keys: ClassVar[str] = (
         "path kind from=version to=newest needed written difference notices"
@@ -57,17 +57,17 @@ class Migration:
 
     @property
     def renames(self) -> bool:
-        """Whether keys alone are of old names."""
+        """Whether only key names are outdated."""
         return self.needed and self.version == self.newest
 
     @property
     def needed(self) -> bool:
-        """Whether the file is of an older version, or has keys of old names."""
+        """Whether the file has an older version or outdated key names."""
         return self.before != self.after
 
     @property
     def difference(self) -> list[str]:
-        """Return the lines that change, as ``diff -u`` writes them."""
+        """Return the changes as a unified diff."""
         lines = difflib.unified_diff(
             self.before.splitlines(),
             self.after.splitlines(),
@@ -80,17 +80,17 @@ class Migration:
 
 @dataclass(frozen=True, slots=True)
 class Migrations:
-    """What became of files, or would become of them."""
+    """Result of a migration, or its plan."""
 
     files: Sequence[Migration]
     json_keys: ClassVar[str] = "'migrate' files"
 
 
 def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migration:
-    """Return what a file is in the newest version of its format; nothing is written.
+    """Return a file's text in the newest version, without writing it.
 
-    Where only the version's name changes, so does one word of the text; else the file
-    is written anew, without its comments.
+    If only the version changes, one word of the text does; otherwise the file
+    is rewritten without its comments.
     """
     path = Path(path)
     document, before = read_document(path), read_text(path)
@@ -124,7 +124,7 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
 
 
 def _with_new_keys(plan: Migration) -> Migration:
-    """Return a file with the new names of its keys; all else stays as it is."""
+    """Return a file with renamed keys and no other change."""
     value = document_of(plan.before, plan.path).value
     edits = [
         Rename(location, name) for location, name in renamed_keys(plan.kind, value)
@@ -147,28 +147,28 @@ def migrate(
     strict: bool = False,
     table: Mapping[str, Steps] = STEPS,
 ) -> list[Migration]:
-    """Rewrite files of older versions, in place, all of them or none.
+    """Rewrite files of older versions in place, all or none.
 
     All are read and checked before the first is written.
 
     Args:
-        paths: Rigs, clips and scenes.
-        overwrite: Replace them; without it none may need it.
+        paths: Rig, clip and scene files.
+        overwrite: Replace files; otherwise fail if one needs it.
         check: Write nothing.
         strict: Treat warnings as errors, and write nothing.
-        table: Steps from each version to the next, by kind.
+        table: Migration steps between versions, by kind.
 
     Raises:
-        FormatError: With the faults of every file.
+        FormatError: The faults of every file.
         OptionError: A file needs to be replaced, and ``overwrite`` is off.
         OutputError: A file cannot be written.
-        StrictError: There were warnings, and ``strict`` is on.
+        StrictError: A warning occurred and ``strict`` is on.
     """
     plans = _plans(paths, table)
     refuse_warnings([note for p in plans for note in p.notices], strict=strict)
-    # A file and a link to it are one.
-    own = {plan.path.resolve(): plan for plan in reversed(plans) if plan.needed}
-    needed = list(reversed(own.values()))
+    # A file and links to it count once.
+    by_path = {plan.path.resolve(): plan for plan in reversed(plans) if plan.needed}
+    needed = list(reversed(by_path.values()))
     if check or not needed:
         return plans
     if not overwrite:
@@ -181,7 +181,7 @@ def migrate(
             [Fault("OUT001", message, str(plan.path), (), hint) for plan in needed]
         )
     check_outputs([plan.path for plan in needed], [], overwrite=True)
-    with together():
+    with atomic_outputs():
         for plan in needed:
             write_parts(plan.path, [plan.after.encode()])
     return [replace(plan, written=plan.needed) for plan in plans]
@@ -201,8 +201,8 @@ def _plans(paths: Sequence[Path | str], table: Mapping[str, Steps]) -> list[Migr
 
 
 def _renamed(document: Document, text: str, kind: str, new: str) -> str:
-    """Return a text with another version, and nothing else changed."""
-    line, column = document.place((kind,))
+    """Return a text with only its version changed."""
+    line, column = document.position((kind,))
     lines = text.splitlines(keepends=True)
     head, tail = lines[line - 1][: column - 1], lines[line - 1][column - 1 :]
     old: Any = document.value[kind]

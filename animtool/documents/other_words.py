@@ -1,14 +1,14 @@
-"""Words of other tools for keys and values of files, and the ones used here."""
+"""Terms of other tools for keys and values, and their names here."""
 
 from __future__ import annotations
 
-# Directions by the names of axes.
+# Directions by axis name.
 AXES = {
     f"{sign}{name}": str([(-1 if sign else 1) * (i == k) for i in range(3)])
     for k, name in enumerate("XYZ")
     for sign in ("", "-")
 }
-# What other tools call values and keys of ours.
+# Names in other tools of our values and keys.
 OTHER_VALUES = {
     "hinge": "pin",
     "revolute": "pin",

@@ -1,4 +1,4 @@
-"""What stands in for a faulty value, so that the rest of a document can be checked."""
+"""Placeholders for faulty values, so that validation can continue."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from animtool.documents.document import Location
 
 
 def annotation_of(field: FieldInfo) -> Any:
-    """Return the type of a field, with what narrows it."""
+    """Return the type of a field with its constraints."""
     if not field.metadata:
         return field.annotation
     return Annotated[(field.annotation, *field.metadata)]
 
 
 def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any:
-    """Return the type that a value at a location should have; None where none is."""
+    """Return the expected type at a location; None if unknown."""
     annotation: Any = model
     node = value
     for step in location:
@@ -35,24 +35,24 @@ def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any
 def field_at(
     model: type[BaseModel], value: Any, location: Location
 ) -> tuple[int, FieldInfo] | None:
-    """Return the innermost field around a location, and the steps that lead to it."""
+    """Return the innermost field around a location, and its depth."""
     annotation: Any = model
-    node, found = value, None
+    node, nearest = value, None
     for depth, step in enumerate(location, 1):
         kinds = models_of(annotation, node)
         named = (fields_of(kind).get(str(step)) for kind in kinds)
         field = next((one for one in named if one is not None), None)
-        found = found if field is None else (depth, field)
+        nearest = nearest if field is None else (depth, field)
         annotation = _inside(annotation, node, step)
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
             node = None
-    return found
+    return nearest
 
 
 def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[str]:
-    """Return the keys that a mapping at a location may have."""
+    """Return the allowed keys of a mapping at a location."""
     node = value
     for step in location:
         node = node[step]
@@ -61,7 +61,7 @@ def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[st
 
 
 def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
-    """Return the models that a type allows; of several that which a mapping names."""
+    """Return the models of a type; of a tagged union, the one that the value names."""
     kinds = (
         get_args(one)[0] if get_origin(one) is Annotated else one
         for one in _alternatives(annotation)
@@ -72,11 +72,11 @@ def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
     return [one for one in models if _named(one, node)] or models
 
 
-def stand_in(annotation: Any) -> Any:
-    """Return the plainest value of a type.
+def placeholder_of(annotation: Any) -> Any:
+    """Return the simplest valid value of a type.
 
-    >>> stand_in(float | None), stand_in(list[int]), stand_in(Literal["m", "cm"])
-    (1.0, [], 'm')
+    >>> placeholder_of(float | None), placeholder_of(Literal["m", "cm"])
+    (1.0, 'm')
     """
     shortest, most = 0, 1.0
     if get_origin(annotation) is Annotated:
@@ -89,18 +89,18 @@ def stand_in(annotation: Any) -> Any:
         return _empty(min(models, key=lambda model: len(model.model_fields)))
     plain = _alternatives(annotation)[0]
     if get_origin(plain) is Annotated:
-        return stand_in(plain)
+        return placeholder_of(plain)
     if get_origin(plain) is Literal:
         return get_args(plain)[0]
     if get_origin(plain) is list:
-        return [stand_in(get_args(plain)[0])] * shortest
+        return [placeholder_of(get_args(plain)[0])] * shortest
     if get_origin(plain) is dict:
-        return {UNKNOWN: stand_in(get_args(plain)[1])} if shortest else {}
+        return {UNKNOWN: placeholder_of(get_args(plain)[1])} if shortest else {}
     return {str: UNKNOWN, float: most, int: 1, bool: False}.get(plain)
 
 
 def takes_no_text(annotation: Any) -> bool:
-    """Return whether a type allows numbers and truth values, and nothing else.
+    """Return whether a type allows only numbers and booleans.
 
     >>> takes_no_text(float | None), takes_no_text(float | str)
     (True, False)
@@ -113,7 +113,7 @@ def takes_no_text(annotation: Any) -> bool:
 
 
 def replaced(value: Any, location: Location, new: Any) -> None:
-    """Put a value at a location."""
+    """Return a copy with a value replaced at a location."""
     *outer, last = location
     for step in outer:
         value = value[step]
@@ -122,19 +122,19 @@ def replaced(value: Any, location: Location, new: Any) -> None:
 
 def _empty(model: type[BaseModel]) -> dict[str, Any]:
     return {
-        key: stand_in(annotation_of(field))
+        key: placeholder_of(annotation_of(field))
         for key, field in fields_of(model).items()
         if field.is_required()
     }
 
 
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
-    """Return the fields of a model by the keys that a file has for them."""
+    """Return the fields of a model by their keys in files."""
     return {info.alias or name: info for name, info in model.model_fields.items()}
 
 
 def _named(model: type[BaseModel], node: Any) -> bool:
-    """Return whether a mapping names a model by the key that tells it from others."""
+    """Return whether a mapping's discriminator names a model."""
     kinds = model.model_fields.get("type")
     if kinds is None or not isinstance(node, dict):
         return False
@@ -158,7 +158,7 @@ def _inside(annotation: Any, node: Any, step: str | int) -> Any:
 
 
 def _alternatives(annotation: Any) -> list[Any]:
-    """Return the types that a union allows, and of another type itself."""
+    """Return the members of a union, or the type itself."""
     inner = annotation
     if get_origin(inner) is Annotated:
         inner = get_args(inner)[0]

@@ -1,4 +1,4 @@
-"""Files that a document refers to, by names seen from its folder."""
+"""Files that a document refers to, relative to its folder."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from animtool.core.config import find_config, project_around
-from animtool.core.files.reading import is_there, nearest_file, seen_from
+from animtool.core.files.reading import exists, nearest_file, path_from_folder
 from animtool.documents.document import Document, Location
 
 
 def split_reference(text: str, default: str) -> tuple[str, str]:
-    """Return file and array name of a reference.
+    """Split a reference into file and array name.
 
     >>> split_reference("face.npz#smile", "deltas"), split_reference("a.npz", "points")
     (('face.npz', 'smile'), ('a.npz', 'points'))
@@ -21,7 +21,7 @@ def split_reference(text: str, default: str) -> tuple[str, str]:
 
 
 def reference(folder: Path, roots: Sequence[Path], name: str) -> Path:
-    """Return the file that a name means, seen from a folder."""
+    """Resolve a file name relative to a folder."""
     try:
         path = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError) as error:
@@ -40,32 +40,32 @@ def referred(
     *,
     written: bool = False,
 ) -> Path | None:
-    """Return the file that a document refers to; None, and a fault, where it may not.
+    """Resolve a file reference of a document; None and a fault if it is not allowed.
 
     Args:
-        document: Whose folder names start from.
-        location: Where the name stands in it.
-        name: As written.
+        document: The file that has the reference.
+        location: Location of the reference.
+        name: The reference as written.
         roots: Folders that references may lead into.
-        written: The file is to be written, and need not exist.
+        written: The file is an output and need not exist.
     """
     folder = document.path.resolve().parent
     try:
         return reference(folder, roots, name)
     except ValueError as error:
-        hint = _way_out(document.path, name, written)
+        hint = _outside_hint(document.path, name, written)
         document.add("DOC014", location, str(error), hint)
         return None
 
 
-def _way_out(path: Path, name: str, written: bool) -> str:
-    """Return what to do about a reference that leads out of the project."""
+def _outside_hint(path: Path, name: str, written: bool) -> str:
+    """Return a hint for a reference that leaves the project."""
     folder = path.resolve().parent
     try:
         target = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError):
         return "use a file inside the project"
-    if not (written or is_there(target)):
+    if not (written or exists(target)):
         return (
             f"nor does it exist: copy {target.name}, and the files it refers to, "
             f"into {folder}, and write its name here"
@@ -73,7 +73,9 @@ def _way_out(path: Path, name: str, written: bool) -> str:
     settings = find_config(path).path
     if settings is None and (around := project_around(folder, target)) is not None:
         return f"an empty {around / 'animtool.toml'} makes that folder the project"
-    root = seen_from(target.parent, folder if settings is None else settings.parent)
+    root = path_from_folder(
+        target.parent, folder if settings is None else settings.parent
+    )
     line = f'roots = ["{root}"]'
     table = ""
     if settings is None:
@@ -84,7 +86,7 @@ def _way_out(path: Path, name: str, written: bool) -> str:
 
 
 def missing_hint(document: Document, name: str) -> str | None:
-    """Return a hint that names the file that a name may mean; None without one."""
+    """Return a hint with a similar file name; None if there is no match."""
     return nearest_file(Path(name), document.path.parent)
 
 
@@ -94,16 +96,16 @@ def referred_input(
     name: str,
     roots: Sequence[Path],
 ) -> Path | None:
-    """Return a file that a document reads; None, and a fault, where it cannot.
+    """Resolve an input file of a document; None and a fault if it cannot be read.
 
     Args:
-        document: Whose folder names start from.
-        location: Where the name stands in it.
-        name: As written.
+        document: The file that has the reference.
+        location: Location of the reference.
+        name: The reference as written.
         roots: Folders that references may lead into.
     """
     path = referred(document, location, name, roots)
-    if path is not None and not is_there(path):
+    if path is not None and not exists(path):
         message = f"{name!r} does not exist"
         document.add("DOC015", location, message, missing_hint(document, name))
         return None

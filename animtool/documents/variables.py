@@ -17,29 +17,29 @@ from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.documents.placeholders import (
     annotation_at,
+    placeholder_of,
     replaced,
-    stand_in,
     takes_no_text,
 )
 from animtool.documents.yaml_values import plain_scalar
 
-# Where a document gives variables their usual values.
+# Key of the variables' default values.
 DEFAULTS = "variables"
-# Where a document says where its result goes.
+# Key of a document's output.
 OUTPUT = "output"
-# First and last key of where it names files to write.
+# First and last key of output paths.
 WRITTEN = frozenset({(OUTPUT, "file"), ("passes", "save")})
-# Of a text: no path and no number is as long.
+# Longest text [character]: longer than any path or number.
 LONGEST = 10_000
-# Two dollars stand for one, and what follows is text.
+# `$$` is an escaped dollar.
 _USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 
 
 @dataclass(frozen=True, slots=True)
 class SceneValues:
-    """Values of a scene's variables that another file gives."""
+    """Values of a scene's variables that another file sets."""
 
-    # By name; they come before those of the scene.
+    # By name; they override the scene's.
     values: Mapping[str, str] = field(default_factory=dict)
     # Those that are a part of one name, where they name a file to write.
     parts: frozenset[str] = frozenset()
@@ -62,21 +62,21 @@ def resolve_variables(
     variables: Mapping[str, str],
     parts: Collection[str] = (),
 ) -> Variables:
-    """Put the values of variables into the text of a document; keys stay.
+    """Substitute variables in the values of a document; keys are not changed.
 
-    What is written without quotes is read anew with its values in place, so that it
-    may become a number, and so is a variable in quotes where no text may be. A default
-    may use those that stand above it, and those given. Faults are noted: a name that
-    is not known (SCN030), a ``${`` without name and ``}``, or a name that is none
-    (SCN032), or a part of the name of a file to write that is no such part (OUT006).
-    Something stands in for the value there.
+    Unquoted text is parsed again after substitution, so that it
+    may become a number; so is a quoted variable where text is not allowed. A default
+    may use variables defined above it and those passed in. Faults: an unknown name
+    (SCN030), a malformed ``${``, an invalid name
+    (SCN032), or a value that is unsafe in an output's name (OUT006).
+    A placeholder replaces the value there.
 
     Args:
-        document: Changed in place.
-        model: What the document should be.
-        variables: Values by name; they come before the document's own.
-        parts: Those of them that are a part of one name, where they name what is
-            written.
+        document: The document, changed in place.
+        model: Model of the document.
+        variables: Values by name; they override the document's.
+        parts: Names of variables that must be one part of an output's name,
+            without a slash.
     """
     resolver = _Resolver(document, model, dict(variables), parts=set(parts))
     resolver.defaults()
@@ -88,16 +88,16 @@ def resolve_variables(
     return Variables(stated | used, stated - used, resolver.effective())
 
 
-# As JSON Schema says it: a text that becomes a value of another type.
+# JSON Schema of a variable: text that becomes another type.
 _TEXT = {"type": "string", "pattern": rf"\$\{{{VARIABLE_NAME}\}}"}
-# What says of a value what it is, and not what it is for.
+# Schema keywords of a value's type, not of its meaning.
 _FACTS = frozenset(
     {"type", "enum", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"}
 )
 
 
 def with_variables(schema: Any) -> Any:
-    """Return a JSON Schema that allows a text with a variable in place of any value.
+    """Return a JSON Schema that also allows variables in place of values.
 
     >>> with_variables({"type": "number", "minimum": 0})["anyOf"][0]
     {'type': 'number', 'minimum': 0}
@@ -106,11 +106,11 @@ def with_variables(schema: Any) -> Any:
         return [with_variables(entry) for entry in schema]
     if not isinstance(schema, dict):
         return schema
-    whole = {key: _inside(key, value) for key, value in schema.items()}
+    extended = {key: _inside(key, value) for key, value in schema.items()}
     if "anyOf" not in schema and _is_other(schema):
-        facts = {key: whole.pop(key) for key in list(whole) if key in _FACTS}
-        whole["anyOf"] = [facts, _TEXT]
-    return whole
+        facts = {key: extended.pop(key) for key in list(extended) if key in _FACTS}
+        extended["anyOf"] = [facts, _TEXT]
+    return extended
 
 
 def _inside(key: str, value: Any) -> Any:
@@ -120,12 +120,12 @@ def _inside(key: str, value: Any) -> Any:
 
 
 def _is_other(schema: dict[str, Any]) -> bool:
-    """Return whether a schema is of a value that a text is not."""
+    """Return whether a schema excludes text."""
     return "enum" in schema or schema.get("type") in {"number", "integer", "boolean"}
 
 
 def _texts(node: Any, location: Location) -> Iterator[tuple[Location, str]]:
-    """Yield every text in a node that may use a variable, and where it stands."""
+    """Yield the location and text of each value that may use a variable."""
     if isinstance(node, str):
         if "${" in node:
             yield location, node
@@ -155,7 +155,7 @@ class _Resolver:
     parts: set[str] = field(default_factory=set)
 
     def defaults(self) -> None:
-        """Learn the values that the document gives, each with those above it."""
+        """Read the document's default values; each may use those above it."""
         stated = self.document.value.get(DEFAULTS)
         for name, value in (stated if isinstance(stated, dict) else {}).items():
             location = (DEFAULTS, name)
@@ -177,7 +177,7 @@ class _Resolver:
                     self.parts.add(name)
 
     def effective(self) -> frozenset[str]:
-        """Return the variables that decide more than the output."""
+        """Return the variables that affect more than the output's name."""
         left = {
             name
             for key, names in self.uses.items()
@@ -192,7 +192,7 @@ class _Resolver:
         return frozenset(used)
 
     def put(self, location: Location, text: str) -> None:
-        """Put the values of variables into a text of the document."""
+        """Substitute variables in one text of the document."""
         resolved = self.resolved(location, text)
         if resolved is not None and (location[0], location[-1]) in WRITTEN:
             resolved = self.named(location, text, resolved)
@@ -205,12 +205,12 @@ class _Resolver:
                 resolved = None
         if resolved is None:
             annotation = annotation_at(self.model, self.document.value, location)
-            value = stand_in(annotation)
+            value = placeholder_of(annotation)
             self.document.doubts.add(location)
         replaced(self.document.value, location, value)
 
     def named(self, location: Location, text: str, spelling: str) -> str | None:
-        """Return the name of a file to write; None, and a fault, for an unsafe one."""
+        """Return an output's name; None and a fault if it is unsafe."""
         for piece in text.split("/"):
             used = {match["name"] for match in _USE.finditer(piece) if match["name"]}
             if not used & self.parts:
@@ -225,22 +225,22 @@ class _Resolver:
         return spelling
 
     def is_typed(self, location: Location, text: str) -> bool:
-        """Return whether a text may become a number or a truth value.
+        """Return whether a text may become a number or boolean.
 
-        It has no quotes; or it is a variable, whole, where no text may be.
+        It is unquoted, or a single variable where text is not allowed.
         """
         if self.document.written(location) is not None:
             return True
-        whole = _USE.fullmatch(text)
-        if whole is None or not whole["name"]:
+        use = _USE.fullmatch(text)
+        if use is None or not use["name"]:
             return False
         kind = annotation_at(self.model, self.document.value, location)
         return kind is not None and takes_no_text(kind)
 
     def resolved(self, location: Location, text: str) -> str | None:
-        """Return a text with values in place; None where that cannot be."""
+        """Return a text with its variables substituted; None on a fault."""
         parts: list[str] = []
-        whole, end, length = True, 0, 0
+        complete, end, length = True, 0, 0
         for use in _USE.finditer(text):
             part = self._value(location, use)
             length += len(part or "")
@@ -248,13 +248,13 @@ class _Resolver:
                 message = f"variables expand to more than {LONGEST} characters"
                 self.document.add("DOC025", location, message)
                 return None
-            whole &= part is not None
+            complete &= part is not None
             parts += [text[end : use.start()], part or ""]
             end = use.end()
-        return "".join([*parts, text[end:]]) if whole else None
+        return "".join([*parts, text[end:]]) if complete else None
 
     def _value(self, location: Location, match: re.Match[str]) -> str | None:
-        """Return what stands for a use of a variable; None, and a fault, for none."""
+        """Return the value of a variable; None and a fault if it is unknown."""
         if match["kept"]:
             return match[0][1:]
         name = match["name"]

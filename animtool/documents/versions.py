@@ -1,4 +1,4 @@
-"""Versions of the formats that people write, and the steps from each to the next."""
+"""Versions of the file formats and the migration steps between them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from animtool.core.errors import excerpt
 from animtool.core.names import KINDS
 from animtool.documents.document import Document, Location, kind_named
 
-# A step takes the values of a whole file and returns those of the next version.
+# A step converts a file's values to the next version.
 Step = Callable[[dict[str, Any]], dict[str, Any]]
 Steps = Mapping[int, Step]
 
@@ -27,7 +27,7 @@ RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
         ("systems", None, "particles", "most"): "max_particles",
     },
 }
-# Old names that mean something else now, but where a value is of this type.
+# Reused names: an old name only if its value has this type.
 _OF_TYPE: dict[tuple[str | None, ...], type] = {
     ("passes", None, "simulate", "colliders"): bool,
 }
@@ -53,7 +53,7 @@ def newest(steps: Steps) -> int:
 
 
 def new_key(kind: str, location: Location, value: object) -> str | None:
-    """Return the new name of a key of a kind of file; None where it has none.
+    """Return the new name of a renamed key; None if it was not renamed.
 
     >>> new_key("scene", ("systems", 2, "particles", "most"), 100)
     'max_particles'
@@ -67,7 +67,7 @@ def new_key(kind: str, location: Location, value: object) -> str | None:
 def renamed_keys(
     kind: str, value: Any, around: Location = ()
 ) -> Iterator[tuple[Location, str]]:
-    """Yield the locations of keys that have a new name, and that."""
+    """Yield location and new name of each renamed key."""
     pairs = enumerate(value) if isinstance(value, list) else ()
     for step, inner in value.items() if isinstance(value, dict) else pairs:
         location = (*around, step)
@@ -84,12 +84,12 @@ def version_of(
 
     Args:
         document: A file.
-        table: Steps from each version to the next, by kind.
-        kind: That it should be; None is any that the table has.
+        table: Migration steps between versions, by kind.
+        kind: Expected kind; None allows every kind in the table.
 
     Raises:
-        FormatError: It is of another kind (DOC009), or of a version of the future or
-            one that no step leads on from (DOC012).
+        FormatError: It has another kind (DOC009), or an unknown version
+            (DOC012).
     """
     named = [name for name in KINDS if name in document.value]
     named_kind = kind or next((name for name in named if name in table), "")
@@ -121,7 +121,7 @@ def version_of(
 
 
 def _of_another_kind(document: Document, kind: str, first: str) -> bool:
-    """Return whether a file names another kind, and a file of this one beside it."""
+    """Return whether a file of another kind refers to a file of this one."""
     stated = document.value[kind]
     is_version = isinstance(stated, str) and stated.startswith("animtool/")
     return first != kind and not is_version

@@ -1,4 +1,4 @@
-"""What is wrong with a text that is not YAML, in words of the file's author."""
+"""Messages for YAML syntax faults."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _CLOSED = {
 
 
 class YamlFault(NamedTuple):
-    """A fault of a text: what is wrong at a line and column, and what to do."""
+    """A syntax fault: message, line, column and hint."""
 
     message: str
     hint: str | None
@@ -45,23 +45,23 @@ class YamlFault(NamedTuple):
 
 
 def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
-    r"""Return what is wrong with a text.
+    r"""Return the syntax fault of a text.
 
     Args:
         text: The text.
-        problem: What the scanner says.
-        line: Where it says it, from 1 on.
-        column: Likewise.
+        problem: Message of the YAML scanner.
+        line: Its line, from 1.
+        column: Its column, from 1.
 
     >>> yaml_fault("a: 1\n  b: 2\n", "mapping values are not allowed", 2, 4)[:2]
     ('line 2 is indented further than line 1', 'start it in column 1')
     """
     lines = text.splitlines() or [""]
     here = lines[min(line, len(lines)) - 1]
-    # A tab before the place that the scanner names: it often stops a line later.
+    # A tab before the scanner's position, which is often a line later.
     for number in (line, line - 1):
-        own = lines[number - 1] if 1 <= number <= len(lines) else ""
-        indent = own[: len(own) - len(own.lstrip())]
+        source_line = lines[number - 1] if 1 <= number <= len(lines) else ""
+        indent = source_line[: len(source_line) - len(source_line.lstrip())]
         if "\t" in indent:
             tab = indent.index("\t") + 1
             return YamlFault("a tab indents this line", "use spaces", number, tab)
@@ -82,13 +82,13 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
 
 
 def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
-    """Return the fault of a line that starts in the column of no line above it."""
+    """Return the fault of a line whose indentation matches no line above it."""
     here = lines[min(line, len(lines)) - 1]
     indent, is_entry = _indent(here), here.lstrip().startswith("-")
     others = [
-        _indent(own)
-        for own in lines[: line - 1]
-        if own.strip() and own.lstrip().startswith("-") == is_entry
+        _indent(text)
+        for text in lines[: line - 1]
+        if text.strip() and text.lstrip().startswith("-") == is_entry
     ]
     near = min(others, key=lambda other: abs(other - indent), default=None)
     if near is None or near == indent:
@@ -104,7 +104,7 @@ def _misaligned(lines: list[str], line: int, column: int) -> YamlFault:
 
 
 def _above(lines: list[str], line: int) -> int:
-    """Return the number of the nearest line above with a value; 0 where none has."""
+    """Return the number of the nearest nonblank line above; 0 for none."""
     for number in range(min(line, len(lines)) - 1, 0, -1):
         if re.match(r"\s*[^\s#]", lines[number - 1]):
             return number

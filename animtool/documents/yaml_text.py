@@ -1,4 +1,4 @@
-"""Plain values as the text of a file, and the comments that a text has."""
+"""Values written as YAML or JSON text, and the comment lines of a text."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ WIDTH = 88
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes text that the core schema would read as something else."""
+    """A YAML dumper that quotes text that would parse as another type."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Write values out wherever they stand: aliases are not read."""
+        """Disable aliases, which documents cannot have."""
         del data
         return True
 
     def serialize(self, node: yaml.Node) -> None:
-        """Write the outermost mapping a key a line, whatever it holds."""
+        """Write the outermost mapping with one key a line."""
         if isinstance(node, yaml.MappingNode):
             node.flow_style = False
         super().serialize(node)
@@ -41,7 +41,7 @@ _Dumper.add_representer(str, _text_node)
 
 
 def yaml_text(value: dict[str, Any]) -> str:
-    """Return values as YAML that reads back as they are; innermost ones on one line.
+    """Return values as YAML that parses back equal; innermost values on one line.
 
     >>> print(yaml_text({"rig": "animtool/1", "bind": {"a": [1, 2.5]}}), end="")
     rig: animtool/1
@@ -66,7 +66,7 @@ def flow_text(key: str, value: Any) -> str:
     'keys: [{t: 1, v: 0.5}]'
     """
     text: str = yaml.dump(
-        {key: _whole(value)},
+        {key: _with_integers(value)},
         Dumper=_Dumper,
         default_flow_style=True,
         allow_unicode=True,
@@ -76,14 +76,14 @@ def flow_text(key: str, value: Any) -> str:
     return text.strip()
 
 
-def _whole(value: Any) -> Any:
-    """Return a value with whole numbers as a person writes them."""
+def _with_integers(value: Any) -> Any:
+    """Return a value with integral floats as integers."""
     if isinstance(value, dict):
-        return {key: _whole(one) for key, one in value.items()}
+        return {key: _with_integers(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [_whole(one) for one in value]
-    is_whole = isinstance(value, float) and value.is_integer()
-    return int(value) if is_whole and abs(value) < 1e15 else value
+        return [_with_integers(one) for one in value]
+    is_integer = isinstance(value, float) and value.is_integer()
+    return int(value) if is_integer and abs(value) < 1e15 else value
 
 
 def json_text(value: dict[str, Any]) -> str:

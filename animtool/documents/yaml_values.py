@@ -2,8 +2,8 @@
 
 YAML is read by the core schema of version 1.2: ``1e-3`` is a number, ``no``, ``12:30``
 and dates are text, ``010`` is ten. Anchors, aliases, tags and keys that stand twice
-are refused. JSON is nearly a part of YAML: where it is nothing else, `plain_json` reads
-the same values at once, and their places are looked for when one is asked for.
+are refused. JSON that is also YAML is parsed by `plain_json`, which is faster;
+its line numbers are computed on demand.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from animtool.core.record import dataclass
 from animtool.documents.json_values import plain_json
 from animtool.documents.yaml_faults import yaml_fault
 
-# A person nests five or six.
+# Hand-written files nest five or six deep.
 DEEPEST = 50
 # Ends of lines and what separates values, of which nearly each value has one: a rig of
 # 10,000 joints has 0.2 million, a clip of 100,000 keys 0.6. Reading takes about 1 s of
 # CPU for each 100,000.
 MAX_MARKS = 2_000_000
 _MARKS = ("\n", ",", ":", "[", "{", "- ", "? ")
-# Faults that are collected before the rest is not looked at.
+# Faults to collect before parsing stops.
 MAX_FAULTS = 200
 # Python refuses to read more digits, and no float has as many.
 MAX_DIGITS = 400
 LONGEST_HINT = 200
 LONGEST_NAME = 40
 LONGEST_KEY = 1000
-# The key whose list is taken for a mapping from times to values.
+# The key whose list is sometimes written as a mapping of times to values.
 TIMED = "keys"
 # How the names of files end that hold such text; others are likely of another kind.
 SUFFIXES = (".yaml", ".yml", ".json")
 
-# Groups say what kind of number it is: no group, a whole one.
+# Groups tell the kind of number; none is an integer.
 _NUMBER = re.compile(
     r"[-+]?(?:[0-9]+(\.[0-9]*)?|(\.[0-9]+))([eE][-+]?[0-9]+)?"
     r"|0o(?P<octal>[0-7]+)|0x(?P<hexadecimal>[0-9a-fA-F]+)"
@@ -68,16 +68,16 @@ _UNMASK = str.maketrans({mask: brace for brace, mask in _MASK.items()})
 
 
 class Marks(NamedTuple):
-    """Where and how the values of a text are written."""
+    """Source positions and unquoted text of values."""
 
-    # Line and column of every node, in the order of the text.
-    places: list[tuple[int, int]]
-    # Of scalars without quotes, what is written, by number of the node.
+    # Line and column of every node, in text order.
+    positions: list[tuple[int, int]]
+    # Source text of unquoted scalars, by node index.
     plain: dict[int, str]
 
 
 class ReadValues(NamedTuple):
-    """What a text holds."""
+    """Values of a parsed text, and their marks on demand."""
 
     value: Any  # plain values: mappings, lists, texts, numbers
     # Of JSON they are only looked for where something has to be said of a value.
@@ -85,7 +85,7 @@ class ReadValues(NamedTuple):
 
 
 def read_values(text: str, path: Path) -> ReadValues:
-    """Return what a text holds."""
+    """Parse YAML or JSON text."""
     marks = sum(map(text.count, _MARKS))
     if marks > MAX_MARKS:
         message = f"contains {marks} value separators; the limit is {MAX_MARKS}"
@@ -104,7 +104,7 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
         # Ends of lines in YAML, but letters like others in JSON's strings.
         for letter in "\x85\u2028\u2029":
             text = text.replace(letter, f"\\u{ord(letter):04x}")
-    reader = _Reader(path)
+    reader = _YamlReader(path)
     value = None
     try:
         value = reader.read(text)
@@ -115,23 +115,23 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
         if "maximum nesting depth" in problem:  # libyaml's own limit, met first
             reader.fault("DOC005", f"is nested deeper than {DEEPEST}", spot)
             raise FormatError(reader.faults) from error
-        found = yaml_fault(text, problem, *spot)
-        hint = found.hint
+        fault = yaml_fault(text, problem, *spot)
+        hint = fault.hint
         if path.suffix.lower() not in SUFFIXES:
             hint = f"write the name of a file that ends in {', '.join(SUFFIXES)}"
         elif _is_variable(text, mark):
             hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
-        reader.fault("DOC001", found.message, (found.line, found.column), hint)
+        reader.fault("DOC001", fault.message, (fault.line, fault.column), hint)
     except yaml.YAMLError as error:
         reader.fault("DOC001", f"invalid YAML: {error}".split("\n", 1)[0], (1, 1))
     if reader.faults:
         raise FormatError(reader.faults)
-    marks = Marks(reader.places, reader.plain)
+    marks = Marks(reader.positions, reader.plain)
     return ReadValues(value, lambda: marks)
 
 
 def masked_variables(text: str) -> str:
-    """Return a text in which variables are plain text to YAML, wherever they are.
+    """Mask variables so that YAML parses them as plain text.
 
     Every character keeps its line and column.
 
@@ -159,7 +159,7 @@ def compose(text: str) -> Any:
 
 
 def _is_variable(text: str, mark: Any) -> bool:
-    """Return whether the bracket of a ``${`` is where the reader stopped."""
+    """Return whether the parser stopped at the bracket of a ``${``."""
     if mark is None:
         return False
     line = text.splitlines()[mark.line : mark.line + 1]
@@ -167,7 +167,7 @@ def _is_variable(text: str, mark: Any) -> bool:
 
 
 def _joined(escape: re.Match[str]) -> str:
-    """Return an escape of JSON as YAML spells it: one number for a surrogate pair."""
+    """Convert a JSON escape to YAML: one code point for a surrogate pair."""
     high, low = escape.groups()
     if high is None:
         return escape[0]
@@ -177,7 +177,7 @@ def _joined(escape: re.Match[str]) -> str:
 
 
 def plain_scalar(text: str) -> Any:
-    """Return what a scalar without quotes means, by the core schema of YAML 1.2.
+    """Parse an unquoted scalar by the core schema of YAML 1.2.
 
     >>> plain_scalar("1e-3"), plain_scalar("no"), plain_scalar("~")
     (0.001, 'no', None)
@@ -194,22 +194,26 @@ def plain_scalar(text: str) -> Any:
     return int(text) if match.lastindex is None else float(text)
 
 
-class _Reader:
-    """Builds values from parser events, with a stack of its own.
+class _YamlReader:
+    """Builds values from parser events on an explicit stack.
 
-    Events, not nodes: depth and aliases are met before anything is built of them.
+    Events, not nodes: depth and aliases are checked before values are built.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.places: list[tuple[int, int]] = []
+        self.positions: list[tuple[int, int]] = []
         self.plain: dict[int, str] = {}
         self.faults: list[Fault] = []
 
     def fault(
-        self, code: str, message: str, place: tuple[int, int], hint: str | None = None
+        self,
+        code: str,
+        message: str,
+        position: tuple[int, int],
+        hint: str | None = None,
     ) -> None:
-        line, column = place
+        line, column = position
         self.faults.append(
             Fault(code, message, str(self.path), (line,), hint, column=column)
         )
@@ -226,39 +230,39 @@ class _Reader:
         while (event := parser.get_event()) is not None:
             kind = type(event)
             if kind is yaml.ScalarEvent:
-                place = self._place(event)
+                position = self._node_position(event)
                 if masked:
                     event.value = event.value.translate(_UNMASK)
                 plain = event.value if event.implicit[0] else ""
                 if plain:
-                    self.plain[len(self.places) - 1] = plain
-                stack[-1].put(self._scalar(event, place), place, self, plain)
+                    self.plain[len(self.positions) - 1] = plain
+                stack[-1].put(self._scalar(event, position), position, self, plain)
             elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
-                place = self._place(event)
+                position = self._node_position(event)
                 value: Any = {} if kind is yaml.MappingStartEvent else []
                 if len(stack) > DEEPEST:
-                    self._stop("DOC005", f"is nested deeper than {DEEPEST}", place)
+                    self._stop("DOC005", f"is nested deeper than {DEEPEST}", position)
                 timed = stack[-1].key == TIMED
-                stack[-1].put(value, place, self)
+                stack[-1].put(value, position, self)
                 flow = bool(event.flow_style)
                 stack.append(_Open(value, flow=flow, timed=timed))
             elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
                 stack.pop().close(self)
             elif kind is yaml.AliasEvent:
-                place = self._spot(event)
-                self.places.append(place)
+                position = self._spot(event)
+                self.positions.append(position)
                 message = f"alias *{_cut(event.anchor)} is not allowed"
-                self.fault("DOC002", message, place, "write the value itself")
-                stack[-1].put(None, place, self)
+                self.fault("DOC002", message, position, "write the value itself")
+                stack[-1].put(None, position, self)
             elif kind is yaml.DocumentStartEvent:
                 documents += 1
                 if documents > 1:
-                    place = self._spot(event)
-                    self._stop("DOC007", "contains more than one document", place)
+                    position = self._spot(event)
+                    self._stop("DOC007", "contains more than one document", position)
         return root[0] if root else None
 
-    def _stop(self, code: str, message: str, place: tuple[int, int]) -> NoReturn:
-        self.fault(code, message, place)
+    def _stop(self, code: str, message: str, position: tuple[int, int]) -> NoReturn:
+        self.fault(code, message, position)
         raise FormatError(self.faults)
 
     @staticmethod
@@ -266,52 +270,56 @@ class _Reader:
         mark = event.start_mark
         return mark.line + 1, mark.column + 1
 
-    def _place(self, event: Any) -> tuple[int, int]:
-        place = self._spot(event)
-        self.places.append(place)
+    def _node_position(self, event: Any) -> tuple[int, int]:
+        position = self._spot(event)
+        self.positions.append(position)
         if event.anchor is not None:
             message = f"anchor &{_cut(event.anchor)} is not allowed"
-            self.fault("DOC002", message, place, "write the value itself")
+            self.fault("DOC002", message, position, "write the value itself")
         if event.tag is not None:
             message = f"tag {_cut(event.tag)} is not allowed"
-            self.fault("DOC003", message, place, "remove it")
-        return place
+            self.fault("DOC003", message, position, "remove it")
+        return position
 
-    def _scalar(self, event: Any, place: tuple[int, int]) -> Any:
+    def _scalar(self, event: Any, position: tuple[int, int]) -> Any:
         text: str = event.value
         if not event.implicit[0]:
-            # Only escapes within quotes can stand for one.
+            # Only quoted escapes can produce one.
             if problem := unreadable(text):
                 message = f"a text contains the control character {problem!r}"
-                self.fault("DOC023", message, place, "remove it")
+                self.fault("DOC023", message, position, "remove it")
             return text
         try:
             return plain_scalar(text)
         except OverflowError:
-            self.fault("DOC001", f"a number of {len(text)} characters", place)
+            self.fault("DOC001", f"a number of {len(text)} characters", position)
             return 0
 
 
 @dataclass(slots=True)
 class _Open:
-    """A mapping or list that is not at its end yet."""
+    """A mapping or list that is still open."""
 
-    value: Any  # what there is of it
-    key: str | None = None  # of a mapping, the one whose value comes next
+    value: Any  # content so far
+    key: str | None = None  # of a mapping, the key whose value is next
     keys: dict[str, int] = field(default_factory=dict)  # line of each key
-    flow: bool = False  # whether it stands between brackets
+    flow: bool = False  # whether it is in flow style
     timed: bool = False  # whether it is what the key of a list of times holds
     # Of that one, the numbers that are keys, and where each is.
     times: list[tuple[float, tuple[int, int]]] = field(default_factory=list)
     # What commas may have cut a text into: a value with an open bracket, and the keys
     # behind it.
     pieces: list[str] = field(default_factory=list)
-    brackets: int = 0  # how many are open in the pieces
-    spot: tuple[int, int] = (1, 1)  # where the first of them is
+    brackets: int = 0  # open brackets in the pieces
+    spot: tuple[int, int] = (1, 1)  # position of the first piece
     faults: int = 0  # how many there were before
 
     def put(
-        self, value: Any, place: tuple[int, int], reader: _Reader, plain: str = ""
+        self,
+        value: Any,
+        position: tuple[int, int],
+        reader: _YamlReader,
+        plain: str = "",
     ) -> None:
         if isinstance(self.value, list):
             self.value.append(value)
@@ -320,40 +328,40 @@ class _Open:
             self.value[self.key] = value
             self.key = None
             if self.flow and (self.pieces or "(" in plain):
-                self._piece(value, place, reader, plain)
+                self._piece(value, position, reader, plain)
             return
         if self.timed and type(value) in (int, float):
-            self.times.append((value, place))
-            value = f"\0{place}"
+            self.times.append((value, position))
+            value = f"\0{position}"
         elif not isinstance(value, str):
             shown = "a collection" if isinstance(value, dict | list) else repr(value)
-            reader.fault("DOC010", f"a key is {shown}, not text", place, "quote it")
-            value = f"\0{place}"
+            reader.fault("DOC010", f"a key is {shown}, not text", position, "quote it")
+            value = f"\0{position}"
         elif len(value) > LONGEST_KEY:
             message = f"a key of {len(value)} characters; the limit is {LONGEST_KEY}"
-            reader.fault("DOC025", message, place)
-            value = f"\0{place}"
+            reader.fault("DOC025", message, position)
+            value = f"\0{position}"
         elif "\n" in value or "\t" in value:
             message = f"key {excerpt(value)} contains a line end or a tab"
-            reader.fault("DOC023", message, place, "remove it")
+            reader.fault("DOC023", message, position, "remove it")
         elif value in self.keys:
             message = f"duplicate key {excerpt(value)}"
             hint = f"the first is on line {self.keys[value]}"
-            reader.fault("DOC004", message, place, hint)
-        self.keys.setdefault(value, place[0])
+            reader.fault("DOC004", message, position, hint)
+        self.keys.setdefault(value, position[0])
         self.key = value
         if self.pieces:
             self.pieces.append(plain)
             self.brackets += _open_brackets(plain)
 
-    def close(self, reader: _Reader) -> None:
-        """Note once that times are keys of a mapping, and how they are written."""
+    def close(self, reader: _YamlReader) -> None:
+        """Report once that times are mapping keys; show the right form."""
         if not self.times:
             return
         entries = [
             {"t": time} | (value if isinstance(value, dict) else {"v": value})
-            for time, place in self.times
-            for value in [self.value[f"\0{place}"]]
+            for time, position in self.times
+            for value in [self.value[f"\0{position}"]]
         ]
         hint = f"write {TIMED}: {_flow(entries)}"
         if len(hint) > LONGEST_HINT:
@@ -362,15 +370,15 @@ class _Open:
         reader.fault("DOC010", message, self.times[0][1], hint[:LONGEST_HINT])
 
     def _piece(
-        self, value: Any, place: tuple[int, int], reader: _Reader, plain: str
+        self, value: Any, position: tuple[int, int], reader: _YamlReader, plain: str
     ) -> None:
-        """Put a text together that commas cut into a value and keys without any."""
+        """Rejoin a text that commas split into a value and keys."""
         if value is not None or plain or not self.pieces:
             self.brackets = _open_brackets(plain)
             self.pieces = [plain] if self.brackets > 0 else []
-            self.spot, self.faults = place, len(reader.faults)
+            self.spot, self.faults = position, len(reader.faults)
         elif self.brackets <= 0:
-            # What is wrong with the keys is that they are none.
+            # Replaces the faults of these keys.
             del reader.faults[self.faults :]
             message = f"{excerpt(self.pieces[0])} ends at a comma"
             hint = f'quote all of it: "{", ".join(self.pieces)}"'
@@ -383,13 +391,13 @@ def _cut(name: str) -> str:
 
 
 def _flow(value: Any) -> str:
-    """Return a value as YAML within a line, without the quotes that a text may need.
+    """Return a value as flow YAML without quotes.
 
     >>> _flow([{"t": 1, "v": [0.5, None]}])
     '[{t: 1, v: [0.5, null]}]'
     """
     if isinstance(value, dict):
-        items = (f"{key}: {_flow(own)}" for key, own in value.items())
+        items = (f"{key}: {_flow(entry)}" for key, entry in value.items())
         return f"{{{', '.join(items)}}}"
     if isinstance(value, list):
         return f"[{', '.join(map(_flow, value))}]"

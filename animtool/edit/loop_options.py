@@ -1,19 +1,19 @@
-"""Which cycle is repeated, and how often."""
+"""Options of loops."""
 
 from __future__ import annotations
 
-from animtool.core.options import described, option
+from animtool.core.options import inherits_docs, option
 from animtool.core.record import dataclass
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class LoopOptions:
     """The cycle and how often it is repeated.
 
     Attributes:
         find: Look for the best cycle between ``first`` and ``last``.
-        shortest: Least length of a cycle that is looked for [s].
+        shortest: Least length of the cycle [s].
         longest: Most [s].
     """
 

@@ -1,6 +1,6 @@
 """The keys of a targets file, as models; ``animtool schema targets`` prints them.
 
-The tables of ``docs/reference`` are made of their descriptions and examples.
+The tables of ``docs/reference`` are generated from the descriptions and examples.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from animtool.clip.schema import CurveModel, JoinModel, KeyModel
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     IgnoreModel,
+    Integer,
     Name,
     Pair,
     Quaternion,
     Real,
     Vector,
-    Whole,
     key,
 )
 from animtool.ik.goals import KINDS, TargetValue
@@ -142,7 +142,7 @@ class GoalModel(_Asked):
         {"position": 10.0},
         default=1.0,
     )
-    priority: Annotated[Whole, Field(ge=0)] = key(
+    priority: Annotated[Integer, Field(ge=0)] = key(
         "0 is hard; goals with higher numbers yield to those with lower.", 1, default=0
     )
     soft: Annotated[Real, Field(ge=0, lt=1)] = key(

@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from dataclasses import field
 
 from animtool.core.arguments import argument
-from animtool.core.options import described, option
+from animtool.core.options import inherits_docs, option
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.scene.sources.open import SourceOptions
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class PreviewOptions:
-    """What a page shows, and how its files are read.
+    """What a page shows, and how files are read.
 
     Attributes:
         source: What the sources are, where their files do not say.
@@ -53,10 +53,10 @@ class PreviewOptions:
     variables: Mapping[str, str] = field(default_factory=dict)
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class PictureOptions:
-    """How pictures and films look."""
+    """Appearance of pictures and films."""
 
     size: str | None = option(
         None,
@@ -111,10 +111,10 @@ class PictureOptions:
     )
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class ShowOptions:
-    """What becomes of a page."""
+    """Where a page is shown or written."""
 
     opened: bool | None = option(
         None,

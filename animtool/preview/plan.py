@@ -1,4 +1,4 @@
-"""What a page would show and where it would be written, without making it."""
+"""Plans a page without building it: files read, contents shown, output path."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 from animtool.core.errors import counted
 from animtool.core.names import is_named
 from animtool.core.rates import rate_label
-from animtool.preview.opened import OpenFile, ShownTake, open_file, shown_scene
+from animtool.preview.open_file import OpenFile, ShownTake, open_file, shown_scene
 from animtool.preview.options import PreviewOptions
 from animtool.scene.bake.outline import outlined
-from animtool.scene.bake.steps import Step, StepKind, bake_steps
+from animtool.scene.bake.steps import PlanStep, StepKind, bake_steps
 from animtool.scene.file.read import load_scene
 
 _KINDS = {
@@ -26,7 +26,7 @@ _KINDS = {
 
 def page_steps(
     files: Sequence[Path], output: Path | None, options: PreviewOptions | None = None
-) -> list[Step]:
+) -> list[PlanStep]:
     """Return the steps of a page; files are read, scenes are not baked.
 
     Args:
@@ -39,31 +39,31 @@ def page_steps(
         OptionError: A file shows nothing (PRV001).
     """
     options = options or PreviewOptions()
-    steps: list[Step] = []
-    with ExitStack() as held:
+    steps: list[PlanStep] = []
+    with ExitStack() as context:
         for path in files:
             if is_named(path, "scene"):
                 steps += _baked(path, options)
             else:
-                steps.append(_read(open_file(path, options, files, held)))
+                steps.append(_read(open_file(path, options, files, context)))
     reads = tuple(str(path) for path in files)
     left_out = () if options.findings else ("findings: not requested (findings)",)
     makes = ("a page" if output is None else str(output),)
     name = "a temporary file" if output is None else output.name
-    return [*steps, Step(StepKind.OUTPUT, name, "", reads, makes, left_out)]
+    return [*steps, PlanStep(StepKind.OUTPUT, name, "", reads, makes, left_out)]
 
 
-def _baked(path: Path, options: PreviewOptions) -> Iterator[Step]:
-    """Yield the steps of the bake that a scene is shown by."""
+def _baked(path: Path, options: PreviewOptions) -> Iterator[PlanStep]:
+    """Yield the bake steps of a scene."""
     scene = shown_scene(load_scene(path, dict(options.variables)))
     for step in bake_steps(outlined(scene, None)):
         if step.kind is not StepKind.OUTPUT:
             yield step
 
 
-def _read(file: OpenFile) -> Step:
+def _read(file: OpenFile) -> PlanStep:
     notices = tuple(f"{notice.code} {notice.message}" for notice in file.notices)
-    return Step(
+    return PlanStep(
         StepKind.SOURCE,
         str(file.path),
         "",
@@ -74,7 +74,7 @@ def _read(file: OpenFile) -> Step:
 
 
 def _shown(file: OpenFile) -> Iterator[str]:
-    """Yield what a file shows."""
+    """Yield the contents of a file."""
     for fact, count in Counter(map(_take_text, file.takes)).items():
         yield fact if count == 1 else f"{count} times {fact}"
     contents = file.contents

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from animtool.core.arguments import argument
-from animtool.core.options import described, option
+from animtool.core.options import inherits_docs, option
 from animtool.core.record import dataclass
 from animtool.retarget.roles import MapMode
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class RetargetOptions:
-    """How a take goes onto another rig.
+    """Options of retargeting.
 
     Attributes:
         free_feet: Whether feet may slide where they stand.

@@ -1,4 +1,4 @@
-"""The arrays that a rig file refers to, and what simulations move of it."""
+"""Array references and attachments of a rig file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ from animtool.core.similar import similar
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.references import referred, split_reference
-from animtool.rig.parts import ArrayRef, ArraySource, AttachKind, Attachment, HeldArray
+from animtool.rig.parts import (
+    ArrayRef,
+    ArraySource,
+    AttachKind,
+    Attachment,
+    LoadedArray,
+)
 from animtool.rig.schema import AttachModel
 
 Shape = tuple[int | None, ...]
@@ -27,13 +33,13 @@ _COUNTING = frozenset({"faces", "indices", "pins", "vertices"})
 _KEYS = {"strands": "points"}
 # What fills a triangle among quadrangles, and so on.
 NO_CORNER = -1
-# Stands for an array whose file is refused: nothing leads to that.
-NO_ARRAY = HeldArray(np.zeros(0))
+# Placeholder of a refused array.
+NO_ARRAY = LoadedArray(np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayReader:
-    """Looks at arrays one at a time; what is wrong is noted in the document."""
+    """Checks array references; records faults in the document."""
 
     document: Document  # the file
     roots: Sequence[Path]  # folders that references may lead into
@@ -44,7 +50,7 @@ class ArrayReader:
     def array(
         self, at: Location, text: str, role: str, shape: Shape, count: int | None = None
     ) -> ArraySource:
-        """Return a reference, and note what is wrong with where it leads."""
+        """Return a reference; record the faults of its array."""
         name, key = split_reference(text, _KEYS.get(role, role))
         path = self.paths.get(name)
         path = path or referred(self.document, at, name, self.roots)
@@ -63,13 +69,13 @@ class ArrayReader:
         return ref
 
     def rows(self, ref: ArraySource) -> int | None:
-        """Return the length of an array; None where it cannot be read."""
+        """Return the length of an array; None if it cannot be read."""
         shape = self.shape(ref)
         return shape[0] if shape else None
 
     def shape(self, ref: ArraySource) -> tuple[int, ...] | None:
-        """Return the shape of an array; None where it cannot be read."""
-        if isinstance(ref, HeldArray):
+        """Return the shape of an array; None if it cannot be read."""
+        if isinstance(ref, LoadedArray):
             return None if ref is NO_ARRAY else ref.values.shape
         try:
             return self.archives.header(ref.path, ref.key).shape
@@ -111,7 +117,7 @@ class ArrayReader:
 
 
 def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str | None:
-    """Return what is wrong with the values of an array, at the first place; or None."""
+    """Return the first fault in an array's values, or None."""
     if role in _COUNTING:
         free = np.zeros(values.shape, bool)
         if role == "faces":
@@ -160,23 +166,23 @@ _ATTACH_KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     AttachKind.CLOTH: (("mesh",), ("pins",)),
     AttachKind.STRANDS: (("joint", "points"), ()),
 }
-# A name this near to that of a known kind is a slip, and no kind of somebody's own.
+# A kind this similar to a known one is a misspelling, not a custom kind.
 SLIP = 0.8
 
 
 @dataclass(frozen=True, slots=True)
 class AttachmentReader:
-    """Makes attachments one at a time; what is wrong is noted in the document."""
+    """Builds attachments; records faults in the document."""
 
     document: Document  # the file
-    arrays: ArrayReader  # looks at the arrays that the file refers to
+    arrays: ArrayReader  # checks the arrays that the file refers to
     # Number of points of each mesh; None where it is not known.
     vertices: Mapping[str, int | None]
-    check_joint: Check  # notes a name that is no joint
-    check_mesh: Check  # notes a name that is no mesh
+    check_joint: Check  # records an unknown joint
+    check_mesh: Check  # records an unknown mesh
 
     def attachment(self, at: Location, entry: AttachModel) -> Attachment:
-        """Return an attachment; faults are noted in the document."""
+        """Return an attachment; record its faults in the document."""
         self._fitting_keys(at, entry)
         joints = tuple(entry.joints or ())
         for k, name in enumerate(joints):
@@ -200,14 +206,14 @@ class AttachmentReader:
         )
 
     def _fitting_keys(self, at: Location, entry: AttachModel) -> None:
-        """Note the keys that an attachment's kind lacks, or does not take."""
-        if self.document.doubtful((*at, "kind")):
+        """Record the missing and unsupported keys of an attachment's kind."""
+        if self.document.is_placeholder((*at, "kind")):
             return
         wants, takes = _ATTACH_KEYS.get(
             entry.kind, _ATTACH_KEYS[AttachKind.SPRING_CHAIN]
         )
         every = ("joints", "joint", "mesh", "pins", "points")
-        given = [key for key in every if getattr(entry, key) is not None]
+        present = [key for key in every if getattr(entry, key) is not None]
         hint = f"its keys are {', '.join((*wants, *takes))}"
         if entry.kind not in _ATTACH_KEYS:
             kinds = [str(kind) for kind in AttachKind]
@@ -216,11 +222,11 @@ class AttachmentReader:
                 message = f"unknown kind of attachment {entry.kind!r}"
                 self.document.warn("RIG102", (*at, "kind"), message, hint)
         for key in wants:
-            sure = not self.document.doubtful((*at, key))
-            if key not in given and sure and "attach" not in self.document.partial:
+            sure = not self.document.is_placeholder((*at, key))
+            if key not in present and sure and "attach" not in self.document.partial:
                 message = f"an attachment of kind {entry.kind!r} has no {key}"
                 self.document.add("RIG031", at, message, hint)
-        for key in given:
+        for key in present:
             if key not in (*wants, *takes):
                 message = f"an attachment of kind {entry.kind!r} does not use {key}"
                 self.document.add("RIG031", (*at, key), message, hint)

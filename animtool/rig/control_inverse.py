@@ -1,4 +1,4 @@
-"""Values of controls from what they drive: the inverse of `animtool.rig.controls`."""
+"""Solve control values from targets: the inverse of `animtool.rig.controls`."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from animtool.rig.controls import Control, evaluate_controls
 # Sweeps over the controls, each followed by Newton steps on all of them.
 SWEEPS = 4
 NEWTON_STEPS = 12
-# Points of a control's range besides the corners of its curves.
+# Grid points of a control's range besides its curves' corners.
 GRID = 9
-# Step of the difference quotients, in parts of a control's range.
+# Finite-difference step, as a fraction of a control's range.
 DIFFERENCE = 1e-7
-# A residual below this part of its tolerance is left as it is.
+# Residuals below this fraction of the tolerance are converged.
 CONVERGED = 1e-6
-# A residual without a value, in tolerances; its square is finite.
+# Stands for non-finite residuals, in tolerances; its square is finite.
 HUGE = 1e30
-# Angles of several that are each tried as the one whose whole turns are right.
+# Angles tried as the reference for revolutions.
 MAX_ANCHORS = 3
 # Frames solved at once: their arrays of slopes stay below some 20 MB.
 FRAMES_AT_ONCE = 1024
@@ -29,7 +29,7 @@ FRAMES_AT_ONCE = 1024
 
 @dataclass(frozen=True, slots=True)
 class SolvedControls:
-    """Keys of controls that drive a rig's joints and shapes as given."""
+    """Control values that reproduce joints and shapes."""
 
     values: dict[str, FloatArray]  # keyed value of every control, ``(F,)``
     # Controls whose value follows from what they drive, in the rig's order.
@@ -42,7 +42,7 @@ class SolvedControls:
 def keyed_values(
     controls: Sequence[Control], reached: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return the keys that bring controls to values ``(F,)``, less what others add.
+    """Return keys for control values ``(F,)``, less what other controls add.
 
     >>> from animtool.rig.controls import Drive
     >>> from animtool.rig.expressions import parse_expression
@@ -69,7 +69,7 @@ def solve_controls(
     *,
     keyed: Set[str] = frozenset(),
 ) -> SolvedControls:
-    """Return values of controls that drive targets as wanted, in their ranges.
+    """Return control values within their ranges that drive targets to goals.
 
     Controls that share a target, or read each other, are solved together: sweeps of the
     nearest point on each control's own polyline find the segments, Newton steps on all
@@ -91,8 +91,8 @@ def solve_controls(
     for group in _groups(controls):
         part = [control for control in controls if control.name in group]
         problem = _Problem(part, targets, tolerances, keyed)
-        own = {control.name: values[control.name] for control in part}
-        solved, loose = _solved_group(problem, own)
+        start_values = {control.name: values[control.name] for control in part}
+        solved, loose = _solved_group(problem, start_values)
         values |= solved
         released |= loose
         kept |= {control.name for control in part if control.drives} - loose
@@ -107,12 +107,12 @@ def solve_controls(
 def _solved_group(
     problem: _Problem, start: dict[str, FloatArray]
 ) -> tuple[dict[str, FloatArray], set[str]]:
-    """Return the values of controls that belong together, and those released."""
+    """Solve a group of coupled controls; return values and released controls."""
     if not problem.unexplained(start):
         return start, set()
     free = [name for name in start if name not in problem.masters]
     values = problem.solve(start, free)
-    for other in (*problem.on_turns(start, free), problem):
+    for other in (*problem.on_revolutions(start, free), problem):
         if not other.unexplained(values):
             break
         names = [*start] if other is problem and problem.masters else free
@@ -124,7 +124,7 @@ def _solved_group(
         broken = problem.unexplained(values)
         loose = {name for name in free if problem.targets[name] & broken}
         if not loose:
-            values, released = _readmitted(problem, values, released)
+            values, released = _solved_again(problem, values, released)
             return _simplest(problem, values, start), released
         released |= loose
         free = [name for name in free if name not in loose]
@@ -132,10 +132,10 @@ def _solved_group(
         values = problem.solve(values, free)
 
 
-def _readmitted(
+def _solved_again(
     problem: _Problem, values: dict[str, FloatArray], released: set[str]
 ) -> tuple[dict[str, FloatArray], set[str]]:
-    """Return values with those controls solved again that others had put off."""
+    """Solve again the controls that were released because of others."""
     left = set(released)
     for control in problem.controls:
         name = control.name
@@ -150,9 +150,9 @@ def _readmitted(
 def _simplest(
     problem: _Problem, values: dict[str, FloatArray], start: dict[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return values with controls back at their start that make no difference there.
+    """Reset the controls to their start where that makes no difference.
 
-    Samples in float32 leave traces of rounding on controls that are still.
+    Samples in float32 leave rounding noise on static controls.
     """
     broken = problem.unexplained(values)
     for name, value in start.items():
@@ -166,33 +166,33 @@ def _groups(controls: Sequence[Control]) -> list[set[str]]:
     """Return the names of controls that share targets or read each other."""
     links: dict[str, set[str]] = {}
     for control in controls:
-        own = {control.name}
+        touched = {control.name}
         for drive in control.drives:
-            own.add(drive.target)
-            own.update([] if drive.expression is None else drive.expression.names)
-        for name in own:
+            touched.add(drive.target)
+            touched.update([] if drive.expression is None else drive.expression.names)
+        for name in touched:
             links.setdefault(name.removeprefix("control/"), set()).update(
-                other.removeprefix("control/") for other in own
+                other.removeprefix("control/") for other in touched
             )
     names = [control.name for control in controls]
     groups: list[set[str]] = []
-    seen: set[str] = set()
+    visited: set[str] = set()
     for name in names:
-        if name in seen:
+        if name in visited:
             continue
-        group, ahead = set(), [name]
-        while ahead:
-            one = ahead.pop()
+        group, pending = set(), [name]
+        while pending:
+            one = pending.pop()
             if one not in group:
                 group.add(one)
-                ahead.extend(links.get(one, ()))
-        seen |= group
+                pending.extend(links.get(one, ()))
+        visited |= group
         groups.append(group & set(names))
     return groups
 
 
 class _Problem:
-    """Controls that are solved together, and what they should add to their targets."""
+    """A group of coupled controls and their goals."""
 
     def __init__(
         self,
@@ -219,18 +219,18 @@ class _Problem:
             if targets and all(target.startswith("control/") for target in targets)
         }
 
-    def on_turns(
+    def on_revolutions(
         self, start: Mapping[str, FloatArray], free: Sequence[str]
     ) -> Iterator[_Problem]:
-        """Yield the problem with angles on the turns that one of them leads to."""
+        """Yield the problem with goal angles shifted by revolutions."""
         angles = [target for target in self.order if target.endswith(".angle")]
         for anchor in angles[:MAX_ANCHORS] if len(angles) > 1 else ():
             alone = self._of({anchor: self.goals[anchor]})
             driven = evaluate_controls(self.controls, alone.solve(start, free)).targets
             turned = dict(self.goals)
             for target in angles:
-                turns = np.round((driven[target] - turned[target]) / (2 * np.pi))
-                turned[target] = turned[target] + 2 * np.pi * turns
+                revolutions = np.round((driven[target] - turned[target]) / (2 * np.pi))
+                turned[target] = turned[target] + 2 * np.pi * revolutions
             yield self._of(turned)
 
     def _of(self, targets: Mapping[str, FloatArray]) -> _Problem:
@@ -241,15 +241,15 @@ class _Problem:
         values: Mapping[str, FloatArray],
         frames: IntArray | slice = slice(None),
         *,
-        turns: bool = False,
+        modulo: bool = False,
     ) -> FloatArray:
-        """Return wanted less driven, in tolerances ``(F, T)``; not finite is huge."""
+        """Return goals less driven values, in tolerances ``(F, T)``."""
         driven = evaluate_controls(self.controls, values).targets
         rows = []
         with np.errstate(invalid="ignore", over="ignore"):
             for target in self.order:
                 off = self.goals[target][frames] - driven[target]
-                if turns and target.endswith(".angle"):
+                if modulo and target.endswith(".angle"):
                     off = off - 2 * np.pi * np.round(off / (2 * np.pi))
                 rows.append(off / self.tolerances[target])
         stacked = np.stack(np.broadcast_arrays(*rows), axis=-1)
@@ -259,7 +259,7 @@ class _Problem:
         """Return the targets that are off by more than their tolerance."""
         if not self.order:
             return set()
-        residuals = self.residuals(values, turns=True)
+        residuals = self.residuals(values, modulo=True)
         worst = np.abs(residuals).max(axis=0, initial=0.0)
         off = {t for t, most in zip(self.order, worst, strict=True) if most > 1.0}
         return off | (self.keyed & {*self.order})
@@ -282,32 +282,32 @@ class _Problem:
     def _nearest(
         self, values: Mapping[str, FloatArray], name: str, frames: IntArray
     ) -> FloatArray:
-        """Return the value of one control that leaves the least, others held ``(F,)``.
+        """Return the best value of one control ``(F,)``, the others fixed.
 
-        Its effect on the targets is taken for straight between the points of a grid.
+        Its effect is taken as linear between the points of a grid.
         """
         grid = _grid(self.by_name[name])
         rest = {other: value[frames] for other, value in values.items()}
         bounded = self.by_name[name].low is not None
         rows = []
         for point in grid:
-            given = {**rest, name: np.full(len(frames), point)}
-            rows.append(self.residuals(given, frames))
+            trial = {**rest, name: np.full(len(frames), point)}
+            rows.append(self.residuals(trial, frames))
         corners = np.stack(rows)  # (K, F, T)
-        ways = np.diff(corners, axis=0)
-        lengths = np.einsum("kft,kft->kf", ways, ways)
+        segments = np.diff(corners, axis=0)
+        lengths = np.einsum("kft,kft->kf", segments, segments)
         # In units of the segment, from its start.
-        along = -np.einsum("kft,kft->kf", corners[:-1], ways)
+        along = -np.einsum("kft,kft->kf", corners[:-1], segments)
         along = np.divide(along, lengths, out=np.zeros_like(along), where=lengths > 0)
         low, high = np.zeros((2, len(along), 1))
         high += 1.0
         if not bounded:
             low[0], high[-1] = -np.inf, np.inf
         along = np.clip(along, low, high)
-        left = corners[:-1] + along[..., None] * ways
+        left = corners[:-1] + along[..., None] * segments
         costs = np.einsum("kft,kft->kf", left, left)
         now = rest[name]
-        # Of equally good segments the one that the control is on already.
+        # Of equally good segments, the current one.
         middle = (grid[:-1] + grid[1:])[:, None] / 2
         far = np.abs(middle - now) / max(float(np.ptp(grid)), 1e-300)
         best = np.argmin(costs * (1 + 1e-12 * far) + 1e-30 * far, axis=0)
@@ -318,7 +318,7 @@ class _Problem:
     def _newton(
         self, values: dict[str, FloatArray], free: Sequence[str], frames: IntArray
     ) -> None:
-        """Bring some controls to the least residual, by Gauss-Newton, in place."""
+        """Minimize the residual over some controls by Gauss-Newton, in place."""
         bounds = [_bounds(self.by_name[name]) for name in free]
         low, high = np.array(bounds).T
         now = np.stack([values[name][frames] for name in free], axis=-1)
@@ -333,8 +333,8 @@ class _Problem:
         for _ in range(NEWTON_STEPS):
             step = self._step(off, now, residual, free, (low, high))
             moved = False
-            for share in (1.0, 0.5, 0.125):
-                trial = np.clip(now + share * step, low, high)
+            for fraction in (1.0, 0.5, 0.125):
+                trial = np.clip(now + fraction * step, low, high)
                 trial = np.where((low <= now) & (now <= high), trial, now)
                 residuals = off(trial)
                 costs = (residuals**2).sum(axis=1)
@@ -358,7 +358,7 @@ class _Problem:
     ) -> FloatArray:
         """Return the Gauss-Newton step ``(F, C)`` of least length.
 
-        Controls that stand at an end of their range are held where it leads outside.
+        Controls at an end of their range are fixed if the step leads outside.
         """
         slopes = np.zeros((*residual.shape, len(free)))
         for i, name in enumerate(free):
@@ -385,7 +385,7 @@ class _Problem:
 def _reached_targets(
     controls: Sequence[Control], direct: Mapping[str, Iterable[str]]
 ) -> dict[str, set[str]]:
-    """Return the joint parts and shapes that each control moves, through others too."""
+    """Return the joint parts and shapes that each control moves, directly or not."""
     moves = {name: set(targets) for name, targets in direct.items()}
     for control in controls:
         for drive in control.drives:
@@ -415,7 +415,7 @@ def _bounds(control: Control) -> tuple[float, float]:
 
 
 def _grid(control: Control) -> FloatArray:
-    """Return values of a control between which its effect is nearly straight."""
+    """Return values of a control between which its effect is nearly linear."""
     corners = {x for drive in control.drives for x, _ in drive.curve}
     low, high = control.low, control.high
     if low is None or high is None:

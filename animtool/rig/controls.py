@@ -1,4 +1,4 @@
-"""Controls: named values that an animator holds, and what they drive."""
+"""Controls: named animator values and their drives."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.rig.expressions import Expression
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What a control adds to one target."""
+    """A control's contribution to one target."""
 
     # ``shape/NAME``, ``control/NAME`` or ``joint/NAME.PART``, PART being ``angle``,
     # ``slide``, ``rotation.x|y|z`` (of a rotation vector) or ``translation.x|y|z``.
@@ -31,18 +31,18 @@ class Drive:
 
     @property
     def of_length(self) -> bool:
-        """Whether what it adds is a length."""
+        """Whether its target is a length."""
         kind, _, name = self.target.partition("/")
         slides = name.endswith(f".{SLIDE}")
         return kind == "joint" and (slides or ".translation." in name)
 
     @property
     def of_angle(self) -> bool:
-        """Whether what it adds is an angle."""
+        """Whether its target is an angle."""
         return self.target.startswith("joint/") and not self.of_length
 
     def evaluate(self, control: str, values: Mapping[str, FloatArray]) -> FloatArray:
-        """Return what it adds, given the values of all controls."""
+        """Return its contribution, from the values of all controls."""
         if self.expression is not None:
             return self.expression.evaluate(values) * self.unit
         return curve_values(self.curve, values[control], smooth=self.smooth) * self.unit
@@ -61,7 +61,7 @@ class Control:
 
 
 class ControlCycleError(ValueError):
-    """Controls drive each other in a circle.
+    """Controls drive each other in a cycle.
 
     Attributes:
         cycle: Their names, the first one again at the end.
@@ -73,7 +73,7 @@ class ControlCycleError(ValueError):
 
 
 def evaluation_order(controls: Sequence[Control]) -> list[str]:
-    """Return the controls' names, each behind those that its value depends on.
+    """Return the control names in dependency order.
 
     A control depends on those that drive it, and on all that their expressions read.
     """
@@ -95,7 +95,7 @@ def _reads(control: str, drive: Drive) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class DrivenValues:
-    """What controls come to."""
+    """Values of controls and their contributions to targets."""
 
     # Value of every control, ``(F,)`` or ``(1,)`` where it never moves.
     controls: dict[str, FloatArray]
@@ -111,7 +111,7 @@ def evaluate_controls(
     *,
     clamp: bool = False,
 ) -> DrivenValues:
-    """Return the values of controls and what they add to joints and shapes.
+    """Evaluate controls and their contributions to joints and shapes.
 
     A control is its keyed value ``(F,)``, else its default, and what others add to it;
     with ``clamp`` brought into its range before it drives others. What several add to

@@ -27,7 +27,7 @@ def read_driver(
     units: tuple[float, float],
     unit: float,
 ) -> Driver | None:
-    """Return a driver of a file, what it reads unchecked; faults are noted.
+    """Return a file's driver without checking its inputs; record faults.
 
     ``units``: the file's length [m] and angle [rad]; ``unit``: of its value.
     """
@@ -69,7 +69,7 @@ def _of_expression(
 
 
 def refuse_smooth(document: Document, at: Location, interp: str) -> None:
-    """Note an ``interp`` beside an expression, which it would not change."""
+    """Refuse ``interp`` with an expression, which it does not affect."""
     if interp == "smooth":
         message = "`interp` joins the points of a curve, but this is an expr"
         document.add("RIG015", (*at, "interp"), message, "remove it")
@@ -78,7 +78,7 @@ def refuse_smooth(document: Document, at: Location, interp: str) -> None:
 def ascending_faults(
     document: Document, at: Location, values: list[float]
 ) -> Iterator[int]:
-    """Note and yield the points of a curve that do not ascend."""
+    """Record and yield the points of a curve that do not ascend."""
     for k, before in list(document.descents(at, values, 0)):
         message = f"{values[k]:g} is not greater than {values[before]:g}"
         document.add("RIG016", (*at, k), message, "values ascend")
@@ -87,18 +87,18 @@ def ascending_faults(
 
 @dataclass(frozen=True, slots=True)
 class DriverCheck:
-    """Looks at the drivers of a rig whose parts are known."""
+    """Checks the drivers of a rig."""
 
     document: Document
     model: RigModel
     rig: Rig
-    # Where more joints or controls may be, of names that are not known.
-    unnamed: Mapping[str, bool]
-    # Joints whose type is not known.
+    # Whether unknown joints or controls may exist.
+    has_unnamed: Mapping[str, bool]
+    # Joints of unknown type.
     untyped: frozenset[str]
 
     def run(self) -> None:
-        """Note what drivers read in vain, what else moves their targets, circles."""
+        """Record unknown inputs, conflicting motion and cycles of drivers."""
         faults = False
         for target, driver in _drivers(self.rig):
             at = self._at(target)
@@ -110,20 +110,26 @@ class DriverCheck:
             order = driving_order(self.rig)
         except DriverCycleError as error:
             driven = {target for target, _ in _drivers(self.rig)}
-            # A circle of drives alone is named as such (RIG014).
-            places = [name for name in error.cycle if name in driven]
-            own = [name for name in places if self._own(name) is not None]
-            if places:
-                self._note("RIG032", self._at((own or places)[0]), str(error))
+            # Cycles of drives alone are RIG014.
+            driven_in_cycle = [name for name in error.cycle if name in driven]
+            local = [
+                name
+                for name in driven_in_cycle
+                if self._local_location(name) is not None
+            ]
+            if driven_in_cycle:
+                self._note(
+                    "RIG032", self._at((local or driven_in_cycle)[0]), str(error)
+                )
             return
-        for target, message, hint in _rivals(self.rig, order):
+        for target, message, hint in _conflicts(self.rig, order):
             self._note("RIG034", self._at(target), message, hint)
 
     def _reads(self, at: Location, name: str) -> bool:
-        """Note a name that a driver cannot read, and return whether it is one."""
+        """Record a name that a driver cannot read; return whether it was recorded."""
         fault = coordinate_fault(self.rig, name)
         joint, _ = split_coordinate(name)
-        open_names = self.unnamed["joints" if joint else "controls"]
+        open_names = self.has_unnamed["joints" if joint else "controls"]
         missing = joint not in self.rig.names if joint else True
         known = not (joint in self.untyped or (missing and open_names))
         if fault is not None and known:
@@ -137,11 +143,11 @@ class DriverCheck:
         self.document.add("RIG023" if inherited else code, at, message, hint)
 
     def _at(self, target: str) -> Location:
-        own = self._own(target)
-        return ("from",) if own is None else own
+        location = self._local_location(target)
+        return ("from",) if location is None else location
 
-    def _own(self, target: str) -> Location | None:
-        """Return where the file drives a target; None where it inherits that."""
+    def _local_location(self, target: str) -> Location | None:
+        """Return the location of a target's driver; None if inherited."""
         kind, _, name = target.partition("/")
         key = {"joint": "joints", "shape": "shapes", "control": "controls"}[kind]
         for i, entry in enumerate(getattr(self.model, key)):
@@ -162,8 +168,8 @@ def _drivers(rig: Rig) -> Iterator[tuple[str, Driver]]:
                 yield f"{kind}/{part.name}", part.driven
 
 
-def _rivals(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
-    """Yield driven targets that something else moves too, why, and what to do.
+def _conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
+    """Yield driven targets with another source of motion, with message and hint.
 
     ``order``: all that is driven.
     """

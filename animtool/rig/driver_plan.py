@@ -1,4 +1,4 @@
-"""The drivers of a rig in order: what they read, and what depends on what.
+"""Evaluation order and dependencies of a rig's drivers.
 
 Drivers read coordinates of joints: the angle of a pin, the slide of a prismatic joint,
 and of a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
@@ -29,7 +29,7 @@ from animtool.rig.limits import BallLimit
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
-# A twist axis this near to a main axis leaves the swing no part about it [1].
+# A twist axis this close to a main axis removes that swing component [1].
 ALONG = 1e-9
 # Where a rig keeps its plan.
 _KEPT = "_driver_plan"
@@ -38,7 +38,7 @@ Driven = Driver | Mimic
 
 
 class DriverCycleError(ValueError):
-    """What is driven depends on itself.
+    """Drivers depend on each other in a cycle.
 
     Attributes:
         cycle: Targets such as ``joint/elbow``, the first one again at the end.
@@ -63,13 +63,13 @@ def readable_parts(joint: Joint) -> list[str]:
     if joint.type is not JointType.BALL or not isinstance(joint.limits, BallLimit):
         return []
     across = np.abs(joint.limits.axes[0]) < 1 - ALONG
-    swings = [name for name, own in zip(SWINGS, across, strict=True) if own]
+    swings = [name for name, is_free in zip(SWINGS, across, strict=True) if is_free]
     twists = [] if joint.limits.twist == (0.0, 0.0) else [TWIST]
     return [*twists, SWING, *swings]
 
 
 def coordinate_fault(rig: Rig, name: str) -> Fault | None:
-    """Return why no driver can read a name; None where one can."""
+    """Return the fault of a name that no driver can read, or None."""
     joint, part = split_coordinate(name)
     if not joint:
         known = [control.name for control in rig.controls]
@@ -87,19 +87,19 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
     if joint not in rig.names:
         hint = _near(joint, rig.names)
         return Fault("RIG008", f"unknown joint {joint!r}", hint=hint)
-    own = rig.joints[rig.index(joint)]
-    parts = readable_parts(own)
+    rig_joint = rig.joints[rig.index(joint)]
+    parts = readable_parts(rig_joint)
     if part in parts:
         return None
-    message = f"the {own.type} joint {joint!r} has no coordinate {part!r}"
+    message = f"the {rig_joint.type} joint {joint!r} has no coordinate {part!r}"
     hint = (
         f"it has {', '.join(parts)}"
         if parts
         else ("drivers read pin, prismatic and ball joints")
     )
-    if own.type is JointType.BALL and not isinstance(own.limits, BallLimit):
+    if rig_joint.type is JointType.BALL and not isinstance(rig_joint.limits, BallLimit):
         hint = "set its twist axis, along the bone: limits: {twist_axis: [1, 0, 0]}"
-    elif part == TWIST and own.type is JointType.BALL:
+    elif part == TWIST and rig_joint.type is JointType.BALL:
         message = f"the twist of {joint!r} is locked: it is always 0"
     elif near := similar(part, parts):
         hint = f"did you mean {near}? {hint}"
@@ -112,7 +112,7 @@ def _near(name: str, names: Sequence[str]) -> str | None:
 
 
 def driving_order(rig: Rig) -> list[str]:
-    """Return what is driven as targets, each behind all that its value depends on.
+    """Return the driven targets in dependency order.
 
     Joints that mimic such a joint are among them, and controls that a driven control
     drives. Shapes are last.
@@ -122,13 +122,13 @@ def driving_order(rig: Rig) -> list[str]:
     """
     needs: dict[str, dict[str, None]] = {}
     for joint in rig.joints:
-        own = needs.setdefault(f"joint/{joint.name}", {})
+        needed = needs.setdefault(f"joint/{joint.name}", {})
         if joint.mimic is not None:
-            own[f"joint/{joint.mimic.joint}"] = None
-        own |= _needs(joint.driven)
+            needed[f"joint/{joint.mimic.joint}"] = None
+        needed |= _needs(joint.driven)
     for control in rig.controls:
-        own = needs.setdefault(f"control/{control.name}", {})
-        own |= _needs(control.driven)
+        needed = needs.setdefault(f"control/{control.name}", {})
+        needed |= _needs(control.driven)
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
             target = f"joint/{split_coordinate(name)[0]}" if kind == "joint" else name
@@ -160,8 +160,8 @@ def driving_order(rig: Rig) -> list[str]:
         if drive.target.startswith("shape/")
         and any(f"control/{name}" in owned for name in reads(control, drive))
     }
-    own_shapes = [f"shape/{s.name}" for s in rig.shapes if s.name in shapes]
-    return [*(target for target in order if target in owned), *own_shapes]
+    driven_shapes = [f"shape/{s.name}" for s in rig.shapes if s.name in shapes]
+    return [*(target for target in order if target in owned), *driven_shapes]
 
 
 def _needs(driver: Driver | None) -> dict[str, None]:
@@ -172,13 +172,13 @@ def _needs(driver: Driver | None) -> dict[str, None]:
 
 
 def reads(control: Control, drive: Drive) -> tuple[str, ...]:
-    """Return the controls that what a control adds depends on."""
+    """Return the controls that a control's drives read."""
     return (control.name,) if drive.expression is None else drive.expression.names
 
 
 @dataclass(frozen=True, slots=True)
 class DriverPlan:
-    """The driven parts of a rig, each behind what it depends on."""
+    """The driven parts of a rig in dependency order."""
 
     rig: Rig
     joints: tuple[int, ...]  # those driven, and those that mimic one of these
@@ -239,20 +239,20 @@ class DriverPlan:
         )
 
     def driver(self, joint: int) -> Driven:
-        """Return what gives a driven joint its coordinate."""
-        own = self.rig.joints[joint]
-        driven = own.driven or own.mimic
+        """Return the driver or mimic of a driven joint."""
+        rig_joint = self.rig.joints[joint]
+        driven = rig_joint.driven or rig_joint.mimic
         assert driven is not None
         return driven
 
     def sources(self, joint: int) -> list[int]:
-        """Return the joints that move a driven joint and are not driven themselves.
+        """Return the undriven joints that move a driven joint.
 
         A joint that mimics another is moved by that one.
         """
-        found: dict[int, None] = {}
+        sources: dict[int, None] = {}
         waiting = [joint]
-        seen = {joint}
+        visited = {joint}
         while waiting:
             j = waiting.pop()
             if j in self.joints:
@@ -260,14 +260,14 @@ class DriverPlan:
             elif (mimic := self.rig.joints[j].mimic) is not None:
                 others = [self.rig.index(mimic.joint)]
             else:
-                found[j] = None
+                sources[j] = None
                 continue
-            waiting += [other for other in others if other not in seen]
-            seen.update(others)
-        return sorted(found)
+            waiting += [other for other in others if other not in visited]
+            visited.update(others)
+        return sorted(sources)
 
     def controls_read(self) -> set[str]:
-        """Return the controls without a driver that drivers of joints read."""
+        """Return the undriven controls that joint drivers read."""
         controls = {control.name: control for control in self.rig.controls}
         waiting = [
             name
@@ -275,14 +275,14 @@ class DriverPlan:
             if isinstance(driver := self.driver(j), Driver)
             for name in driver.names
         ]
-        found: set[str] = set()
+        reached: set[str] = set()
         while waiting:
             name = waiting.pop()
-            if name not in controls or name in found:
+            if name not in controls or name in reached:
                 continue
-            found.add(name)
-            own = controls[name].driven
-            waiting += () if own is None else own.names
+            reached.add(name)
+            driven = controls[name].driven
+            waiting += () if driven is None else driven.names
             waiting += [
                 read
                 for control in self.rig.controls
@@ -290,21 +290,23 @@ class DriverPlan:
                 if drive.target == f"control/{name}" and name in self.controls
                 for read in reads(control, drive)
             ]
-        return {name for name in found if name not in self.controls}
+        return {name for name in reached if name not in self.controls}
 
     def followers(self, moved: Collection[str]) -> list[str]:
-        """Return the driven joints that follow one of some joints, in the rig's order.
+        """Return the driven joints that depend on some joints, in the rig's order.
 
-        Those too that a joint which mimics one of them moves.
+        Includes dependencies through mimic joints.
         """
-        own = {self.rig.index(name) for name in moved}
+        moved_joints = {self.rig.index(name) for name in moved}
         return [
-            self.rig.names[j] for j in sorted(self.joints) if own & {*self.sources(j)}
+            self.rig.names[j]
+            for j in sorted(self.joints)
+            if moved_joints & {*self.sources(j)}
         ]
 
 
 def plan_of(rig: Rig) -> DriverPlan:
-    """Return the plan of a rig, made once; see `DriverPlan.of`."""
+    """Return the cached plan of a rig; see `DriverPlan.of`."""
     kept = rig.__dict__
     if _KEPT not in kept:
         kept[_KEPT] = DriverPlan.of(rig)
@@ -314,16 +316,16 @@ def plan_of(rig: Rig) -> DriverPlan:
 
 
 def _by_control(rig: Rig, order: Sequence[str]) -> frozenset[str]:
-    """Return the targets, of all driven ones, that depend on controls of keys.
+    """Return the driven targets that depend on keyed controls.
 
-    Joints that they read have coordinates whatever those come from.
+    Joint coordinates that they read count as known.
     """
     drivers = {f"joint/{joint.name}": joint.driven for joint in rig.joints}
     drivers |= {f"shape/{shape.name}": shape.driven for shape in rig.shapes}
     drivers |= {f"control/{control.name}": control.driven for control in rig.controls}
     driven = {t.removeprefix("control/") for t in order if t.startswith("control/")}
     open_ones = {control.name for control in rig.controls} - driven
-    found: set[str] = set()
+    reached: set[str] = set()
     for target in order:
         driver = drivers[target]
         names = () if driver is None else driver.names
@@ -338,14 +340,14 @@ def _by_control(rig: Rig, order: Sequence[str]) -> frozenset[str]:
             ),
         )
         if open_ones.intersection(names):
-            found.add(target)
+            reached.add(target)
             if target.startswith("control/"):
                 open_ones.add(target.removeprefix("control/"))
-    return frozenset(found)
+    return frozenset(reached)
 
 
 def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return of each driven joint the joints that it reads."""
+    """Return the joints that each driven joint reads."""
     controls = {control.name: control for control in rig.controls}
     of: dict[str, dict[str, None]] = {}
     for target in order:
@@ -371,15 +373,15 @@ def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
                 if drive.target == target
                 for read in reads(control, drive)
             ]
-        own = of.setdefault(target, {})
+        joints = of.setdefault(target, {})
         for read in names:
             if joint_name := _joint_of(read):
-                own[joint_name] = None
+                joints[joint_name] = None
             else:
-                own |= of.get(f"control/{read}", {})
+                joints |= of.get(f"control/{read}", {})
     return {
-        target.removeprefix("joint/"): tuple(own)
-        for target, own in of.items()
+        target.removeprefix("joint/"): tuple(joints)
+        for target, joints in of.items()
         if target.startswith("joint/")
     }
 

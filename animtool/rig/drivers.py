@@ -1,4 +1,4 @@
-"""Drivers: what joints, shapes and controls take from joint coordinates.
+"""Drivers: values computed from joint coordinates and controls.
 
 A driver has no state: in every frame its value follows from the pose and the controls
 of that frame.
@@ -48,28 +48,30 @@ class Driver:
         return (self.by,) if self.expression is None else self.expression.names
 
     def unit_of(self, name: str) -> float:
-        """Return what a 1 of something that it reads means [m], [rad], [1]."""
+        """Return the unit of an input [m], [rad], [1]."""
         joint, part = split_coordinate(name)
         if not joint:
             return 1.0
         return self.length if part == SLIDE else self.angle
 
     def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:
-        """Return its value [rad], [m], [1], of arrays ``(F,)`` or ``(1,)`` by name.
+        """Evaluate it [rad], [m], [1] on arrays ``(F,)`` or ``(1,)`` by name.
 
         >>> from animtool.rig.expressions import parse_expression
         >>> half = parse_expression("wrist.twist / 2", coordinates=True)
         >>> Driver(half).evaluate({"wrist.twist": np.array([0.5])}).tolist()
         [0.25]
         """
-        own = {name: values[name] / self.unit_of(name) for name in self.names}
+        in_units = {name: values[name] / self.unit_of(name) for name in self.names}
         if self.expression is not None:
-            # One that reads nothing is a number.
-            return np.atleast_1d(self.expression.evaluate(own)) * self.unit
-        return curve_values(self.curve, own[self.by], smooth=self.smooth) * self.unit
+            # A constant expression.
+            return np.atleast_1d(self.expression.evaluate(in_units)) * self.unit
+        return (
+            curve_values(self.curve, in_units[self.by], smooth=self.smooth) * self.unit
+        )
 
     def mirrored(self, names: Mapping[str, str]) -> Driver:
-        """Return the driver of the other side: of the partners of joints by name.
+        """Return the mirrored driver, with partner joints by name.
 
         Equal angles, slides and twists are mirror images, and so are swings about X;
         those about the two other axes are where one is the other's negative.
@@ -95,7 +97,7 @@ class Driver:
 
 
 def split_coordinate(name: str) -> tuple[str, str]:
-    """Return the joint and the part that a name says, both empty for a control's.
+    """Split a name into joint and part; both empty for a control.
 
     >>> split_coordinate("arm.l.twist"), split_coordinate("grip")
     (('arm.l', 'twist'), ('', ''))
@@ -107,7 +109,7 @@ def split_coordinate(name: str) -> tuple[str, str]:
 def renamed_coordinates(
     read: Sequence[str], names: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return what coordinates and controls are called with other names of joints.
+    """Return coordinate and control names after joints are renamed.
 
     >>> renamed_coordinates(["elbow.angle", "grip"], {"elbow": "knee"})
     {'elbow.angle': 'knee.angle', 'grip': 'grip'}
@@ -120,7 +122,7 @@ def renamed_coordinates(
 
 
 def curve_values(points: Points, x: FloatArray, *, smooth: bool = False) -> FloatArray:
-    """Return a curve through points at ``x`` ``(F,)``, held at both ends.
+    """Evaluate a curve through points at ``x`` ``(F,)``, constant beyond its ends.
 
     Joined by straight lines, or ``smooth``: by cubic Hermite segments whose slopes are
     those of `animtool.maths.tangents.auto_clamped`, and 0 at the ends. That has a
@@ -135,7 +137,7 @@ def curve_values(points: Points, x: FloatArray, *, smooth: bool = False) -> Floa
         return np.asarray(np.interp(x, table[:, 0], table[:, 1]))
     from animtool.maths.curves import cubic_curves, evaluate
 
-    # Beyond the ends it is held; what is no number stays none.
+    # Constant beyond the ends; NaN stays NaN.
     inside = np.clip(x, table[0, 0], table[-1, 0])
     lost = np.isnan(inside)
     thirds = np.diff(table[:, 0]) / 3

@@ -1,4 +1,4 @@
-"""What the drivers of a rig come to.
+"""Evaluation of a rig's drivers.
 
 Drivers read coordinates of joints: the angle of a pin, the slide of a prismatic joint,
 and of a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
@@ -27,7 +27,7 @@ from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
-# A range of twist wider than a turn less this has no middle [rad].
+# A twist range within this of a full revolution has no middle [rad].
 GAP = 1e-6
 # From the name of a coordinate to its values ``(F,)`` or ``(1,)`` [rad], [m].
 Read = Callable[[str], FloatArray]
@@ -35,7 +35,7 @@ Read = Callable[[str], FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class DriverValues:
-    """What drivers come to ``(F,)``, or ``(1,)`` where nothing that one reads moves.
+    """Driver values ``(F,)``, or ``(1,)`` if constant.
 
     Values that are not finite are left as they are: the caller looks.
     """
@@ -52,7 +52,7 @@ def evaluate_drivers(
     controls: Mapping[str, FloatArray],
     kept: Collection[str] = (),
 ) -> DriverValues:
-    """Return the values of everything that is driven.
+    """Evaluate all drivers.
 
     Args:
         plan: Of the rig.
@@ -71,11 +71,11 @@ def evaluate_drivers(
             continue
         kind, _, name = target.partition("/")
         if kind == "control":
-            own = by_control[name]
-            if own.driven is not None:
-                value = own.driven.evaluate(_Named(plan, read, values, done))
+            spec = by_control[name]
+            if spec.driven is not None:
+                value = spec.driven.evaluate(_Named(plan, read, values, done))
             else:
-                value = np.array([own.default]) + _driven_by(rig, target, values)
+                value = np.array([spec.default]) + _driven_by(rig, target, values)
             values[name] = done.controls[name] = value
             continue
         j = rig.index(name)
@@ -104,7 +104,7 @@ def evaluate_drivers(
 
 
 class _Named(dict[str, FloatArray]):
-    """Values by name, coordinates read when they are asked for."""
+    """Values by name; coordinates are read on demand."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class _Named(dict[str, FloatArray]):
 
 
 def _driven_by(rig: Rig, target: str, values: Mapping[str, FloatArray]) -> FloatArray:
-    """Return what controls add to a target."""
+    """Return the controls' contribution to a target."""
     total = np.zeros(1)
     for control in rig.controls:
         for drive in control.drives:
@@ -162,17 +162,17 @@ def driven_coordinates(
     coordinates: FloatArray,
     controls: Mapping[str, FloatArray] | None = None,
 ) -> FloatArray:
-    """Return coordinates ``(B, Q)`` whose driven joints are where drivers put them."""
+    """Return coordinates ``(B, Q)`` with driven joints set by their drivers."""
     rig, slices = plan.rig, coordinate_slices(plan.rig)
     out = coordinates.copy()
 
     def read(name: str) -> FloatArray:
         joint, part = split_coordinate(name)
         j = rig.index(joint)
-        own = coordinates[:, slices[j]]
+        columns = coordinates[:, slices[j]]
         if rig.joints[j].type is JointType.BALL:
-            return ball_part(rig.joints[j], part, own)
-        return own[:, 0]
+            return ball_part(rig.joints[j], part, columns)
+        return columns[:, 0]
 
     values = controls or {c.name: np.array([c.default]) for c in rig.controls}
     for j, value in evaluate_drivers(plan, read, values).joints.items():

@@ -1,4 +1,4 @@
-"""Arithmetic that a rig file may hold, over whole arrays of values.
+"""Arithmetic expressions of rig files, evaluated on arrays.
 
 A small part of Python's grammar: ``+ - * /``, numbers, names, and calls to the
 functions of `FUNCTIONS`. Nothing else is evaluated: no index, no power operator, and
@@ -91,7 +91,7 @@ class Expression:
     _tree: ast.expr = field(repr=False, compare=False)
 
     def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:
-        """Return the expression over arrays that broadcast; not finite where undefined.
+        """Evaluate on broadcasting arrays; not finite where undefined.
 
         >>> wave = parse_expression("clamp(grin * 2, 0, 1)")
         >>> wave.evaluate({"grin": np.array([0.25, 3.0])}).tolist()
@@ -112,7 +112,7 @@ class Expression:
         return list(_operations(self._tree))
 
     def scaled(self, factors: Mapping[str, float], factor: float) -> str:
-        """Return the text with names and the whole multiplied by factors.
+        """Return the text with names and result multiplied by factors.
 
         >>> parse_expression("sin(x) + 1").scaled({"x": 2.0}, 0.5)
         '(sin(x * 2.0) + 1) * 0.5'
@@ -135,7 +135,7 @@ class Expression:
 
 
 def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
-    """Return the expression of a text, or a `ValueError`: too long, or not allowed.
+    """Parse an expression; `ValueError` if too long or not allowed.
 
     With ``coordinates`` it may read those of joints: ``elbow.angle``, in quotes where
     the joint's name is no word of Python: ``'rig:elbow.angle'``.
@@ -159,7 +159,7 @@ def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
 
 
 def _coordinate(node: ast.expr) -> str | None:
-    """Return the coordinate that a node names, ``JOINT.PART``; None for another."""
+    """Return a node's coordinate, ``JOINT.PART``; None for other nodes."""
     match node:
         case ast.Constant(value=str(name)):
             return name
@@ -172,7 +172,7 @@ def _coordinate(node: ast.expr) -> str | None:
 
 
 def _name_node(name: str) -> ast.expr:
-    """Return the node that names a control or a coordinate."""
+    """Return a syntax node for a control or coordinate name."""
     words = name.split(".")
     if not all(word.isidentifier() and not iskeyword(word) for word in words):
         return ast.Constant(name)
@@ -183,33 +183,33 @@ def _name_node(name: str) -> ast.expr:
 
 
 class _Renaming(ast.NodeTransformer):
-    """Gives names others."""
+    """Renames names in an expression."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
         self.names = names
 
     def visit(self, node: ast.AST) -> Any:
-        """Return the node in place of one."""
+        """Return the replacement of a node."""
         name = _read_name(node)
         if name is not None:
             return _name_node(self.names.get(name, name))
         return self.generic_visit(node)
 
     def visit_Call(self, node: ast.Call) -> ast.Call:
-        """Leave the names of functions."""
+        """Keep function names."""
         node.args = [self.visit(one) for one in node.args]
         return node
 
 
 class _Scaling(_Renaming):
-    """Multiplies names by factors."""
+    """Multiplies names by factors in an expression."""
 
     def __init__(self, factors: Mapping[str, float]) -> None:
         super().__init__({})
         self.factors = factors
 
     def visit(self, node: ast.AST) -> Any:
-        """Return the node in place of one."""
+        """Return the replacement of a node."""
         if isinstance(node, ast.Call):
             return self.visit_Call(node)
         name = _read_name(node)
@@ -220,7 +220,7 @@ class _Scaling(_Renaming):
 
 
 def _read_name(node: ast.AST) -> str | None:
-    """Return the control or coordinate that a node reads."""
+    """Return the control or coordinate name of a node."""
     if isinstance(node, ast.Name):
         return None if node.id in _CONSTANTS else node.id
     return _coordinate(node) if isinstance(node, ast.expr) else None
@@ -245,7 +245,7 @@ def _check(
 
 
 def _inner(node: ast.expr, text: str, names: set[str]) -> list[ast.expr]:
-    """Return what an allowed node is made of."""
+    """Return the child nodes of an allowed node."""
     inner: list[ast.expr]
     match node:
         case ast.Constant(value=number):

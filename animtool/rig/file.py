@@ -1,4 +1,4 @@
-"""Reading a rig file, ``*.rig.yaml``, and its bind pose."""
+"""Rig file reader, ``*.rig.yaml``, and bind poses."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ def bind_of(
     units: FileUnits,
     inherited: Mapping[str, Pose],
 ) -> dict[str, Pose]:
-    """Return the bind pose where it is not the rest pose; faults are noted.
+    """Return the bind poses that differ from rest; record faults.
 
-    A joint that a mirror wrote has the reflection of the other's bind pose, unless
-    the file gives it one of its own.
+    A mirrored joint has the reflection of the other's bind pose, unless
+    the file states one.
     """
     joints = {joint.name: joint for joint in read.joints}
     bind = dict(inherited)
     for name, model in models.items():
         if name not in joints:
             message = f"unknown joint {name!r}"
-            if not read.unnamed:
+            if not read.has_unnamed:
                 hint = nearest(name, list(joints))
                 document.add("RIG008", ("bind", name), message, hint)
             continue
@@ -81,12 +81,12 @@ def _rest(joint: Joint) -> Pose:
 def _mirrored(
     joints: FileJoints, bind: Mapping[str, Pose], stated: set[str]
 ) -> dict[str, Pose]:
-    """Return the bind poses of joints that a mirror wrote, parents before children."""
+    """Return the bind poses of mirrored joints, parents before children."""
     poses: dict[str, Pose] = {}
     if not joints.mirrored - stated or not bind:
         return poses
     world: list[Transform] = []
-    places = {joint.name: i for i, joint in enumerate(joints.joints)}
+    indices = {joint.name: i for i, joint in enumerate(joints.joints)}
     for joint in joints.joints:
         parent = world[joint.parent] if joint.parent >= 0 else ORIGIN
         if (
@@ -96,19 +96,19 @@ def _mirrored(
         ):
             source = bind[joint.mirror]
             poses[joint.name] = mirrored_pose(
-                source, world[places[joint.mirror]], parent
+                source, world[indices[joint.mirror]], parent
             )
         pose = poses.get(joint.name) or bind.get(joint.name) or _rest(joint)
         world.append(placed(parent, pose))
     return poses
 
 
-# A sidecar of a sidecar is odd; this many of them are no studio's rig.
+# Limit of sidecars of sidecars.
 MAX_SIDECARS = 8
 
 
 def load_rig(path: Path | str, above: tuple[Path, ...] = ()) -> Rig:
-    """Return the rig of a rig file, and of what its ``from`` leads to."""
+    """Load a rig file, and the file that its ``from`` names."""
     return rig_of_document(read_document(Path(path)), above)
 
 
@@ -132,7 +132,7 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
             else _overlaid(document, model, base, units)
         )
     inherited = Rig("", ()) if base is None else base
-    if not (joints.joints or joints.unnamed or model.shapes or inherited.shapes):
+    if not (joints.joints or joints.has_unnamed or model.shapes or inherited.shapes):
         message = "the rig has no joints and no shapes"
         document.add("RIG004", ("joints",), message)
     with Archives() as archives:
@@ -168,23 +168,23 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         rides=inherited.rides,
     )
     if rig.is_driven:
-        unnamed = {
-            "joints": joints.unnamed or bool(joints.adrift),
-            "controls": bool(document.unnamed("controls")),
+        has_unnamed = {
+            "joints": joints.has_unnamed or bool(joints.adrift),
+            "controls": bool(document.has_unnamed("controls")),
         }
-        DriverCheck(document, model, rig, unnamed, joints.untyped).run()
+        DriverCheck(document, model, rig, has_unnamed, joints.untyped).run()
     document.check()
     return rig
 
 
 def _with_shapes(
-    inherited: tuple[Shape, ...], own: tuple[Shape, ...]
+    inherited: tuple[Shape, ...], added: tuple[Shape, ...]
 ) -> tuple[Shape, ...]:
-    """Return all shapes; one that only gives an inherited one a driver is joined."""
+    """Merge shapes; an entry with only a driver is added to the inherited shape."""
     known = {shape.name for shape in inherited}
     drivers = {
         shape.name: shape.driven
-        for shape in own
+        for shape in added
         if shape.name in known and shape == Shape(shape.name, driven=shape.driven)
     }
     return (
@@ -192,14 +192,14 @@ def _with_shapes(
             replace(shape, driven=drivers.get(shape.name) or shape.driven)
             for shape in inherited
         ),
-        *(shape for shape in own if shape.name not in drivers),
+        *(shape for shape in added if shape.name not in drivers),
     )
 
 
 def _base(
     document: Document, name: str, roots: tuple[Path, ...], above: tuple[Path, ...]
 ) -> Rig | None:
-    """Return the rig that a sidecar adds to."""
+    """Load the base rig of a sidecar."""
     path = referred(document, ("from",), name, roots)
     if path is None:
         return None
@@ -222,14 +222,14 @@ def _base(
 
 
 def _added(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
-    """Return what a sidecar says of joints: as roots, for the tree does not matter."""
-    given = {"mirror": None, "parent": None}
-    alone = [entry.model_copy(update=given) for entry in model.joints]
+    """Return a sidecar's joints as roots, since it has no hierarchy."""
+    cleared = {"mirror": None, "parent": None}
+    alone = [entry.model_copy(update=cleared) for entry in model.joints]
     return joints_of(document, alone, units)
 
 
 def _alone(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
-    """Return the joints of a sidecar whose base cannot be read: there may be more."""
+    """Return a sidecar's joints without its base, marked incomplete."""
     document.partial |= {"joints", "meshes", "shapes", "controls"}
     joints = _added(document, model, units)
     return replace(joints, adrift=frozenset(joint.name for joint in joints.joints))
@@ -238,7 +238,7 @@ def _alone(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
 def _overlaid(
     document: Document, model: RigModel, base: Rig, units: FileUnits
 ) -> FileJoints:
-    """Return the joints of a base with the types and limits that a sidecar adds."""
+    """Return a base's joints with a sidecar's types and limits."""
     names = {joint.source_name or joint.name: joint.name for joint in base.joints}
     names |= {joint.name: joint.name for joint in base.joints}
     for i, entry in enumerate(model.joints):
@@ -252,8 +252,8 @@ def _overlaid(
             if key in entry.model_fields_set:
                 message = f"{key} is defined by {model.source}"
                 document.add("RIG023", ("joints", i, key), message, "remove it")
-    own = _added(document, model, units)
-    added = {names.get(joint.name, joint.name): joint for joint in own.joints}
+    sidecar = _added(document, model, units)
+    added = {names.get(joint.name, joint.name): joint for joint in sidecar.joints}
     mirrors = {
         names.get(e.name, e.name): names.get(e.mirror or "", "") for e in model.joints
     }
@@ -271,8 +271,8 @@ def _overlaid(
         else joint
         for joint in base.joints
     )
-    untyped = frozenset(names.get(name, name) for name in own.untyped)
-    return FileJoints(joints, untyped=untyped, unnamed=own.unnamed)
+    untyped = frozenset(names.get(name, name) for name in sidecar.untyped)
+    return FileJoints(joints, untyped=untyped, has_unnamed=sidecar.has_unnamed)
 
 
 def _renamed_driver(driver: Driver | None, names: dict[str, str]) -> Driver | None:

@@ -1,4 +1,4 @@
-"""How well the joints of a take fit a rig that its motion is written onto."""
+"""Fit score between a take's rest skeleton and a target rig."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from animtool.maths.faces import rigid_motion
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
-# Below, motion of one rig is wrong on the other; at or above, it is only coarser.
+# Below, motion is wrong on the other rig; above, only less exact.
 FITS = 0.7
-# At or above, no difference between the rigs can be seen.
+# At or above, the rigs are visually identical.
 NOTICEABLE = 0.98
 # Rotations this far apart, as a root mean square, score 0 [rad].
 ROTATION_SPAN = np.radians(45.0)
 # Rest poses are the same pose where bones point within this, root mean square [rad].
 SAME_POSE = np.radians(3.0)
-# Bones shorter than this share of the mean bone have no direction.
+# Bones shorter than this fraction of the mean have no direction.
 SHORTEST = 1e-3
-# Bones lie along one line where they leave it by less than this share.
+# Bones are collinear within this fraction.
 STRAIGHT = 0.05
-# A joint is named where it differs by more [rad], [1].
+# Joints that differ by more are named [rad], [1].
 NAMED_ANGLE, NAMED_LENGTH = np.radians(5.0), 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """The rest skeleton of a take against that of a rig."""
+class RigFit:
+    """Comparison of the rest skeletons of a take and a rig."""
 
     # Share of the take's joints that the rig has. End joints that the rig lacks are not
     # counted.
-    take_share: float
-    rig_share: float  # share of the rig's joints that the take has
+    take_fraction: float
+    rig_fraction: float  # share of the rig's joints that the take has
     joints: IntArray  # matched joints below a root, of the rig ``(B,)``
     # By how much the frames of each differ [rad] ``(B,)``: the direction of its bone in
     # the frame of its parent, and where both rest in the same pose, turned as a whole
@@ -55,9 +55,9 @@ class Fit:
 
     @cached_property
     def parts(self) -> dict[str, float]:
-        """What the score is the least of, each from 0 to 1."""
+        """Components of the score, each from 0 to 1; the least counts."""
         return {
-            "joints": max(self.take_share, self.rig_share),
+            "joints": max(self.take_fraction, self.rig_fraction),
             "rotations": max(0.0, 1.0 - self.rotation / ROTATION_SPAN),
             "lengths": 1.0 - self.length,
             "size": min(self.size, 1.0 / self.size) if self.size > 0 else 0.0,
@@ -81,14 +81,14 @@ class Fit:
 
     @property
     def differing(self) -> list[int]:
-        """Joints of the rig whose rest differs visibly, the most different first."""
+        """Joints of the rig whose rest differs noticeably, worst first."""
         far = np.maximum(self.angles / NAMED_ANGLE, self.lengths / NAMED_LENGTH)
         order = np.argsort(-far, kind="stable")
         return [int(self.joints[i]) for i in order if far[i] > 1.0]
 
 
-def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) -> Fit:
-    """Return how well a take's rest skeleton fits a rig: ``source`` ``(J,)``.
+def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) -> RigFit:
+    """Measure how well a take's rest skeleton fits a rig: ``source`` ``(J,)``.
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
@@ -96,41 +96,44 @@ def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) ->
     1.0
     """
     matched = np.flatnonzero(source >= 0)
-    shares = _take_share(take, source[matched]), len(matched) / max(1, len(source))
+    shares = _take_fraction(take, source[matched]), len(matched) / max(1, len(source))
     inner = matched[(rig.parents[matched] >= 0) & (take.parents[source[matched]] >= 0)]
-    own, other = rig.rest_translations[inner], take.rest_translations[source[inner]]
-    sizes = np.array([np.linalg.norm(v, axis=1) for v in (other, own)])
+    rig_bones, other = (
+        rig.rest_translations[inner],
+        take.rest_translations[source[inner]],
+    )
+    sizes = np.array([np.linalg.norm(v, axis=1) for v in (other, rig_bones)])
     totals = sizes.sum(axis=1)
     if not (totals > 0).all():
         # No bone to compare, as of a single joint.
         nothing = np.zeros(0)
         none = np.zeros(0, np.int64)
-        return Fit(*shares, none, nothing, nothing, nothing, 1.0, 0.0)
+        return RigFit(*shares, none, nothing, nothing, nothing, 1.0, 0.0)
     relative = sizes / totals[:, None]
     size = float(totals[0] / totals[1])
     longer = relative.max(axis=0)
     lengths = np.zeros(len(inner))
     np.divide(np.abs(relative[0] - relative[1]), longer, lengths, where=longer > 0)
     pointing = (relative > SHORTEST / len(inner)).all(axis=0)
-    angles = np.where(pointing, _between(other, own), 0.0)
+    angles = np.where(pointing, _between(other, rig_bones), 0.0)
     bones = relative.mean(axis=0)
     tilt = 0.0
     if posed:
         posture = _Posture(take, rig, source[inner], inner)
-        apart = np.where(pointing, _between(*posture.bones), 0.0)
-        if np.sqrt(bones @ apart**2) < SAME_POSE:
+        pose_angles = np.where(pointing, _between(*posture.bones), 0.0)
+        if np.sqrt(bones @ pose_angles**2) < SAME_POSE:
             angles = np.maximum(angles, posture.turned)
             tilt = posture.tilt
-    return Fit(*shares, inner, angles, lengths, bones, size, tilt)
+    return RigFit(*shares, inner, angles, lengths, bones, size, tilt)
 
 
 class _Posture:
-    """Two rest poses in model space, the one turned onto the other.
+    """Two rest poses in model space, one aligned to the other.
 
     Attributes:
         bones: Bones of both, from the parent to the joint ``(B, 3)`` [m].
         turned: Angle between the rotations of each joint [rad] ``(B,)``.
-        tilt: By how much up was turned [rad].
+        tilt: Angle between the up axes after alignment [rad].
     """
 
     def __init__(self, take: Rig, rig: Rig, there: IntArray, here: IntArray) -> None:
@@ -141,28 +144,28 @@ class _Posture:
             mine.positions[0, rig.parents[here]],
         )
         bones = ends[1] - starts[1]
-        turn = so3.IDENTITY
+        alignment = so3.IDENTITY
         if not _is_straight(bones):
-            turn, _ = rigid_motion(
+            alignment, _ = rigid_motion(
                 np.concatenate([starts[0], ends[0]]),
                 np.concatenate([starts[1], ends[1]]),
             )
-        self.bones = so3.rotate(turn, ends[0] - starts[0]), bones
+        self.bones = so3.rotate(alignment, ends[0] - starts[0]), bones
         self.turned = so3.angle_between(
-            so3.multiply(turn, theirs.rotations[0, there]), mine.rotations[0, here]
+            so3.multiply(alignment, theirs.rotations[0, there]), mine.rotations[0, here]
         )
         up = np.eye(3)["XYZ".index(rig.up.value)]
-        self.tilt = float(np.arccos(np.clip(so3.rotate(turn, up) @ up, -1.0, 1.0)))
+        self.tilt = float(np.arccos(np.clip(so3.rotate(alignment, up) @ up, -1.0, 1.0)))
 
 
 def _is_straight(bones: FloatArray) -> bool:
-    """Return whether all bones lie along one line, which leaves a twist open."""
+    """Return whether all bones are collinear, so that twist is undefined."""
     spreads = np.linalg.svd(bones, compute_uv=False)
     return bool(len(spreads) < 2 or spreads[1] <= STRAIGHT * spreads[0])
 
 
-def _take_share(take: Rig, used: IntArray) -> float:
-    """Return the share of a take's joints in use; end joints below one are free."""
+def _take_fraction(take: Rig, used: IntArray) -> float:
+    """Return the used fraction of a take's joints; end joints below one are ignored."""
     has = np.zeros(len(take.joints), np.bool_)
     has[used] = True
     parents = take.parents
@@ -178,7 +181,7 @@ def _between(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.arctan2(across, (a * b).sum(axis=1)))
 
 
-# What a length unit that is off makes of the size, and the units of such a file.
+# Size ratios of mistaken length units.
 UNIT_RATIOS = (100.0, 1000.0, 10.0, 2.54, 39.37)
 RATIO_TOLERANCE = 0.15
 
@@ -191,8 +194,8 @@ def check_fit(
     *,
     forced: bool,
     unmatched: list[Fault] | None = None,
-) -> tuple[Fit, list[Fault]]:
-    """Return how well a take fits a rig (else RIG040), and a warning where it shows.
+) -> tuple[RigFit, list[Fault]]:
+    """Check how well a take fits a rig (RIG040); return the fit and a warning.
 
     ``source`` is the joint of the take for each of the rig ``(J,)``, -1 for none.
     Forced, a warning takes the place of the error, which else includes ``unmatched``
@@ -231,11 +234,11 @@ def _fault(
     return naming(code, message, names, where, hint, severity)
 
 
-def _numbers(fit: Fit) -> str:
-    """Return the parts of a score that can be seen."""
+def _numbers(fit: RigFit) -> str:
+    """Return the noticeable parts of a score."""
     names = {
-        "joints": f"{fit.take_share:.0%} of the take's, {fit.rig_share:.0%} of the "
-        "rig's",
+        "joints": f"{fit.take_fraction:.0%} of the take's, "
+        f"{fit.rig_fraction:.0%} of the rig's",
         "rotations": f"{math.degrees(fit.rotation):.1f} degrees apart",
         "lengths": f"{fit.length:.0%} apart",
         "size": f"{fit.size:.3g} times the rig's",
@@ -248,8 +251,8 @@ def _numbers(fit: Fit) -> str:
     )
 
 
-def _hint(fit: Fit) -> str:
-    """Return what to do about the worst part of a score."""
+def _hint(fit: RigFit) -> str:
+    """Return a hint for the worst part of a score."""
     parts = fit.parts
     worst = min(parts, key=lambda name: parts[name])
     advice = {
@@ -259,7 +262,7 @@ def _hint(fit: Fit) -> str:
         "lengths": "transfer the motion to the bones of the rig with animtool retarget",
         "size": f"check the units of both ({argument('source.unit')} sets that of a "
         "BVH)"
-        if _unit_apart(fit.size)
+        if _is_unit_ratio(fit.size)
         else "transfer the motion to the size of the rig with animtool retarget",
         "up axis": f"check the up axes of both ({argument('source.up')} sets that of "
         "a BVH)",
@@ -267,7 +270,7 @@ def _hint(fit: Fit) -> str:
     return f"{advice[worst]}; {argument('force_fit', True)} writes it as it is"
 
 
-def _unit_apart(size: float) -> bool:
-    """Return whether one unit taken for another makes so much difference in size."""
+def _is_unit_ratio(size: float) -> bool:
+    """Return whether a size ratio equals the ratio of two length units."""
     ratio = max(size, 1.0 / size) if size > 0 else math.inf
     return any(abs(ratio / r - 1.0) < RATIO_TOLERANCE for r in UNIT_RATIOS)

@@ -1,4 +1,4 @@
-"""The joints of a head, and rotations of a face as theirs."""
+"""Head and eye joints, and face rotations in their frames."""
 
 from __future__ import annotations
 
@@ -18,55 +18,57 @@ _NAMES = {
     LEFT_EYE: ("eyel", "lefteye", "leye", "eyeleft", "eyeballl", "eyeballleft"),
     RIGHT_EYE: ("eyer", "righteye", "reye", "eyeright", "eyeballr", "eyeballright"),
 }
-# From Y up, where a face looks along +Z, to Z up, where it looks along -Y.
+# From Y up (face along +Z) to Z up (face along -Y).
 _Z_UP = np.array([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
 
 
 def head_joints(rig: Rig) -> dict[str, int]:
-    """Return the joints of a head and of its eyes, those that there are, by part.
+    """Return the existing head and eye joints by part.
 
     >>> from animtool.rig.skeleton import Joint
     >>> head_joints(Rig("r", (Joint("mixamorig:Head", -1), Joint("LeftEye", 0))))
     {'head': 0, 'left eye': 1}
     """
-    found: dict[str, int] = {}
+    matches: dict[str, int] = {}
     for j, joint in enumerate(rig.joints):
         bare = re.sub(r"[\s_-]", "", re.split(r"[:|/]", joint.name)[-1]).lower()
         for part, names in _NAMES.items():
             if bare in names:
-                found.setdefault(part, j)
-    return found
+                matches.setdefault(part, j)
+    return matches
 
 
 def local_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
-    """Return what a joint's local rotation is when it turns from rest ``(F, 4)``.
+    """Convert face rotations to a joint's local rotations ``(F, 4)``.
 
     Joints above it are at rest.
 
     Args:
-        rig: Whose joint it is.
-        joint: Its index.
+        rig: Rig of the joint.
+        joint: Index of the joint.
         rotations: In the frame of a face, X to its left, Y up, Z ahead ``(F, 4)``.
     """
     if rig.up is UpAxis.Z:
         rotations = multiply(multiply(_Z_UP, rotations), conjugate(_Z_UP))
     rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
     parent = rig.joints[joint].parent
-    own = rig.rest_rotations[joint]
+    rest_rotation = rig.rest_rotations[joint]
     if parent < 0:
-        return multiply(rotations, own)
+        return multiply(rotations, rest_rotation)
     above = rest.rotations[0, parent]
-    return multiply(multiply(conjugate(above), multiply(rotations, above)), own)
+    return multiply(
+        multiply(conjugate(above), multiply(rotations, above)), rest_rotation
+    )
 
 
 def face_rotations(rig: Rig, joint: int, local: FloatArray) -> FloatArray:
-    """Return what `local_rotations` makes these local rotations of ``(F, 4)``."""
+    """Convert a joint's local rotations to face rotations ``(F, 4)``."""
     rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
     parent = rig.joints[joint].parent
-    made = multiply(local, conjugate(rig.rest_rotations[joint]))
+    relative = multiply(local, conjugate(rig.rest_rotations[joint]))
     if parent >= 0:
         above = rest.rotations[0, parent]
-        made = multiply(multiply(above, made), conjugate(above))
+        relative = multiply(multiply(above, relative), conjugate(above))
     if rig.up is UpAxis.Z:
-        made = multiply(multiply(conjugate(_Z_UP), made), _Z_UP)
-    return made
+        relative = multiply(multiply(conjugate(_Z_UP), relative), _Z_UP)
+    return relative

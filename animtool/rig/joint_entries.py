@@ -25,17 +25,17 @@ from animtool.rig.parts import Vector
 from animtool.rig.sides import ORIGIN, Transform, mirrored_joint, placed
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
 
-# Shorter, an axis or quaternion is a slip and not a direction.
+# Shorter axes and quaternions are mistakes, not directions.
 SHORTEST = 1e-9
 # Within rounding of unit length: kept as written, so that it is written as read.
 UNIT_LENGTH = 1e-15
-# Nearer to the middle plane, a joint is on it but for the rounding of a file [m].
+# Joints this close to the middle plane are on it [m].
 OFF_MIDDLE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class FileUnits:
-    """What the numbers of a file count: metres a unit, radians a unit."""
+    """Length unit [m] and angle unit [rad] of a file."""
 
     length: float
     angle: float
@@ -47,19 +47,19 @@ class FileUnits:
 
 @dataclass(frozen=True, slots=True)
 class FileJoints:
-    """The joints of a file, and what its faults leave open about them."""
+    """The joints of a file, and which facts its faults leave unknown."""
 
     joints: tuple[Joint, ...]  # parents before children
     adrift: frozenset[str] = frozenset()  # names of those whose parent is not known
     # Names of those that another's ``mirror`` wrote.
     mirrored: frozenset[str] = frozenset()
     untyped: frozenset[str] = frozenset()  # names of those whose type is not known
-    unnamed: bool = False  # whether there are more, of names that are not known
+    has_unnamed: bool = False  # whether there are more, of names that are not known
 
 
 @dataclass(slots=True)
-class _Entry:
-    """A joint to make: one that stands in the file, or the mirror image of one."""
+class _JointEntry:
+    """A joint to build: a file's entry or its mirror image."""
 
     index: int
     source: str
@@ -70,14 +70,14 @@ class _Entry:
 
 @dataclass(slots=True)
 class _Tree:
-    """Joints made so far, parents first; where they are once a mirror image asks."""
+    """Joints built so far, parents first, with world transforms on demand."""
 
     built: list[Joint] = field(default_factory=list)
-    places: dict[str, int] = field(default_factory=dict)
+    indices: dict[str, int] = field(default_factory=dict)
     world: list[Transform] = field(default_factory=list)
 
     def at(self, joint: int) -> Transform:
-        """Return where a joint is at rest, the world for none."""
+        """Return a joint's world transform at rest; identity for -1."""
         if joint < 0:
             return ORIGIN
         for transform in self.built[len(self.world) : joint + 1]:
@@ -91,15 +91,15 @@ class _Tree:
 def joints_of(
     document: Document, models: list[JointModel], units: FileUnits
 ) -> FileJoints:
-    """Return the joints of a file, parents before children; faults are noted."""
-    unnamed = document.unnamed("joints", "name", "mirror")
-    entries = _entries(document, models, unnamed=unnamed)
+    """Return the joints of a file, parents before children; record faults."""
+    has_unnamed = document.has_unnamed("joints", "name", "mirror")
+    entries = _entries(document, models, has_unnamed=has_unnamed)
     tree = _Tree()
     for name in _parents_first(document, entries):
         entry = entries[name]
-        parent = -1 if entry.parent is None else tree.places.get(entry.parent, -1)
+        parent = -1 if entry.parent is None else tree.indices.get(entry.parent, -1)
         if entry.mirrored:
-            source, parent_world = tree.places[entry.source], tree.at(parent)
+            source, parent_world = tree.indices[entry.source], tree.at(parent)
             joint = mirrored_joint(
                 tree.built[source], tree.at(source), parent, parent_world
             )
@@ -107,7 +107,7 @@ def joints_of(
                 _note_off_middle(document, entry, joint, parent_world, tree.built)
         else:
             joint = _joint(document, entry.index, models[entry.index], units, parent)
-        tree.places[name] = len(tree.built)
+        tree.indices[name] = len(tree.built)
         tree.built.append(joint)
     joints = FileJoints(
         tuple(tree.built),
@@ -116,28 +116,28 @@ def joints_of(
         frozenset(
             name
             for name, entry in entries.items()
-            if document.doubtful(("joints", entry.index, "type"))
+            if document.is_placeholder(("joints", entry.index, "type"))
         ),
-        unnamed,
+        has_unnamed,
     )
     joints = _with_mimics(document, models, entries, joints, units)
     return _with_drivers(document, models, entries, joints, units)
 
 
 def _entries(
-    document: Document, models: list[JointModel], *, unnamed: bool
-) -> dict[str, _Entry]:
-    entries: dict[str, _Entry] = {}
+    document: Document, models: list[JointModel], *, has_unnamed: bool
+) -> dict[str, _JointEntry]:
+    entries: dict[str, _JointEntry] = {}
     mirrors = {m.name: m.mirror for m in models if m.mirror is not None}
     mirrors |= {mirror: name for name, mirror in mirrors.items()}
     for i, model in enumerate(models):
         if model.name in entries:
             message = f"duplicate joint {model.name!r}"
-            first = document.place(("joints", entries[model.name].index))[0]
+            first = document.position(("joints", entries[model.name].index))[0]
             hint = f"the first is on line {first}"
             document.add("RIG001", ("joints", i, "name"), message, hint)
             continue
-        entries[model.name] = _Entry(i, model.name, model.parent)
+        entries[model.name] = _JointEntry(i, model.name, model.parent)
     for i, model in enumerate(models):
         if model.mirror is None or entries[model.name].index != i:
             continue
@@ -153,25 +153,27 @@ def _entries(
             continue
         parent = model.parent
         parent = mirrors.get(parent, parent) if parent is not None else None
-        entries[model.mirror] = _Entry(i, model.name, parent, mirrored=True)
+        entries[model.mirror] = _JointEntry(i, model.name, parent, mirrored=True)
     for entry in list(entries.values()):
         if entry.parent is not None and entry.parent not in entries:
             message = f"unknown parent {entry.parent!r}"
             location = ("joints", entry.index, "parent")
-            if not entry.mirrored and not unnamed:
+            if not entry.mirrored and not has_unnamed:
                 hint = nearest(entry.parent, list(entries))
                 document.add("RIG002", location, message, hint)
             entry.parent, entry.adrift = None, True
     return entries
 
 
-def _parents_first(document: Document, entries: dict[str, _Entry]) -> Iterator[str]:
-    """Yield names in the file's order, but each behind its parent and its source."""
+def _parents_first(
+    document: Document, entries: dict[str, _JointEntry]
+) -> Iterator[str]:
+    """Yield names in file order, each after its parent and mirror source."""
     done: set[str] = set()
     for start in entries:
         trail: list[str] = []
         name: str | None = start
-        # In order, and to be found at once.
+        # An ordered set.
         pending = {start: None}
         while pending:
             name = next(reversed(pending))
@@ -201,12 +203,12 @@ def _parents_first(document: Document, entries: dict[str, _Entry]) -> Iterator[s
 
 def _note_off_middle(
     document: Document,
-    entry: _Entry,
+    entry: _JointEntry,
     joint: Joint,
     parent_world: Transform,
     joints: list[Joint],
 ) -> None:
-    """Note a pair below one joint that is not between left and right."""
+    """Warn of a mirrored pair whose parent is off the middle plane."""
     away = float(parent_world[0][0])
     if abs(away) <= OFF_MIDDLE:
         return
@@ -294,11 +296,11 @@ def _ball_limit(
 def _with_drivers(
     document: Document,
     models: list[JointModel],
-    entries: dict[str, _Entry],
+    entries: dict[str, _JointEntry],
     read: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
-    """Return the joints with their drivers; what these read is looked at later."""
+    """Return the joints with their drivers; inputs are checked later."""
     joints = {joint.name: joint for joint in read.joints}
     both = (units.length, units.angle)
     partners = {joint.name: joint.mirror for joint in read.joints if joint.mirror}
@@ -314,19 +316,21 @@ def _with_drivers(
         for name in (model.name, model.mirror):
             if driver is None or name not in joints or entries[name].index != i:
                 continue
-            own = driver.mirrored(partners) if entries[name].mirrored else driver
-            joints[name] = replace(joints[name], driven=own)
+            joint_driver = (
+                driver.mirrored(partners) if entries[name].mirrored else driver
+            )
+            joints[name] = replace(joints[name], driven=joint_driver)
     return replace(read, joints=tuple(joints.values()))
 
 
 def _with_mimics(
     document: Document,
     models: list[JointModel],
-    entries: dict[str, _Entry],
+    entries: dict[str, _JointEntry],
     read: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
-    """Return the joints with those that follow others, which must exist by now."""
+    """Return the joints with their mimics, whose leaders must exist."""
     joints = list(read.joints)
     by_name = {joint.name: i for i, joint in enumerate(joints)}
     scalar = (JointType.PIN, JointType.PRISMATIC)
@@ -340,7 +344,7 @@ def _with_mimics(
         leader = by_name.get(mimic.joint)
         if leader is None:
             message = f"unknown joint {mimic.joint!r}"
-            if not read.unnamed:
+            if not read.has_unnamed:
                 document.add("RIG008", at, message, nearest(mimic.joint, list(by_name)))
             continue
         if mimic.joint in read.untyped:
@@ -352,17 +356,17 @@ def _with_mimics(
         target = mimic.joint
         if entry.mirrored:
             target = joints[leader].mirror or target
-        own, other = units.of(JointType(model.type)), units.of(joints[leader].type)
-        followed = Mimic(target, mimic.gain * own / other, mimic.offset * own)
+        unit, other = units.of(JointType(model.type)), units.of(joints[leader].type)
+        followed = Mimic(target, mimic.gain * unit / other, mimic.offset * unit)
         joints[by_name[name]] = replace(joints[by_name[name]], mimic=followed)
     _refuse_chains(document, entries, joints)
     return replace(read, joints=tuple(joints))
 
 
 def _refuse_chains(
-    document: Document, entries: dict[str, _Entry], joints: list[Joint]
+    document: Document, entries: dict[str, _JointEntry], joints: list[Joint]
 ) -> None:
-    """Refuse a mimic of a mimic, and with it every circle of them."""
+    """Refuse a mimic of a mimic, and so every cycle."""
     following = {joint.name for joint in joints if joint.mimic}
     for joint in joints:
         if joint.mimic and joint.mimic.joint in following:
@@ -379,7 +383,7 @@ def _refuse_chains(
 def quaternion(
     document: Document, location: Location, values: list[float]
 ) -> tuple[float, float, float, float]:
-    """Return the rotation (x, y, z, w) of [w, x, y, z] in a file, at unit length."""
+    """Convert a file's [w, x, y, z] to a unit quaternion (x, y, z, w)."""
     w, x, y, z = values
     length = math.hypot(*values)
     if abs(length - 1.0) <= UNIT_LENGTH:
@@ -392,7 +396,7 @@ def quaternion(
 
 
 def unit_vector(document: Document, location: Location, values: list[float]) -> Vector:
-    """Return a direction at unit length."""
+    """Normalize a direction; record a fault for zero length."""
     length = math.hypot(*values)
     if abs(length - 1.0) <= UNIT_LENGTH:
         length = 1.0

@@ -55,7 +55,7 @@ JOINED = (
 
 
 class DrivenModel(FileModel):
-    """A value that follows from joint coordinates and controls."""
+    """A value computed from joint coordinates and controls."""
 
     expr: str | None = key(
         "The value: arithmetic over coordinates of joints, JOINT.PART, and controls, "
@@ -193,7 +193,7 @@ JointModel = Annotated[
 
 
 class PoseModel(FileModel):
-    """A local transform; what is left out is the rest's."""
+    """A local transform; defaults are those of rest."""
 
     translate: Vector | None = key(
         "Position in the parent's frame. Default: the rest position.",
@@ -217,7 +217,7 @@ Matrix = Annotated[list[Real], Len(16, 16)]
 
 
 class SkinModel(FileModel):
-    """How a mesh follows joints."""
+    """Skin binding of a mesh."""
 
     method: Literal["linear", "dual_quaternion"] = key(
         "How the transforms of joints are blended.", "dual_quaternion", default="linear"
@@ -275,7 +275,7 @@ class MeshModel(FileModel):
 
 
 class InbetweenModel(FileModel):
-    """The deltas of a shape on its way."""
+    """Deltas of a shape at a weight between 0 and 1."""
 
     at: Real = key("The weight, ascending in the list; neither 0 nor 1.", 0.5)
     deltas: str = key(

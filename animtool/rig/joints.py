@@ -35,7 +35,7 @@ class LocalTransforms:
 
 
 def coordinate_slices(rig: Rig) -> list[slice]:
-    """Return where each joint's coordinates stand in a row of q."""
+    """Return the slice of each joint's coordinates in a row of q."""
     firsts = rig.joint_arrays.columns.tolist()
     return [
         slice(first, first + WIDTHS[joint.type])
@@ -57,7 +57,7 @@ def local_from_coordinates(rig: Rig, coordinates: ArrayLike) -> LocalTransforms:
     >>> local.rotations[0, 0].round(12).tolist()
     [0.0, 1.0, 0.0, 0.0]
     """
-    # Rigs are also read by what needs no kernels.
+    # Imported here: reading rigs needs no kernels.
     from animtool import _kernels
 
     q = as_floats(coordinates, ("F", rig.coordinates), "coordinates")
@@ -68,53 +68,57 @@ def local_from_coordinates(rig: Rig, coordinates: ArrayLike) -> LocalTransforms:
 
 
 def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:
-    """Return the joint coordinates ``(F, Q)`` nearest to local transforms.
+    """Project local transforms to joint coordinates ``(F, Q)``.
 
-    What a joint cannot do is left out: a pin keeps the turn about its axis, a prismatic
-    joint the slide along it. Pin angles are continuous along F, over whole turns too.
+    Motion that a joint cannot have is dropped: a pin keeps the rotation about its axis,
+    a prismatic joint the slide along it. Pin angles are continuous along F.
     """
     joints = len(rig.joints)
     translations = as_floats(local.translations, ("F", joints, 3), "translations")
     rotations = as_floats(local.rotations, ("F", joints, 4), "rotations")
     slices = coordinate_slices(rig)
     q = np.zeros((len(translations), slices[-1].stop if slices else 0))
-    for j, (joint, place) in enumerate(zip(rig.joints, slices, strict=True)):
+    for j, (joint, columns) in enumerate(zip(rig.joints, slices, strict=True)):
         undo = so3.conjugate(rig.rest_rotations[j])
-        turn = so3.multiply(undo, rotations[:, j])
+        rotation = so3.multiply(undo, rotations[:, j])
         slide = so3.rotate(undo, translations[:, j] - rig.rest_translations[j])
         match joint.type:
             case JointType.FREE:
-                q[:, place] = np.concatenate([slide, so3.align_signs(turn)], axis=1)
+                q[:, columns] = np.concatenate(
+                    [slide, so3.align_signs(rotation)], axis=1
+                )
             case JointType.BALL:
-                q[:, place] = so3.align_signs(turn)
+                q[:, columns] = so3.align_signs(rotation)
             case JointType.PIN:
-                along = turn[:, :3] @ np.asarray(joint.axis)
-                q[:, place.start] = np.unwrap(2.0 * np.arctan2(along, turn[:, 3]))
+                along = rotation[:, :3] @ np.asarray(joint.axis)
+                q[:, columns.start] = np.unwrap(2.0 * np.arctan2(along, rotation[:, 3]))
                 if len(q):
-                    whole = 2 * np.pi * np.round(q[0, place.start] / (2 * np.pi))
-                    q[:, place.start] -= whole
+                    revolutions = (
+                        2 * np.pi * np.round(q[0, columns.start] / (2 * np.pi))
+                    )
+                    q[:, columns.start] -= revolutions
             case JointType.PRISMATIC:
-                q[:, place.start] = slide @ np.asarray(joint.axis)
+                q[:, columns.start] = slide @ np.asarray(joint.axis)
             case JointType.FIXED:
                 continue
     return q
 
 
-_TURNS = (JointType.FREE, JointType.BALL)
+_ROTATING = (JointType.FREE, JointType.BALL)
 _EVERY = tuple(JointType)
 
 # Parts that a control may add to, and the joints that have them.
 DRIVEN_PARTS: dict[str, tuple[JointType, ...]] = {
     "angle": (JointType.PIN,),
     "slide": (JointType.PRISMATIC,),
-    **{f"rotation.{axis}": _TURNS for axis in "xyz"},
+    **{f"rotation.{axis}": _ROTATING for axis in "xyz"},
     **{f"translation.{axis}": (JointType.FREE,) for axis in "xyz"},
 }
 # Parts that a channel of a clip may hold.
 KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
     "angle": (JointType.PIN,),
     "slide": (JointType.PRISMATIC,),
-    "rotation": _TURNS,
+    "rotation": _ROTATING,
     "translation": (JointType.FREE,),
     "local_translation": _EVERY,
     "local_rotation": _EVERY,
@@ -123,7 +127,7 @@ KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
 
 
 def nearest_part(text: str, parts: Iterable[str]) -> str | None:
-    """Return a hint that names the part that a joint's misspelt part is nearest to.
+    """Return a hint with the nearest part name of a joint.
 
     >>> nearest_part("elbow_l.angel", KEYED_PARTS)
     "did you mean '.angle'?"
@@ -136,7 +140,7 @@ def nearest_part(text: str, parts: Iterable[str]) -> str | None:
 
 
 def split_part(text: str, parts: Iterable[str]) -> tuple[str, str]:
-    """Return a joint's name and its part, the part empty where there is none.
+    """Split a target into joint name and part; the part may be empty.
 
     >>> split_part("arm.l.rotation.x", DRIVEN_PARTS)
     ('arm.l', 'rotation.x')

@@ -13,7 +13,7 @@ from animtool.rig.skeleton import Rig
 
 @dataclass(frozen=True, slots=True)
 class WorldTransforms:
-    """Where every joint is."""
+    """World transforms of every joint."""
 
     positions: FloatArray  # joint origins ``(F, J, 3)`` [m], world
     # Linear parts ``(F, J, 3, 3)``: rotations, times scale where there is any. Column c
@@ -118,8 +118,8 @@ def bind_matrices(rig: Rig) -> FloatArray:
     matrices[:, 3, 3] = 1.0
     for name, pose in rig.bind.items():
         if pose.stretch is not None:
-            own = np.array(pose.stretch).reshape(3, 3)
-            matrices[rig.index(name), :3, :3] @= own
+            stretch = np.array(pose.stretch).reshape(3, 3)
+            matrices[rig.index(name), :3, :3] @= stretch
     return matrices
 
 

@@ -1,4 +1,4 @@
-"""How far a joint may go."""
+"""Joint limits."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from animtool.maths import so3
 
 @dataclass(frozen=True, slots=True)
 class RangeLimit:
-    """Least and largest coordinate of a pin [rad] or prismatic joint [m]."""
+    """Range of a pin's angle [rad] or a prismatic joint's slide [m]."""
 
     low: float
     high: float
 
     def excess(self, coordinate: FloatArray) -> FloatArray:
-        """Return how far coordinates ``(F,)`` lie outside, signed; 0 within."""
+        """Return the signed excess of coordinates ``(F,)``; 0 within the range."""
         return coordinate - self.clamped(coordinate)
 
     def clamped(self, coordinate: FloatArray) -> FloatArray:
-        """Return coordinates ``(F,)`` brought inside."""
+        """Return coordinates ``(F,)`` clamped to the range."""
         return np.clip(coordinate, self.low, self.high)
 
 
@@ -46,11 +46,11 @@ class BallLimit:
         return _axes(self.twist_axis)
 
     def excess(self, rotations: FloatArray) -> FloatArray:
-        """Return the angle between rotations ``(F, 4)`` and the limits [rad]."""
+        """Return the angle by which rotations ``(F, 4)`` exceed the limits [rad]."""
         return so3.angle_between(rotations, self.clamped(rotations))
 
     def clamped(self, rotations: FloatArray) -> FloatArray:
-        """Return rotations ``(F, 4)`` with swing and twist brought inside.
+        """Return rotations ``(F, 4)`` with swing and twist clamped.
 
         The swing is shortened along its own direction until it lies on the ellipse.
         """
@@ -58,10 +58,10 @@ class BallLimit:
         swing, twist = swing_twist(rotations, self.twist_axis)
         outside = np.zeros(len(twist), np.bool_)
         if self.twist is not None:
-            # The turn nearest to the middle: a range may reach past half a turn.
+            # The revolution nearest to the middle: ranges may exceed half a revolution.
             middle = (self.twist[0] + self.twist[1]) / 2
-            whole = 2 * np.pi * np.round((twist - middle) / (2 * np.pi))
-            turned = twist - whole
+            revolutions = 2 * np.pi * np.round((twist - middle) / (2 * np.pi))
+            turned = twist - revolutions
             twist = np.clip(turned, *self.twist)
             outside |= twist != turned
         if self.swing is not None:
@@ -75,8 +75,8 @@ class BallLimit:
         if self.swing is not None:
             shorter = across[outside] / np.maximum(reach[outside], 1.0)[:, None]
             swing[outside] = so3.exp(shorter)
-        held = so3.from_axis_angle(self.twist_axis, twist[outside])
-        inside = so3.multiply(swing[outside], held)
+        clamped_twist = so3.from_axis_angle(self.twist_axis, twist[outside])
+        inside = so3.multiply(swing[outside], clamped_twist)
         before = rotations[outside]
         within = so3.angle_between(inside, before) < LIMIT_TOLERANCE
         clamped = rotations.copy()
@@ -84,7 +84,7 @@ class BallLimit:
         return clamped
 
 
-# A cone of no width is a line that rounding always misses [rad].
+# Least cone width; rounding always misses a zero one [rad].
 SMALLEST_CONE = 1e-12
 # Rotations that differ by less are the same but for rounding [rad].
 LIMIT_TOLERANCE = 1e-9

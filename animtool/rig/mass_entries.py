@@ -1,4 +1,4 @@
-"""What joints weigh, as a rig file says it."""
+"""Masses of joints in a rig file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from animtool.rig.joint_entries import quaternion
 from animtool.rig.parts import Mass
 from animtool.rig.schema import MassModel
 
-# What moments may break the triangle inequality by, of their sum: rounding of files.
+# Rounding tolerance of the triangle inequality, as a fraction of the sum.
 ROUNDING = 1e-3
 
 
@@ -20,47 +20,47 @@ def read_masses(
     length: float,
     known: Callable[[Location, str], bool],
 ) -> tuple[Mass, ...]:
-    """Return the masses of a file and those that it inherits; faults are noted.
+    """Return a file's masses and inherited ones; record faults.
 
     Args:
-        document: The file.
+        document: Rig file.
         entries: Its masses.
-        inherited: Of the rig that it adds to.
-        length: Its unit of lengths [m].
-        known: Notes a joint that is none.
+        inherited: Masses of the base rig.
+        length: Length unit [m].
+        known: Records an unknown joint.
     """
-    own = {entry.joint for entry in entries}
-    masses = [mass for mass in inherited if mass.joint not in own]
-    seen: dict[str, int] = {}
+    listed = {entry.joint for entry in entries}
+    masses = [mass for mass in inherited if mass.joint not in listed]
+    indices: dict[str, int] = {}
     for i, entry in enumerate(entries):
         at = ("masses", i)
         known((*at, "joint"), entry.joint)
-        if entry.joint in seen:
-            line = document.place(("masses", seen[entry.joint]))[0]
+        if entry.joint in indices:
+            line = document.position(("masses", indices[entry.joint]))[0]
             message = f"joint {entry.joint!r} has a mass twice"
             document.add("RIG011", (*at, "joint"), message, f"first in line {line}")
             continue
-        seen[entry.joint] = i
+        indices[entry.joint] = i
         inertia = None
         if entry.inertia is not None:
             a, b, c = inertia = (entry.inertia[0], entry.inertia[1], entry.inertia[2])
-            if problem := moments_problem([a, b, c]):
+            if problem := inertia_problem([a, b, c]):
                 message = f"no body has such an inertia: {problem}"
                 document.add("RIG047", (*at, "inertia"), message)
-        turn = quaternion(document, (*at, "axes"), entry.axes)
+        axes = quaternion(document, (*at, "axes"), entry.axes)
         x, y, z = (value * length for value in entry.centre)
-        masses.append(Mass(entry.joint, entry.mass, (x, y, z), inertia, turn))
+        masses.append(Mass(entry.joint, entry.mass, (x, y, z), inertia, axes))
     return tuple(masses)
 
 
-def moments_problem(moments: Sequence[float]) -> str:
-    """Return why no body has moments of inertia; empty where one has.
+def inertia_problem(inertia: Sequence[float]) -> str:
+    """Return why moments of inertia are impossible; empty if valid.
 
-    >>> moments_problem([1.0, 1.0, 2.0]), moments_problem([1.0, 1.0, 3.0])
+    >>> inertia_problem([1.0, 1.0, 2.0]), inertia_problem([1.0, 1.0, 3.0])
     ('', 'of 1, 1, 3 kg m² one is above the sum of the others')
     """
-    least, middle, most = sorted(moments)
-    shown = ", ".join(f"{moment:.3g}" for moment in moments)
+    least, middle, most = sorted(inertia)
+    shown = ", ".join(f"{value:.3g}" for value in inertia)
     if least < -ROUNDING * most or not middle > 0:
         return f"{shown} kg m² are not all above 0"
     if most > (least + middle) * (1 + ROUNDING):

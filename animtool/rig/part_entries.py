@@ -1,4 +1,4 @@
-"""The rest of a rig file: meshes, shapes, controls, chains, attachments, colliders."""
+"""Rig file parts: meshes, shapes, controls, chains, attachments, colliders."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ _LISTS = {"joint": "joints", "mesh": "meshes", "shape": "shapes", "control": "co
 
 @dataclass(slots=True)
 class PartReader:
-    """Makes the parts of a rig of its file; faults are noted in the document."""
+    """Builds the parts of a rig from its file; records faults in the document."""
 
     document: Document  # the file
     model: RigModel  # its content
-    units: FileUnits  # what its numbers count
+    units: FileUnits  # units of its numbers
     file_joints: FileJoints  # the rig's joints
-    arrays: ArrayReader  # looks at the arrays that the file refers to
+    arrays: ArrayReader  # checks the arrays that the file refers to
     # Number of points of each mesh, as far as known.
     vertices: dict[str, int] = field(default_factory=dict)
     joints: dict[str, Joint] = field(init=False)  # the rig's joints, by name
@@ -68,7 +68,7 @@ class PartReader:
         self.joints = {joint.name: joint for joint in self.file_joints.joints}
 
     def meshes(self) -> tuple[Mesh, ...]:
-        """Return the meshes, their arrays looked at."""
+        """Return the meshes; check their arrays."""
         self._distinct("meshes", "mesh")
         return tuple(
             self._mesh(("meshes", i), mesh) for i, mesh in enumerate(self.model.meshes)
@@ -77,7 +77,7 @@ class PartReader:
     def shapes(
         self, meshes: Iterable[str], inherited: Iterable[str] = ()
     ) -> tuple[Shape, ...]:
-        """Return the blend shapes, their arrays looked at."""
+        """Return the blend shapes; check their arrays."""
         self._distinct("shapes", "shape")
         names = dict.fromkeys(
             [*inherited, *(shape.name for shape in self.model.shapes)]
@@ -128,22 +128,22 @@ class PartReader:
         try:
             combination_order(shapes)
         except ShapeCycleError as error:
-            place = [shape.name for shape in shapes].index(error.cycle[0])
+            index = [shape.name for shape in shapes].index(error.cycle[0])
             message = f"shapes combine each other in a cycle: {error}"
-            self.document.add("RIG026", ("shapes", place, "combine"), message)
+            self.document.add("RIG026", ("shapes", index, "combine"), message)
         return tuple(shapes)
 
     def controls(
         self, shapes: Iterable[str], inherited: Sequence[Control] = ()
     ) -> tuple[Control, ...]:
-        """Return the controls, what they drive and read known, without circles."""
+        """Return the controls; check their targets and dependencies."""
         self._distinct("controls", "control")
-        own = {control.name: i for i, control in enumerate(self.model.controls)}
+        listed = {control.name: i for i, control in enumerate(self.model.controls)}
         known = dict.fromkeys(shapes)
-        kept = [control for control in inherited if control.name not in own]
-        self.names = dict.fromkeys([*(control.name for control in kept), *own])
+        kept = [control for control in inherited if control.name not in listed]
+        self.names = dict.fromkeys([*(control.name for control in kept), *listed])
         for control in kept:
-            self._still_drives(control)
+            self._note_lost_drive(control)
         controls = (
             *kept,
             *(
@@ -154,13 +154,13 @@ class PartReader:
         try:
             evaluation_order(controls)
         except ControlCycleError as error:
-            first = next(name for name in error.cycle if name in own)
+            first = next(name for name in error.cycle if name in listed)
             message = f"controls drive each other in a cycle: {error}"
-            self.document.add("RIG014", ("controls", own[first]), message)
+            self.document.add("RIG014", ("controls", listed[first]), message)
         return controls
 
-    def _still_drives(self, control: Control) -> None:
-        """Note a control that drives what a joint has no longer."""
+    def _note_lost_drive(self, control: Control) -> None:
+        """Record a drive whose joint has lost the part."""
         for drive in control.drives:
             name, part = split_part(drive.target.removeprefix("joint/"), DRIVEN_PARTS)
             if not part or name in self.file_joints.untyped:
@@ -177,8 +177,8 @@ class PartReader:
     def ik(self, inherited: Sequence[IkChain] = ()) -> tuple[IkChain, ...]:
         """Return the chains, each tip below its root."""
         self._distinct("ik", "chain")
-        own = {chain.name for chain in self.model.ik}
-        chains = [chain for chain in inherited if chain.name not in own]
+        listed = {chain.name for chain in self.model.ik}
+        chains = [chain for chain in inherited if chain.name not in listed]
         for i, chain in enumerate(self.model.ik):
             at = ("ik", i)
             known = [
@@ -201,7 +201,7 @@ class PartReader:
     def attach(
         self, meshes: Iterable[Mesh], inherited: Iterable[Attachment] = ()
     ) -> tuple[Attachment, ...]:
-        """Return the attachments, their arrays looked at."""
+        """Return the attachments; check their arrays."""
         self._distinct("attach", "attachment")
         counts = {mesh.name: self._count(mesh) for mesh in meshes}
         reader = AttachmentReader(
@@ -211,12 +211,12 @@ class PartReader:
             lambda at, name: self._known(at, name, self.joints, "joint"),
             lambda at, name: self._known(at, name, counts, "mesh"),
         )
-        own = {entry.name for entry in self.model.attach}
+        listed = {entry.name for entry in self.model.attach}
         return (
             *(
                 entry
                 for entry in inherited
-                if entry.name not in own and not (entry.mesh and self.model.meshes)
+                if entry.name not in listed and not (entry.mesh and self.model.meshes)
             ),
             *(
                 reader.attachment(("attach", i), entry)
@@ -225,15 +225,15 @@ class PartReader:
         )
 
     def _count(self, mesh: Mesh) -> int | None:
-        """Return the number of points of a mesh; None where it cannot be read."""
+        """Return the point count of a mesh; None if it cannot be read."""
         if mesh.name in self.vertices:
             return self.vertices[mesh.name]
         return self.arrays.rows(mesh.points)
 
     def colliders(self, inherited: Sequence[Collider] = ()) -> tuple[Collider, ...]:
         """Return the colliders."""
-        own = {entry.joint for entry in self.model.colliders}
-        colliders = [collider for collider in inherited if collider.joint not in own]
+        listed = {entry.joint for entry in self.model.colliders}
+        colliders = [collider for collider in inherited if collider.joint not in listed]
         for i, entry in enumerate(self.model.colliders):
             at = ("colliders", i)
             self._known((*at, "joint"), entry.joint, self.joints, "joint")
@@ -252,7 +252,7 @@ class PartReader:
         return tuple(colliders)
 
     def masses(self, inherited: Sequence[Mass] = ()) -> tuple[Mass, ...]:
-        """Return what joints weigh."""
+        """Return the masses."""
 
         def known(at: Location, name: str) -> bool:
             return self._known(at, name, self.joints, "joint")
@@ -283,7 +283,7 @@ class PartReader:
         for k, name in enumerate(skin.joints):
             self._known((*at, "joints", k), name, self.joints, "joint")
         joints = None
-        if not self.document.doubtful((*at, "joints")):
+        if not self.document.is_placeholder((*at, "joints")):
             joints = len(skin.joints)
         indices = self.arrays.array(
             (*at, "indices"), skin.indices, "indices", (vertices, None), joints
@@ -310,7 +310,7 @@ class PartReader:
             hint = "rename it: letters, digits and underscores"
             self.document.add("RIG025", (*at, "name"), message, hint)
         low, high = model.range or (None, None)
-        sure = not self.document.doubtful((*at, "range"))
+        sure = not self.document.is_placeholder((*at, "range"))
         if low is not None and high is not None and sure:
             if low > high:
                 message = f"the range from {low:g} to {high:g} is reversed"
@@ -323,9 +323,9 @@ class PartReader:
             self._drive((*at, "drives", k), drive, shapes)
             for k, drive in enumerate(model.drives)
         )
-        own = tuple(filter(None, drives))
+        valid_drives = tuple(filter(None, drives))
         driver = self._driver((*at, "driven"), model.driven)
-        return Control(name, low, high, model.default, own, driver)
+        return Control(name, low, high, model.default, valid_drives, driver)
 
     def _driver(self, at: Location, model: DrivenModel | None) -> Driver | None:
         """Return the driver of a shape or a control."""
@@ -337,11 +337,11 @@ class PartReader:
     def _drive(
         self, at: Location, model: DriveModel, shapes: Collection[str]
     ) -> Drive | None:
-        given = [
+        present = [
             k for k in ("shape", "joint", "control") if getattr(model, k) is not None
         ]
-        if len(given) != 1:
-            message = f"drives {' and '.join(given) or 'nothing'}"
+        if len(present) != 1:
+            message = f"drives {' and '.join(present) or 'nothing'}"
             self.document.add(
                 "RIG015", at, message, "write one of shape, joint, control"
             )
@@ -352,7 +352,7 @@ class PartReader:
             )
             self.document.add("RIG015", at, message, "write one of them for the amount")
             return None
-        target, unit = self._target((*at, given[0]), given[0], model, shapes)
+        target, unit = self._target((*at, present[0]), present[0], model, shapes)
         if model.expr is not None:
             refuse_smooth(self.document, at, model.interp)
             expression = self._expression((*at, "expr"), model.expr)
@@ -377,7 +377,7 @@ class PartReader:
         return expression
 
     def _reads_misnamed(self, text: str) -> bool:
-        """Return whether a control is in it whose name has its own fault (RIG025)."""
+        """Return whether it reads a control whose name is faulty (RIG025)."""
         return any(
             re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text)
             for name in self.names
@@ -413,39 +413,39 @@ class PartReader:
         return f"joint/{name}", unit
 
     def _distinct(self, key: str, kind: str) -> None:
-        seen: dict[str, int] = {}
+        first: dict[str, int] = {}
         for i, entry in enumerate(getattr(self.model, key)):
-            if entry.name in seen:
-                line = self.document.place((key, seen[entry.name]))[0]
+            if entry.name in first:
+                line = self.document.position((key, first[entry.name]))[0]
                 message = f"duplicate {kind} {entry.name!r}"
                 hint = f"the first is on line {line}"
                 self.document.add("RIG011", (key, i, "name"), message, hint)
-            seen.setdefault(entry.name, i)
+            first.setdefault(entry.name, i)
 
     def _known(
         self, at: Location, name: str, names: Collection[str], kind: str
     ) -> bool:
         if name in names:
             return True
-        unnamed = self.document.unnamed(_LISTS[kind])
-        if not (self.file_joints.unnamed if kind == "joint" else unnamed):
+        has_unnamed = self.document.has_unnamed(_LISTS[kind])
+        if not (self.file_joints.has_unnamed if kind == "joint" else has_unnamed):
             code = "RIG008" if kind == "joint" else "RIG012"
             self.document.add(code, at, f"{name!r} is no {kind}", nearest(name, names))
         return False
 
     def _below(self, root: str, tip: str) -> bool:
-        """Return whether a joint is below another, or is it, or may be."""
+        """Return whether a joint is, or may be, another or its descendant."""
         joints = self.file_joints.joints
-        place = next(i for i, joint in enumerate(joints) if joint.name == tip)
-        while place >= 0 and joints[place].name != root:
-            if joints[place].name in self.file_joints.adrift:
+        index = next(i for i, joint in enumerate(joints) if joint.name == tip)
+        while index >= 0 and joints[index].name != root:
+            if joints[index].name in self.file_joints.adrift:
                 return True
-            place = joints[place].parent
-        return place >= 0
+            index = joints[index].parent
+        return index >= 0
 
 
 def _name_problem(name: str) -> str:
-    """Return why an expression cannot read a name; empty where it can."""
+    """Return why an expression cannot use a name; empty if it can."""
     if not name.isidentifier():
         return "an expression would not read it as one name"
     if keyword.iskeyword(name):

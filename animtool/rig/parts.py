@@ -1,4 +1,4 @@
-"""What a rig has beside joints: meshes, shapes, chains, attachments, colliders."""
+"""Parts of a rig: meshes, shapes, chains, attachments, colliders."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class ArrayRef:
     key: str  # name of the array
 
     def load(self, archives: Archives | None = None) -> FloatArray:
-        """Return the array, not to be written to.
+        """Return the read-only array.
 
         Args:
-            archives: Opens the file, which is quicker for several arrays of one.
+            archives: Cache of open files.
 
         Raises:
-            ValueError: It cannot be read, or holds a value that is not finite.
+            ValueError: It cannot be read or has non-finite values.
         """
         if archives is None:
             return load_array(self.path, self.key)
@@ -41,8 +41,8 @@ class ArrayRef:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeldArray:
-    """An array in memory, of a file that holds the whole rig."""
+class LoadedArray:
+    """An array in memory, from a file that contains the complete rig."""
 
     values: FloatArray  # finite
 
@@ -51,21 +51,21 @@ class HeldArray:
         return self.values
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other holds the same numbers."""
-        if not isinstance(other, HeldArray):
+        """Return whether the values are equal."""
+        if not isinstance(other, LoadedArray):
             return NotImplemented
         return bool(np.array_equal(self.values, other.values))
 
     def __hash__(self) -> int:
-        """Return a hash by shape: numbers are compared, not hashed."""
+        """Return a hash of the shape; values are only compared."""
         return hash(self.values.shape)
 
 
-ArraySource: TypeAlias = ArrayRef | HeldArray
+ArraySource: TypeAlias = ArrayRef | LoadedArray
 
 
 class Subdivision(StrEnum):
-    """By which rule a surface is refined, if at all."""
+    """Subdivision scheme of a surface."""
 
     NONE = "none"
     CATMULL_CLARK = "catmull_clark"
@@ -75,7 +75,7 @@ class Subdivision(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Skin:
-    """How a mesh follows joints."""
+    """Skin binding of a mesh."""
 
     method: str  # ``linear`` or ``dual_quaternion``
     joints: tuple[str, ...]  # names of the joints that the indices count
@@ -110,7 +110,7 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True)
 class Inbetween:
-    """What a shape adds at a weight between 0 and 1."""
+    """Deltas of a shape at a weight between 0 and 1."""
 
     at: float  # the weight
     deltas: ArraySource  # as those of its shape
@@ -128,10 +128,10 @@ class Shape:
         normals: ``(V, 3)`` added to the normals; None leaves them.
         inbetweens: Ascending by weight.
         combine: Names of the shapes whose weights' product is this one's; empty for
-            a shape with a weight of its own.
+            an independent shape.
         vertices: Which vertices the deltas, normals and inbetweens are for ``(N,)``;
             None is all of them.
-        driven: What its weight is, in place of one of its own.
+        driven: Driver of its weight.
     """
 
     name: str
@@ -155,11 +155,11 @@ class IkChain:
     # Where its middle points, in the frame of the root joint's parent; None leaves it
     # open.
     pole_dir: Vector | None = None
-    stretch: float = 0.0  # share of its length that it may grow by
+    stretch: float = 0.0  # fraction of its length that it may stretch
 
 
 class AttachKind(StrEnum):
-    """What a simulation moves, of the kinds that are known."""
+    """Known kinds of attachments."""
 
     SPRING_CHAIN = "spring_chain"
     CLOTH = "cloth"
@@ -168,7 +168,7 @@ class AttachKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """What a simulation moves."""
+    """Geometry or joints that a simulation moves."""
 
     name: str  # unique among the rig's attachments
     kind: str  # one of `AttachKind`; any other names joints
@@ -201,7 +201,7 @@ class Capsule:
 
 @dataclass(frozen=True, slots=True)
 class Collider:
-    """What a simulation may not pass through, in the frame of a joint."""
+    """A collider in the frame of a joint."""
 
     joint: str
     capsule: Capsule
@@ -209,7 +209,7 @@ class Collider:
 
 @dataclass(frozen=True, slots=True)
 class Mass:
-    """What a joint and all that is stiff with it weighs, in the frame of the joint.
+    """Mass properties of a joint's rigid body, in the joint's frame.
 
     Attributes:
         joint: Name of the joint.

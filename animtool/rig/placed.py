@@ -1,4 +1,4 @@
-"""A rig where a stage has it: its rest and bind poses, lengths and geometry."""
+"""A rig moved to its placement on a stage."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import (
     Attachment,
     Collider,
-    HeldArray,
     IkChain,
+    LoadedArray,
     Mass,
     Mesh,
 )
@@ -27,12 +27,12 @@ from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 
 def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
-    """Return a rig brought to a placement at rest, that of its first frame.
+    """Return a rig moved to a placement's first frame.
 
-    A scale goes into lengths: what joints carry is bound where they are, and is scaled
+    Scale is applied to lengths: geometry bound to joints is moved and scaled
     with them.
 
-    up: the up axis that it has then; None is its own.
+    up: the up axis that it has then; None keeps it.
     """
     placement = placement.first()
     if placement.is_none and up in {None, rig.up}:
@@ -41,7 +41,7 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
     size = placement.size
     stands = rig.stands
     if stands is not None:
-        # Where it stood before, seen from where it is now.
+        # Old placement relative to the new one.
         rigid = replace(placement, sizes=np.ones(1))
         moved = replace(stands, translations=stands.translations * size)
         stands = rigid.after(moved).after(rigid.inverse())
@@ -75,7 +75,7 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
 def _joint(joint: Joint, placement: Placement) -> Joint:
     if joint.parent < 0:
         x, y, z = placement.points(np.array(joint.translation)).tolist()
-        a, b, c, w = placement.turns(np.array(joint.rotation)).tolist()
+        a, b, c, w = placement.rotated(np.array(joint.rotation)).tolist()
         joint = replace(joint, translation=(x, y, z), rotation=(a, b, c, w))
     size = placement.size
     if size == 1.0:
@@ -91,7 +91,7 @@ def _joint(joint: Joint, placement: Placement) -> Joint:
 
 
 def _scaled(joint: Joint, rig: Rig, size: float) -> Joint:
-    """Return a joint whose mimic and driver are of lengths that are scaled."""
+    """Return a joint with the lengths of its mimic and driver scaled."""
     if size == 1.0 or (joint.mimic is None and joint.driven is None):
         return joint
     slides = joint.type is JointType.PRISMATIC
@@ -99,23 +99,23 @@ def _scaled(joint: Joint, rig: Rig, size: float) -> Joint:
     if driven is not None and slides:
         driven = replace(driven, unit=driven.unit * size)
     if mimic is not None:
-        own = size if slides else 1.0
+        unit_scale = size if slides else 1.0
         leader = rig.joints[rig.index(mimic.joint)]
         theirs = size if leader.type is JointType.PRISMATIC else 1.0
-        gain, offset = mimic.gain * own / theirs, mimic.offset * own
+        gain, offset = mimic.gain * unit_scale / theirs, mimic.offset * unit_scale
         mimic = replace(mimic, gain=gain, offset=offset)
     return replace(joint, driven=driven, mimic=mimic)
 
 
 def _driver(driver: Driver | None, size: float) -> Driver | None:
-    """Return a driver that reads slides which are scaled."""
+    """Return a driver for scaled slides."""
     if driver is None or size == 1.0:
         return driver
     return replace(driver, length=driver.length * size)
 
 
 def _control(control: Control, size: float) -> Control:
-    """Return a control whose drives of lengths are scaled."""
+    """Return a control with its drives of lengths scaled."""
     if size == 1.0:
         return control
     drives = tuple(
@@ -128,7 +128,7 @@ def _control(control: Control, size: float) -> Control:
 def _pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
     if root:
         x, y, z = placement.points(np.array(pose.translation)).tolist()
-        a, b, c, w = placement.turns(np.array(pose.rotation)).tolist()
+        a, b, c, w = placement.rotated(np.array(pose.rotation)).tolist()
         return replace(pose, translation=(x, y, z), rotation=(a, b, c, w))
     if placement.size == 1.0:
         return pose
@@ -137,7 +137,7 @@ def _pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
 
 
 def _chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkChain:
-    """Return a chain whose pole direction is turned where it is in the world."""
+    """Return a chain with its world-space pole direction rotated."""
     if chain.pole_dir is None or chain.root not in roots:
         return chain
     turned = so3.rotate(placement.rotations[0], chain.pole_dir)
@@ -146,14 +146,14 @@ def _chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkChain:
 
 
 def _mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
-    """Return a mesh whose points are moved where they are bound."""
+    """Return a mesh with its bind transform placed."""
     bind = np.eye(4) if mesh.geom_bind is None else np.reshape(mesh.geom_bind, (4, 4))
-    whole = placement_matrix(placement, unit)
-    return replace(mesh, geom_bind=tuple((whole @ bind).ravel().tolist()))
+    matrix = placement_matrix(placement, unit)
+    return replace(mesh, geom_bind=tuple((matrix @ bind).ravel().tolist()))
 
 
 def _strands(entry: Attachment, placement: Placement, unit: float) -> Attachment:
-    """Return an attachment whose strands are moved where they are in the world."""
+    """Return an attachment with its world-space strands placed."""
     if entry.points is None:
         return entry
     in_unit = replace(placement, translations=placement.translations / unit)
@@ -161,11 +161,11 @@ def _strands(entry: Attachment, placement: Placement, unit: float) -> Attachment
         points = in_unit.points(entry.points.load())
     except ValueError as error:
         raise FormatError(Fault("RIG018", f"{entry.name!r}: {error}")) from error
-    return replace(entry, points=HeldArray(points))
+    return replace(entry, points=LoadedArray(points))
 
 
 def _mass(mass: Mass, size: float) -> Mass:
-    """Return a mass whose lengths are scaled, and which stays the same."""
+    """Return mass properties with lengths scaled; the mass is kept."""
     if size == 1.0:
         return mass
     x, y, z = (value * size for value in mass.centre)
@@ -191,13 +191,13 @@ def _collider(one: Collider, size: float) -> Collider:
 
 
 def at_origin(rig: Rig) -> Rig:
-    """Return a rig of its size and upright, away from where its stage has it."""
+    """Return a rig at the origin, scaled and upright."""
     if rig.stands is None:
         return rig
     return replace(placed_rig(rig, rig.stands.inverse()), stands=None)
 
 
-def standing_notice(
+def placement_notice(
     rig: Rig,
     where: str,
     *,
@@ -205,10 +205,10 @@ def standing_notice(
     over: Placement | None = None,
     stays: bool = False,
 ) -> list[Fault]:
-    """Say what becomes of where a take's stage has its character stand (USD124).
+    """Return a notice on a take's stage placement (USD124).
 
-    over: where the rig stands that a layer is for; stays: whether it rode on what
-    moves, which its joints hold.
+    over: placement of the layer's rig; stays: whether the placement was animated by
+    a parent and is now in the joints.
     """
     if rig.stands is None and not rig.rides:
         return []

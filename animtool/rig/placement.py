@@ -1,4 +1,4 @@
-"""Where a skeleton stands, and how large it is there."""
+"""Placement of a skeleton on a stage: position, rotation, scale."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class Placement:
     sizes: FloatArray
 
     @staticmethod
-    def turn(rotation: FloatArray) -> Placement:
-        """Return one that only turns, by a quaternion ``(4,)``."""
+    def from_rotation(rotation: FloatArray) -> Placement:
+        """Return a placement that only rotates, by a quaternion ``(4,)``."""
         return Placement(np.zeros((1, 3)), np.asarray(rotation)[None], np.ones(1))
 
     @property
     def moves(self) -> bool:
-        """Whether it changes over frames."""
+        """Whether it is animated."""
         return len(self.sizes) > 1
 
     @property
@@ -53,25 +53,25 @@ class Placement:
 
     @cached_property
     def is_none(self) -> bool:
-        """Whether everything stays where it is."""
+        """Whether it is the identity."""
         away = np.abs(self.translations).max(initial=0.0)
         turned = 1.0 - np.abs(self.rotations[:, 3]).min(initial=1.0)
         sized = np.abs(self.sizes - 1.0).max(initial=0.0)
-        # Of a turn by a small angle, w is off by an eighth of its square.
+        # For a small angle, w differs from 1 by an eighth of its square.
         return bool(away <= SAME and turned <= SAME**2 and sized <= SAME)
 
     def points(self, points: FloatArray) -> FloatArray:
-        """Return points, placed; those of moving ones ``(F, N, 3)``."""
+        """Return transformed points; ``(F, N, 3)`` if animated."""
         sizes, rotations, translations = self._parts()
-        # What is 1 or 0 leaves numbers to the last bit, and signs of zeros, alone.
+        # Skipping identities keeps values bit-exact, signs of zeros included.
         sized = points if (self.sizes == 1.0).all() else sizes * points
         turned = so3.rotate(rotations, sized)
         if not self.translations.any():
             return turned
         return np.asarray(turned + translations)
 
-    def turns(self, rotations: FloatArray) -> FloatArray:
-        """Return rotations, turned; those of moving ones ``(F, N, 4)``."""
+    def rotated(self, rotations: FloatArray) -> FloatArray:
+        """Return transformed rotations; ``(F, N, 4)`` if animated."""
         return so3.multiply(self._parts()[1], rotations)
 
     def _parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -84,13 +84,13 @@ class Placement:
         )
 
     def inverse(self) -> Placement:
-        """Return what undoes it."""
+        """Return the inverse placement."""
         back = so3.conjugate(self.rotations)
         shifts = so3.rotate(back, self.translations) / self.sizes[:, None]
         return Placement(-shifts, back, 1.0 / self.sizes)
 
     def after(self, other: Placement) -> Placement:
-        """Return what another does, and then this one."""
+        """Return the composition: another placement, then this one."""
         moved = self.sizes[:, None] * other.translations
         return Placement(
             so3.rotate(self.rotations, moved) + self.translations,
@@ -99,41 +99,41 @@ class Placement:
         )
 
     def first(self) -> Placement:
-        """Return that of the first frame."""
+        """Return the placement of the first frame."""
         return Placement(self.translations[:1], self.rotations[:1], self.sizes[:1])
 
     def steady(self) -> Placement:
-        """Return it as one frame where all frames are the same."""
+        """Return a single frame if all frames are equal."""
         if not self.moves:
             return self
-        apart = [
+        spans = [
             np.abs(self.translations - self.translations[:1]).max(),
             np.abs(self.sizes / self.sizes[0] - 1.0).max(),
             1.0 - np.abs((self.rotations * self.rotations[:1]).sum(axis=-1)).min(),
         ]
         limits = [SAME, SAME, SAME**2]
-        same = all(a <= limit for a, limit in zip(apart, limits, strict=True))
+        same = all(a <= limit for a, limit in zip(spans, limits, strict=True))
         return self.first() if same else self
 
     def described(self) -> str:
-        """Return where the first frame has things, in words with numbers."""
+        """Describe the first frame in words and numbers."""
         x, y, z = (round(v, 4) + 0.0 for v in self.translations[0].tolist())
         cosine = min(1.0, abs(float(self.rotations[0, 3])))
         angle = round(math.degrees(2 * math.acos(cosine)), 2)
         return f"at ({x:g}, {y:g}, {z:g}) m, rotated by {angle:g}°"
 
     def split(self, up: UpAxis) -> tuple[Placement, Placement]:
-        """Return where it stands and faces, and before that, what sizes and rights it.
+        """Split into heading and position, and a preceding scale and up-axis fix.
 
         The second holds the scale, and the turn that brings the axis of a skeleton that
         is nearest to up, such as Y under a stage of Z up, to up itself. The first holds
         all else: the way and the heading, and a slope.
         """
         axis = np.array(up.vector)
-        own = so3.rotate(so3.conjugate(self.rotations[0]), axis)
-        k = int(np.abs(own).argmax())
+        local_up = so3.rotate(so3.conjugate(self.rotations[0]), axis)
+        k = int(np.abs(local_up).argmax())
         nearest = np.zeros(3)
-        nearest[k] = np.copysign(1.0, own[k])
+        nearest[k] = np.copysign(1.0, local_up[k])
         righting = _shortest(nearest, axis)
         frames = np.repeat(righting[None], len(self.sizes), axis=0)
         sized = Placement(np.zeros((len(frames), 3)), frames, self.sizes)
@@ -143,7 +143,7 @@ class Placement:
 
 
 def _shortest(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the shortest turn from one axis to another, opposite ones about X."""
+    """Return the shortest rotation between two axes; about X if opposite."""
     if (one == -other).all():
         return np.array([1.0, 0.0, 0.0, 0.0])
     return so3.between(one, other)
@@ -154,9 +154,9 @@ def placement_matrix(placement: Placement, unit: float = 1.0) -> FloatArray:
 
     unit: of the lengths of those vectors [m].
     """
-    whole = np.eye(4)
-    whole[:3, :3] = so3.to_matrix(placement.rotations[0])
+    matrix = np.eye(4)
+    matrix[:3, :3] = so3.to_matrix(placement.rotations[0])
     if placement.size != 1.0:
-        whole[:3, :3] *= placement.size
-    whole[:3, 3] = placement.translations[0] / unit
-    return whole
+        matrix[:3, :3] *= placement.size
+    matrix[:3, 3] = placement.translations[0] / unit
+    return matrix

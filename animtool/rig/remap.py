@@ -1,4 +1,4 @@
-"""Remap files, ``*.remap.yaml``: shapes of one convention as those of another."""
+"""Remap files, ``*.remap.yaml``: blend shapes of one convention mapped to another."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from animtool.rig.shapes import arkit_name
 
 
 class RemapEntryModel(FileModel):
-    """A shape of the source, and what its weight is on the target."""
+    """A source shape and its weight on a target shape."""
 
     source: Name = key("A shape of the source.", "Smile_L")
     target: Name = key(
@@ -56,7 +56,7 @@ class RemapModel(FileModel):
 
 @dataclass(frozen=True, slots=True)
 class RemapFile:
-    """A remap file that was read."""
+    """A parsed remap file."""
 
     document: Document
     model: RemapModel
@@ -64,7 +64,7 @@ class RemapFile:
 
 @dataclass(frozen=True, slots=True)
 class ShapeLink:
-    """What one shape of a source gives one of a target."""
+    """A link from a source shape to a target shape."""
 
     source: int  # index of the shape
     target: int  # index of the shape
@@ -76,23 +76,23 @@ class ShapeLink:
 
 @dataclass(frozen=True, slots=True)
 class ShapeLinks:
-    """Which shapes of a target follow which of a source."""
+    """Links between source and target shapes."""
 
     links: tuple[ShapeLink, ...]
-    lost: tuple[str, ...]  # shapes of the source that move nothing
-    resting: tuple[str, ...]  # shapes of the target that nothing moves
+    lost: tuple[str, ...]  # unlinked source shapes
+    resting: tuple[str, ...]  # unlinked target shapes
 
     def apply(self, weights: FloatArray, count: int) -> FloatArray:
-        """Return weights of the target ``(F, count)`` of those of the source."""
-        made = np.zeros((len(weights), count))
+        """Convert source weights to target weights ``(F, count)``."""
+        linked = np.zeros((len(weights), count))
         for link in self.links:
             moved = link.gain * weights[:, link.source] + link.offset
-            made[:, link.target] += np.clip(moved, link.low, link.high)
-        return made
+            linked[:, link.target] += np.clip(moved, link.low, link.high)
+        return linked
 
 
 def load_remap(path: Path | str) -> RemapFile:
-    """Return a remap file; names of shapes are checked by `link_shapes`.
+    """Load a remap file; `link_shapes` checks its shape names.
 
     Raises:
         FormatError: It cannot be read or is malformed, with every fault.
@@ -101,7 +101,7 @@ def load_remap(path: Path | str) -> RemapFile:
 
 
 def remap_of_document(document: Document) -> RemapFile:
-    """Return a document as a remap file (an entry twice, or a bad clamp: FAC002)."""
+    """Parse a remap document (duplicate entry or invalid clamp: FAC002)."""
     check_version(document, "remap")
     model = validated(document, RemapModel)
     taken: dict[tuple[str, str], int] = {}
@@ -122,12 +122,12 @@ def remap_of_document(document: Document) -> RemapFile:
 def link_shapes(
     source: Sequence[str], target: Sequence[str], remap: RemapFile | None = None
 ) -> ShapeLinks:
-    """Return which shapes of a target follow which of a source, by name.
+    """Link source and target shapes by name or remap file.
 
     Names are equal, or ARKit's in any spelling, such as ``blendShape1.eyeBlink_L``.
 
     Raises:
-        FormatError: The source or the target has no shape that a file names (FAC001).
+        FormatError: A named shape is missing (FAC001).
     """
     ours, theirs = _index(source), _index(target)
     links: list[ShapeLink] = []
@@ -135,7 +135,7 @@ def link_shapes(
     if remap is not None and model is not None:
         document = remap.document
         for i, entry in enumerate(model.shapes):
-            found = {}
+            indices = {}
             for side, index in (("source", ours), ("target", theirs)):
                 name = getattr(entry, side)
                 at = index.get(name, index.get(arkit_name(name) or name))
@@ -146,12 +146,17 @@ def link_shapes(
                         "FAC001", ("shapes", i, side), message, nearest(name, names)
                     )
                 else:
-                    found[side] = at
-            if len(found) == 2:
+                    indices[side] = at
+            if len(indices) == 2:
                 low, high = entry.clamp or (-np.inf, np.inf)
                 links.append(
                     ShapeLink(
-                        *(found["source"], found["target"], entry.gain, entry.offset),
+                        *(
+                            indices["source"],
+                            indices["target"],
+                            entry.gain,
+                            entry.offset,
+                        ),
                         low=low,
                         high=high,
                     )
@@ -175,7 +180,7 @@ def link_shapes(
 
 
 def _index(names: Sequence[str]) -> Mapping[str, int]:
-    """Return shapes by every name that finds them, their own first."""
+    """Index shapes by all their names, exact ones first."""
     index = {name: i for i, name in enumerate(names)}
     for i, name in enumerate(names):
         known = arkit_name(name)

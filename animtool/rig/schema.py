@@ -31,7 +31,7 @@ from animtool.rig.joint_schema import (
 
 
 class AttachModel(FileModel):
-    """What a simulation moves."""
+    """Geometry or joints that a simulation moves."""
 
     name: Name = key("Unique name among the attachments.", "cape")
     kind: Name = key(
@@ -84,14 +84,14 @@ class CapsuleModel(FileModel):
 
 
 class ColliderModel(FileModel):
-    """What a simulation may not pass through."""
+    """Colliders of simulations."""
 
     joint: Name = key("The joint it is attached to.", "head")
     capsule: CapsuleModel = key("Its form.", {"radius": 0.08, "length": 0.3})
 
 
 class MassModel(FileModel):
-    """What a joint weighs."""
+    """Mass of a joint."""
 
     joint: Name = key("The joint, with all that moves with it and has no own.", "thigh")
     mass: Annotated[Real, Field(gt=0)] = key("Its mass [kg].", 8.5)
@@ -115,7 +115,7 @@ class MassModel(FileModel):
 
 
 class DriveModel(FileModel):
-    """What a control adds to a shape, a joint's coordinate or another control."""
+    """A control's drive of a shape, a joint's coordinate or another control."""
 
     shape: Name | None = key(
         "The shape whose weight it adds to.", "smile", default=None
@@ -145,7 +145,7 @@ class DriveModel(FileModel):
 
 
 class ControlModel(FileModel):
-    """What an animator holds."""
+    """A named animator value."""
 
     name: Name = key(
         "Letters, digits and underscores, so that expressions can read it; not a "

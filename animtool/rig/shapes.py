@@ -1,4 +1,4 @@
-"""Combined shapes, whose weights follow from others, and the names that ARKit uses.
+"""Combination shapes, and ARKit shape names.
 
 References:
     Apple, ARKit documentation, ``ARFaceAnchor.BlendShapeLocation``.
@@ -19,20 +19,20 @@ browDown browOuterUp cheekSquint eyeBlink eyeLookDown eyeLookIn eyeLookOut eyeLo
 eyeSquint eyeWide jaw mouth mouthDimple mouthFrown mouthLowerDown mouthPress mouthSmile
 mouthStretch mouthUpperUp noseSneer
 """
-_WHOLE = """
+_UNSIDED = """
 browInnerUp cheekPuff jawForward jawOpen mouthClose mouthFunnel mouthPucker
 mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper tongueOut
 """
 
 ARKIT_SHAPES: tuple[str, ...] = tuple(
     sorted(
-        [*_WHOLE.split(), *(n + s for n in _SIDED.split() for s in ("Left", "Right"))]
+        [*_UNSIDED.split(), *(n + s for n in _SIDED.split() for s in ("Left", "Right"))]
     )
 )
 
 
 def _spelled(name: str) -> str:
-    """Return a name without case, underlines and what stands before it."""
+    """Normalize a name: no case, underscores or namespace."""
     return re.sub(r"[\s_-]", "", re.split(r"[.:|/]", name)[-1]).lower()
 
 
@@ -44,7 +44,7 @@ _NAMES = {_spelled(name): name for name in ARKIT_SHAPES} | {
 
 
 def arkit_name(name: str) -> str | None:
-    """Return ARKit's own spelling of a shape's name; None where it is none of these.
+    """Return ARKit's spelling of a shape name; None if it is not one.
 
     >>> arkit_name("blendShape1.eye_blink_L"), arkit_name("JawOpen"), arkit_name("grin")
     ('eyeBlinkLeft', 'jawOpen', None)
@@ -53,7 +53,7 @@ def arkit_name(name: str) -> str | None:
 
 
 class ShapeCycleError(ValueError):
-    """Shapes combine each other in a circle.
+    """Shapes combine each other in a cycle.
 
     Attributes:
         cycle: Their names, each combining the next, the first one again at the end.
@@ -65,7 +65,7 @@ class ShapeCycleError(ValueError):
 
 
 def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
-    """Return shapes, each behind those that it combines.
+    """Return shapes in dependency order.
 
     >>> smile, both = Shape("smile"), Shape("both", combine=("smile",))
     >>> [shape.name for shape in combination_order([both, smile])]
@@ -85,9 +85,9 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
 
 
 def combined_weights(
-    shapes: Sequence[Shape], own: Mapping[str, FloatArray]
+    shapes: Sequence[Shape], uncombined: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return weights of shapes [1], ``(F,)`` or ``(1,)``, combined ones added.
+    """Add combination products to shape weights [1], ``(F,)`` or ``(1,)``.
 
     >>> import numpy as np
     >>> shapes = [Shape("a"), Shape("b"), Shape("both", combine=("a", "b"))]
@@ -95,21 +95,22 @@ def combined_weights(
     >>> combined_weights(shapes, own)["both"].tolist()
     [0.25, 0.5]
     """
-    weights = {shape.name: own[shape.name] for shape in shapes}
+    weights = {shape.name: uncombined[shape.name] for shape in shapes}
     for shape in combination_order(shapes):
         if shape.combine:
             weights[shape.name] = weights[shape.name] + _product(shape, weights)
     return weights
 
 
-def own_weights(
+def uncombined_weights(
     shapes: Sequence[Shape], total: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return of which weights `combined_weights` makes these [1], ``(F,)`` or ``(1,)``.
+    """Invert `combined_weights` [1], ``(F,)`` or ``(1,)``.
 
     >>> import numpy as np
     >>> shapes = [Shape("a"), Shape("both", combine=("a",))]
-    >>> own_weights(shapes, {"a": np.array([0.5]), "both": np.array([0.75])})["both"]
+    >>> total = {"a": np.array([0.5]), "both": np.array([0.75])}
+    >>> uncombined_weights(shapes, total)["both"]
     array([0.25])
     """
     return {

@@ -1,4 +1,4 @@
-"""Left and right joints of a rig: paired by their names, and reflected."""
+"""Left and right joints of a rig: pairing by name, and reflection."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ _LETTER = (
 )
 _LOOKS_LEFT = re.compile(f"{_LEFT}|左|" + _LETTER.format("l", "L"))
 _LOOKS_RIGHT = re.compile(f"{_RIGHT}|右|" + _LETTER.format("r", "R"))
-# How a name says that it is left, the surest way first. The last ones are letters of
-# other words in most names: a partner of the other name must exist anyway.
-_WAYS = tuple(
+# Patterns of left names, most reliable first. The last ones also match
+# unrelated letters, but a partner of the other name must exist anyway.
+_SIDE_PATTERNS = tuple(
     re.compile(pattern)
     for pattern in (
         f"{_LEFT}|左",
@@ -53,12 +53,12 @@ _WAYS = tuple(
 
 @dataclass(frozen=True, slots=True)
 class SidePairs:
-    """The partners of joints, or of other named parts."""
+    """Partners of joints or other named parts."""
 
-    # Index of each one's partner ``(J,)``, its own where it has none.
+    # Index of each partner ``(J,)``; of itself without one.
     partners: IntArray
     left: tuple[int, ...]  # of the pairs that the names gave, indices of the left ones
-    # Those whose names look left or right and that have no partner.
+    # Left or right names without a partner.
     strays: tuple[int, ...]
 
 
@@ -67,7 +67,7 @@ def pair_sides(
     parents: Sequence[int] | IntArray | None = None,
     stated: Sequence[tuple[str, str]] = (),
 ) -> SidePairs:
-    """Return the left and right partners among names of J joints.
+    """Pair left and right names of J joints.
 
     A pair holds where both names exist, neither has another partner, and their parents
     are the same or partners (None: there is no hierarchy). Stated pairs hold whatever
@@ -98,11 +98,11 @@ def pair_sides(
     return SidePairs(partners, tuple(sorted(partner_of)), tuple(strays))
 
 
-def stray_sides(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:
-    """Return pairs that a person may mean, of names that have no partner.
+def unpaired_sides(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:
+    """Return likely pairs among unpaired names.
 
     >>> names = ["armLeft", "arm_right"]
-    >>> stray_sides(names, pair_sides(names))
+    >>> unpaired_sides(names, pair_sides(names))
     [('armLeft', 'arm_right')]
     """
     left = [names[i] for i in pairs.strays if _LOOKS_LEFT.search(names[i])]
@@ -136,26 +136,26 @@ def _depths(parents: Sequence[int]) -> list[int]:
 def _candidates(
     names: Sequence[str], index: dict[str, int], depths: Sequence[int]
 ) -> Iterator[tuple[int, int, int, int]]:
-    """Yield depth, way, left and right of each pair that the names allow."""
+    """Yield depth, rank, left and right of each possible pair."""
     folded: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         folded.setdefault(name.casefold(), []).append(i)
     for left, name in enumerate(names):
-        for way, other in _others(name):
+        for rank, other in _others(name):
             if other in index:
-                yield depths[left], way, left, index[other]
-            elif len(same := folded.get(other.casefold(), [])) == 1 and way < 3:
-                yield depths[left], way + len(_WAYS), left, same[0]
+                yield depths[left], rank, left, index[other]
+            elif len(same := folded.get(other.casefold(), [])) == 1 and rank < 3:
+                yield depths[left], rank + len(_SIDE_PATTERNS), left, same[0]
 
 
 def _others(name: str) -> Iterator[tuple[int, str]]:
-    """Yield what the right partner of a left one may be called, and how sure it is."""
-    for way, pattern in enumerate(_WAYS):
+    """Yield rank and name of possible right partners of a left name."""
+    for rank, pattern in enumerate(_SIDE_PATTERNS):
         marks = list(pattern.finditer(name))
         if len(marks) > 1:
-            yield way, pattern.sub(_right, name)
+            yield rank, pattern.sub(_right, name)
         for mark in marks:
-            yield way, name[: mark.start()] + _right(mark) + name[mark.end() :]
+            yield rank, name[: mark.start()] + _right(mark) + name[mark.end() :]
 
 
 def _right(mark: re.Match[str]) -> str:
@@ -174,7 +174,7 @@ ORIGIN: Transform = (np.zeros(3), so3.IDENTITY)
 _ACROSS = np.array([-1.0, 1.0, 1.0])
 
 # Differences below are rounding [m], [rad]: the file's own numbers are kept.
-SAME_PLACE = 1e-12
+SAME_POSITION = 1e-12
 
 
 def reflect_vector(vector: FloatArray) -> FloatArray:
@@ -192,7 +192,7 @@ def reflect_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def placed(parent_world: Transform, pose: Pose) -> Transform:
-    """Return the world transform of a local one below a parent."""
+    """Return the world transform of a local transform below a parent."""
     position, rotation = parent_world
     return (
         position + so3.rotate(rotation, pose.translation),
@@ -203,17 +203,17 @@ def placed(parent_world: Transform, pose: Pose) -> Transform:
 def mirrored_pose(pose: Pose, world: Transform, parent_world: Transform) -> Pose:
     """Return the local pose of the other side's joint, a reflection in the world."""
     local = reflect_vector(np.array(pose.translation)) + 0.0
-    turn = reflect_rotation(np.array(pose.rotation)) + 0.0
+    facing_local = reflect_rotation(np.array(pose.rotation)) + 0.0
     position, rotation = reflect_vector(world[0]), reflect_rotation(world[1])
     back = so3.conjugate(parent_world[1])
-    place, facing = position - parent_world[0], so3.multiply(back, rotation)
+    offset, facing = position - parent_world[0], so3.multiply(back, rotation)
     if (
-        np.abs(so3.rotate(back, place) - local).max() > SAME_PLACE
-        or so3.angle_between(facing, turn) > SAME_PLACE
+        np.abs(so3.rotate(back, offset) - local).max() > SAME_POSITION
+        or so3.angle_between(facing, facing_local) > SAME_POSITION
     ):
-        # Parents that are no mirror images of each other themselves.
-        local, turn = so3.rotate(back, place) + 0.0, facing + 0.0
-    a, b, c, d = turn.tolist()
+        # The parents are not mirror images of each other.
+        local, facing_local = so3.rotate(back, offset) + 0.0, facing + 0.0
+    a, b, c, d = facing_local.tolist()
     return Pose(_vector(local), (a, b, c, d))
 
 
@@ -222,7 +222,7 @@ def mirrored_joint(
 ) -> Joint:
     """Return the joint named ``joint.mirror``, a joint's reflection at rest.
 
-    A pin's axis keeps its sense such that equal coordinates are mirror images: both
+    A pin's axis is reflected so that equal coordinates are mirror images: both
     elbows bend by positive angles, and limits carry over.
     """
     pose = mirrored_pose(Pose(joint.translation, joint.rotation), world, parent_world)
@@ -247,7 +247,7 @@ def mirrored_joint(
 
 
 def _turned(axis: Vector) -> Vector:
-    """Return the axis about which equal angles are mirror images."""
+    """Return the reflected axis about which equal angles are mirror images."""
     return _vector(-reflect_vector(np.array(axis)))
 
 

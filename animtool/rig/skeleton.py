@@ -35,10 +35,10 @@ from animtool.rig.placement import Placement
 if TYPE_CHECKING:
     from animtool.rig.drivers import Driver
 
-# Letters of the paths of all joints: a chain has the square of its joints.
+# Limit of all joint paths [character]: chains grow quadratically.
 MAX_PATHS = 500_000_000
 
-# As BVH calls the numbers of a joint.
+# BVH channel names.
 ChannelName: TypeAlias = Literal[
     "Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation"
 ]
@@ -48,7 +48,7 @@ Quaternion = tuple[float, float, float, float]
 
 
 class JointType(StrEnum):
-    """What a joint can do, relative to its rest frame."""
+    """Joint types: allowed motion relative to the rest frame."""
 
     FREE = "free"
     BALL = "ball"
@@ -68,7 +68,7 @@ WIDTHS = {
 
 
 class JointArrays(NamedTuple):
-    """What the joints of a rig can do, as kernels take it."""
+    """Joint types and axes as arrays for kernels."""
 
     types: IntArray  # numbers of the types ``(J,)``
     columns: IntArray  # of each joint's first coordinate ``(J,)``
@@ -88,8 +88,8 @@ class Mimic:
 class Pose:
     """A local transform, parent space: translation [m], rotation (x, y, z, w).
 
-    Of a bind pose ``stretch`` is what its transform does before that, in the frame of
-    the joint: scale and shear of nothing below it, 9 numbers row by row. None is none.
+    In a bind pose, ``stretch`` is a preceding scale and shear in the frame of
+    the joint, not inherited, 9 numbers row by row; None for none.
     """
 
     translation: Vector
@@ -104,22 +104,22 @@ class Joint:
     Attributes:
         name: Unique in its rig.
         parent: Index of the parent, -1 for a root; less than the joint's own.
-        type: What it can do.
+        type: Joint type.
         translation: Rest offset in the parent's frame [m].
         rotation: Rest rotation (x, y, z, w) in the parent's frame.
         axis: Unit axis of a pin or prismatic joint, in the joint's rest frame.
-        source_name: The name as its file spells it; empty where that is ``name``.
+        source_name: The name in its file; empty if equal to ``name``.
         channels: Order of a BVH joint's channels (``Xposition`` …); None where the
-            source has none of its own.
+            source has none.
         tips: Ends of the joint's bone that carry no joint (BVH End Sites), in the
             joint's frame [m].
-        limits: How far it may go; None is any way.
-        mimic: The joint that it follows.
+        limits: Limits; None for none.
+        mimic: The joint that its coordinate copies.
         mirror: Name of its counterpart on the other side; empty for none.
-        driven: What a pin's or prismatic joint's coordinate is, in place of motion of
-            its own.
-        humanoid: Which bone of a person its file says it is, as VRM calls that; empty
-            where it does not say; not compared.
+        driven: Driver of a pin's or prismatic joint's coordinate, instead of
+            keys.
+        humanoid: VRM humanoid bone that its file assigns; empty
+            for none; not compared.
     """
 
     name: str
@@ -143,30 +143,30 @@ class Rig:
     """A skeleton.
 
     Attributes:
-        name: What the character is called.
+        name: Name of the character.
         joints: Parents before children, several roots allowed.
         meters_per_unit: Length unit of the source [m]; joints are in metres.
         up: The up axis of the source.
         bind: Local transforms of the joints whose bind pose is not their rest.
         meshes: Surfaces.
         shapes: Blend shapes.
-        controls: What an animator holds.
-        chains: Chains that reach for goals.
-        attach: What simulations move.
-        colliders: What simulations may not pass through.
-        masses: What joints weigh, where that is stated; each joint once.
+        controls: A named animator value.
+        chains: IK chains.
+        attach: Attachments that simulations move.
+        colliders: Colliders of simulations.
+        masses: Stated masses; at most one per joint.
         radians_per_unit: Angle unit of the source [rad]; inside they are radians.
         notices: What is odd about the file that it was read from; not compared.
         has_rest: Whether the file states a rest pose, as all do but a SkelAnimation
             without its Skeleton; not compared.
-        stands: Where a stage has it stand and face, which its roots at rest hold; a
-            scale is part of its lengths. None where it is where its numbers say; not
+        stands: Position and heading on its stage, included in the rest of its roots; a
+            scale is part of its lengths. None without a placement; not
             compared.
-        rides: Whether it moves there by what is above the SkelRoot; not compared.
+        rides: Whether prims above the SkelRoot move it; not compared.
 
     Raises:
-        OptionError: A name stands twice (RIG001), or a parent does not precede its
-            child (RIG003), with every such fault.
+        OptionError: Duplicate name (RIG001), or a parent does not precede its
+            child (RIG003); has every such fault.
     """
 
     name: str
@@ -205,13 +205,13 @@ class Rig:
 
     @classmethod
     def load(cls, path: Path | str) -> Rig:
-        """Return the rig of a rig file, of a USD file's Skeleton, or of a BVH.
+        """Load a rig file, a USD Skeleton, or a BVH's skeleton.
 
         A rig file that says ``from`` takes its joints from the file named there.
 
         Raises:
-            FormatError: The file cannot be read or is malformed, with every fault.
-            OptionError: Its suffix is none that animtool reads.
+            FormatError: The file cannot be read or is malformed; has every fault.
+            OptionError: Its suffix is not supported.
         """
         path = Path(path)
         return cast(Rig, find_reader(path).rig_opener(path)(path))
@@ -235,7 +235,7 @@ class Rig:
         """Return the index of a joint.
 
         Raises:
-            OptionError: There is none of that name (RIG008).
+            OptionError: Unknown joint (RIG008).
 
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).index("lower")
         1
@@ -248,7 +248,7 @@ class Rig:
         return self._index[name]
 
     def ik(self, *goals: Any, **options: Any) -> Any:
-        """Return an `animtool.ik.Session`: goals solved again and again, a pose a call.
+        """Return an `animtool.ik.Session` that solves goals one pose per call.
 
         Args:
             goals: Names of joints, or `animtool.ik.Goal` for more than position and
@@ -262,7 +262,7 @@ class Rig:
         return session(self, *goals, **options)
 
     def upwards(self, joint: int) -> list[int]:
-        """Return the indices of a joint and of all above it, upwards.
+        """Return the indices of a joint and its ancestors, upwards.
 
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).upwards(1)
         [1, 0]

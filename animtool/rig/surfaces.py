@@ -1,4 +1,4 @@
-"""The arrays of a rig's meshes, shapes and strands: read when asked for, and stored."""
+"""Lazy arrays of a rig's meshes, shapes and strands."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from animtool.rig.skeleton import Rig
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceInbetween:
-    """What a shape adds at a weight between 0 and 1."""
+    """Deltas of a shape at a weight between 0 and 1."""
 
     at: float  # the weight
     deltas: FloatArray  # of the shape's vertices ``(N, 3)`` [m]
@@ -51,7 +51,7 @@ class SurfaceShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSkin:
-    """How a surface follows joints."""
+    """Skin binding of a surface."""
 
     method: str  # ``linear`` or ``dual_quaternion``
     joints: tuple[str, ...]  # names of the joints that the indices count
@@ -77,7 +77,7 @@ class Surface:
 
 
 def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
-    """Return the meshes of a rig, their arrays read."""
+    """Read the meshes of a rig."""
     try:
         with Archives() as archives:
             return tuple(_surface(rig, mesh, archives) for mesh in rig.meshes)
@@ -124,16 +124,16 @@ def _skin(skin: Skin, archives: Archives) -> SurfaceSkin:
 
 
 def _deforms(shape: Shape) -> bool:
-    """Return whether a shape moves points or turns normals, or its inbetweens do."""
+    """Return whether a shape or its inbetweens change points or normals."""
     parts = (shape.deltas, shape.normals, *shape.inbetweens)
     return any(part is not None for part in parts)
 
 
 def _shape(shape: Shape, points: int, unit: float, archives: Archives) -> SurfaceShape:
-    """Return a shape of a mesh; one that turns normals alone moves points by 0."""
+    """Read a shape of a mesh; deltas are 0 if it only changes normals."""
     vertices = None if shape.vertices is None else shape.vertices.load(archives)
-    still = np.zeros((points if vertices is None else len(vertices), 3))
-    deltas = still if shape.deltas is None else shape.deltas.load(archives)
+    zeros = np.zeros((points if vertices is None else len(vertices), 3))
+    deltas = zeros if shape.deltas is None else shape.deltas.load(archives)
     return SurfaceShape(
         shape.name,
         deltas * unit,
@@ -161,7 +161,7 @@ class Strands:
 
 
 def strands_of(rig: Rig) -> tuple[Strands, ...]:
-    """Return the strands of a rig, their arrays read."""
+    """Read the strands of a rig."""
     strands = []
     for entry in rig.attach:
         if entry.points is None:
@@ -180,7 +180,7 @@ StoredArrays = dict[str, npt.NDArray[np.generic]]
 def with_file(rig: Rig, path: Path, *, moved: bool = False) -> tuple[Rig, StoredArrays]:
     """Return the rig with references to an npz file for its arrays, and the arrays.
 
-    With ``moved`` what it refers to is stored as well: its file goes to another folder.
+    With ``moved``, referenced arrays are stored too: the rig file changes folder.
     """
     store = _Store(path, moved)
     meshes = tuple(store.mesh(mesh) for mesh in rig.meshes)
@@ -197,16 +197,16 @@ class _Store:
 
     @overload
     def ref(
-        self, source: ArraySource, name: str, *, whole: bool = False
+        self, source: ArraySource, name: str, *, integers: bool = False
     ) -> ArraySource: ...
     @overload
     def ref(
-        self, source: ArraySource | None, name: str, *, whole: bool = False
+        self, source: ArraySource | None, name: str, *, integers: bool = False
     ) -> ArraySource | None: ...
     def ref(
-        self, source: ArraySource | None, name: str, *, whole: bool = False
+        self, source: ArraySource | None, name: str, *, integers: bool = False
     ) -> ArraySource | None:
-        """Return a reference to an array, which is stored if no file has it."""
+        """Return a reference to an array; store it if no file has it."""
         if source is None or (isinstance(source, ArrayRef) and not self.moved):
             return source
         try:
@@ -217,7 +217,7 @@ class _Store:
         number = 2
         while key in self.arrays:
             key, number = f"{plain}_{number}", number + 1
-        self.arrays[key] = _smallest(values, whole=whole)
+        self.arrays[key] = _smallest(values, integers=integers)
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
 
     def mesh(self, mesh: Mesh) -> Mesh:
@@ -226,7 +226,7 @@ class _Store:
         return replace(
             mesh,
             points=self.ref(mesh.points, f"{mesh.name}_points"),
-            faces=self.ref(mesh.faces, f"{mesh.name}_faces", whole=True),
+            faces=self.ref(mesh.faces, f"{mesh.name}_faces", integers=True),
             normals=self.ref(mesh.normals, f"{mesh.name}_normals"),
             skin=None if skin is None else self.skin(skin, mesh.name),
         )
@@ -235,7 +235,7 @@ class _Store:
         """Return a skin with references."""
         return replace(
             skin,
-            indices=self.ref(skin.indices, f"{mesh}_joints", whole=True),
+            indices=self.ref(skin.indices, f"{mesh}_joints", integers=True),
             weights=self.ref(skin.weights, f"{mesh}_weights"),
         )
 
@@ -246,7 +246,7 @@ class _Store:
             shape,
             deltas=self.ref(shape.deltas, name),
             normals=self.ref(shape.normals, f"{name}_normals"),
-            vertices=self.ref(shape.vertices, f"{name}_vertices", whole=True),
+            vertices=self.ref(shape.vertices, f"{name}_vertices", integers=True),
             inbetweens=tuple(self.step(step, name) for step in shape.inbetweens),
         )
 
@@ -263,14 +263,14 @@ class _Store:
         """Return an attachment with references."""
         return replace(
             entry,
-            pins=self.ref(entry.pins, f"{entry.name}_pins", whole=True),
+            pins=self.ref(entry.pins, f"{entry.name}_pins", integers=True),
             points=self.ref(entry.points, f"{entry.name}_points"),
         )
 
 
-def _smallest(values: FloatArray, *, whole: bool) -> npt.NDArray[np.generic]:
-    """Return the numbers in 32 bits where these hold them exactly."""
-    kind = np.int32 if whole else np.float32
+def _smallest(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
+    """Return the values in 32 bits if that is exact."""
+    kind = np.int32 if integers else np.float32
     with np.errstate(over="ignore", invalid="ignore"):
         small = values.astype(kind)
     return small if (small == values).all() else values

@@ -1,4 +1,4 @@
-"""Writing a rig as a rig file, from which it comes back equal."""
+"""Rig file writer; files read back equal."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from animtool.rig.parts import (
     AttachKind,
     Attachment,
     Collider,
-    HeldArray,
     IkChain,
+    LoadedArray,
     Mass,
     Mesh,
     Shape,
@@ -33,14 +33,14 @@ ROUNDING = 1e-5
 def rig_text(rig: Rig) -> str:
     """Return a rig as the text of a rig file, in its own units.
 
-    A joint that is the mirror image of one before it is left to that one's ``mirror``.
+    A joint that mirrors an earlier one is written as that one's ``mirror``.
     References to arrays are as the rig's own file spelled them; an array in no file is
     a `TypeError`, see `animtool.rig.surfaces.with_file`.
 
     >>> rig_text(Rig("post", (Joint("top", -1, translation=(0, 2, 0)),))).split()[-1]
     '0]}'
     """
-    units = _Units(rig)
+    units = _WrittenUnits(rig)
     lines = [
         "rig: animtool/1",
         f"name: {text(rig.name)}",
@@ -55,7 +55,7 @@ def rig_text(rig: Rig) -> str:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
             lines.append(f"- {units.joint(joint, parent, rig)}")
             written.add(joint.name)
-    bind = {**_unbound(rig), **_told_bind(rig)}
+    bind = {**_unbound(rig), **_explicit_bind(rig)}
     if bind:
         lines.append("bind:")
         for name, pose in bind.items():
@@ -82,14 +82,14 @@ def rig_text(rig: Rig) -> str:
     return "\n".join(lines) + "\n"
 
 
-class _Units:
+class _WrittenUnits:
     """Numbers in the unit of the rig."""
 
     def __init__(self, rig: Rig) -> None:
         self.name = unit_name(rig.meters_per_unit)
         self.meters = rig.meters_per_unit
         if " " in self.name:
-            # A unit that the format has no name for.
+            # The format has no name for this unit.
             self.name, self.meters = "m", 1.0
         self.radians = 1.0 if rig.radians_per_unit == 1.0 else math.radians(1.0)
         self.angle_name = "rad" if self.radians == 1.0 else "deg"
@@ -228,11 +228,11 @@ class _Units:
     def drive(self, drive: Drive) -> str:
         """Return a drive, its numbers in the units of the text."""
         kind, _, name = drive.target.partition("/")
-        own = (
+        unit = (
             self.meters if drive.of_length else self.radians if drive.of_angle else 1.0
         )
-        # But for rounding of units that are the same.
-        by = drive.unit / own
+        # Equal units but for rounding.
+        by = drive.unit / unit
         by = 1.0 if math.isclose(by, 1.0, rel_tol=1e-12) else by
         curve = flow([str(_numbers((x, y * by))) for x, y in drive.curve])
         expression, shown = drive.expression, None
@@ -255,13 +255,15 @@ class _Units:
             return None
         units = {None: 1.0, JointType.PRISMATIC: self.meters}
         by = driver.unit / units.get(joint_type, self.radians)
-        own = {name: self.unit_of(name) / driver.unit_of(name) for name in driver.names}
+        ratios = {
+            name: self.unit_of(name) / driver.unit_of(name) for name in driver.names
+        }
         if driver.expression is not None:
-            same = by == 1.0 and all(ratio == 1.0 for ratio in own.values())
+            same = by == 1.0 and all(ratio == 1.0 for ratio in ratios.values())
             expr = driver.expression
-            shown = expr.text if same else expr.scaled(own, by)
+            shown = expr.text if same else expr.scaled(ratios, by)
             return _mapping([("expr", _quoted(shown))])
-        ratio = own[driver.by]
+        ratio = ratios[driver.by]
         points = [(x / ratio, y * by) for x, y in driver.curve]
         return _mapping(
             [
@@ -279,7 +281,7 @@ class _Units:
 
 
 def _mirrors_drivers(rig: Rig) -> bool:
-    """Return whether the drivers of both sides are mirror images, as joints are."""
+    """Return whether the drivers of both sides are mirror images."""
     if not rig.is_driven:
         return True
     joints = {joint.name: joint for joint in rig.joints}
@@ -301,8 +303,8 @@ def _without_mirrors(joints: Sequence[Joint]) -> list[Joint]:
     return [replace(joint, mirror="") for joint in joints]
 
 
-def _told_bind(rig: Rig) -> dict[str, Pose]:
-    """Return the bind poses that are not those of rest but for rounding."""
+def _explicit_bind(rig: Rig) -> dict[str, Pose]:
+    """Return the bind poses that differ from rest by more than rounding."""
     kept = {}
     for name, pose in rig.bind.items():
         joint = rig.joints[rig.index(name)]
@@ -314,7 +316,7 @@ def _told_bind(rig: Rig) -> dict[str, Pose]:
 
 
 def _stretch(pose: Pose) -> str | None:
-    """Return the stretch of a bind pose; None where it is none but for rounding."""
+    """Return the stretch of a bind pose; None if it is rounding."""
     if pose.stretch is None:
         return None
     off = [value - (i % 4 == 0) for i, value in enumerate(pose.stretch)]
@@ -322,7 +324,7 @@ def _stretch(pose: Pose) -> str | None:
 
 
 def _unbound(rig: Rig) -> dict[str, Pose]:
-    """Return the rest pose of joints whose mirror image alone has a bind pose."""
+    """Return the rest pose of joints of which only the mirror image has a bind pose."""
     return {
         joint.name: Pose(joint.translation, joint.rotation)
         for joint in rig.joints
@@ -384,8 +386,8 @@ def _mesh(mesh: Mesh) -> str:
 
 
 def _file(source: ArraySource | None) -> str | None:
-    """Return where an array is, as the rig's file spells it."""
-    if isinstance(source, HeldArray):
+    """Return an array's path as spelled in the rig file."""
+    if isinstance(source, LoadedArray):
         message = "the array is in no file; animtool.rig.surfaces writes it to one"
         raise TypeError(message)
     return None if source is None else text(source.text)

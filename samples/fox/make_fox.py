@@ -29,7 +29,7 @@ from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
 from animtool.motion.take_files import WriteOptions
 from animtool.rig.kinematics import rest_world
-from animtool.rig.parts import HeldArray, Mesh, Shape, Skin
+from animtool.rig.parts import LoadedArray, Mesh, Shape, Skin
 from animtool.rig.skeleton import Joint, Rig
 from animtool.rig.write import rig_text
 
@@ -70,14 +70,16 @@ def rig() -> Rig:
     )
     bare = Rig("fox", joints)
     points, faces, indices, weights = body(bare)
-    skin = Skin("linear", tuple(names), HeldArray(indices), HeldArray(weights))
-    mesh = Mesh("body", HeldArray(points), HeldArray(faces), normals(points, faces))
+    skin = Skin("linear", tuple(names), LoadedArray(indices), LoadedArray(weights))
+    mesh = Mesh("body", LoadedArray(points), LoadedArray(faces), normals(points, faces))
     head = np.array([names.index("head"), names.index("snout")])
     near = np.isin(indices[:, 0], head)[:, None]
     lower = near * (points[:, 1:2] < 0.5)
     shapes = (
-        Shape("jaw_open", "body", HeldArray(lower * np.array([0.0, -0.02, -0.005]))),
-        Shape("puffed", "body", HeldArray(near * np.array([1.0, 0, 0]) * points * 0.3)),
+        Shape("jaw_open", "body", LoadedArray(lower * np.array([0.0, -0.02, -0.005]))),
+        Shape(
+            "puffed", "body", LoadedArray(near * np.array([1.0, 0, 0]) * points * 0.3)
+        ),
     )
     skinned = Mesh("body", mesh.points, mesh.faces, mesh.normals, skin=skin)
     return Rig("fox", joints, meshes=(skinned,), shapes=shapes)
@@ -128,7 +130,7 @@ def body(bare: Rig) -> tuple[Array, Array, Array, Array]:
     return rows[0], rows[1], rows[2], rows[3]
 
 
-def normals(points: Array, faces: Array) -> HeldArray:
+def normals(points: Array, faces: Array) -> LoadedArray:
     """Return a unit normal for each point, of the faces about it."""
     corners = faces.astype(np.int64)
     a, b, c = (points[corners[:, k]] for k in range(3))
@@ -136,7 +138,7 @@ def normals(points: Array, faces: Array) -> HeldArray:
     found = np.zeros_like(points)
     for k in range(3):
         np.add.at(found, corners[:, k], own)
-    return HeldArray(found / np.linalg.norm(found, axis=1, keepdims=True))
+    return LoadedArray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
 def channel(target: str, times: Array, values: Array, interp: Interp) -> ClipChannel:

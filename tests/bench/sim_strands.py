@@ -20,7 +20,7 @@ import animtool
 from animtool import _kernels
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.file import load_rig
-from animtool.rig.parts import HeldArray
+from animtool.rig.parts import LoadedArray
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.stepping import cells_of
@@ -56,7 +56,7 @@ def problem() -> Take:
     rig = load_rig(ROOT / "rigs/biped/biped.rig.yaml")
     take = animtool.open_source(ROOT / "samples/stride/stride.clip.yaml").collect()
     attach = tuple(
-        replace(one, points=HeldArray(hair(rig))) if one.kind == "strands" else one
+        replace(one, points=LoadedArray(hair(rig))) if one.kind == "strands" else one
         for one in rig.attach
     )
     return replace(take, rig=replace(rig, attach=attach))

@@ -9,7 +9,7 @@ import pytest
 from support.cli import animtool
 
 from animtool.cli.groups import LazyGroup
-from animtool.cli.help import Command, group_of, usual_options
+from animtool.cli.help import Command, common_options, group_of
 from animtool.cli.main import COMMANDS, SECTIONS, cli
 
 
@@ -34,7 +34,7 @@ def test_every_option_has_a_heading(command: Command) -> None:
     options = [each for each in command.params if isinstance(each, click.Option)]
     assert all(group_of(name, option) for option in options)
     words = {max(option.opts, key=len).removeprefix("--") for option in options}
-    assert words >= set(usual_options(name))
+    assert words >= set(common_options(name))
 
 
 @pytest.mark.parametrize("command", ALL, ids=lambda command: str(command.name))

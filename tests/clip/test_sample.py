@@ -9,7 +9,7 @@ import pytest
 from support.clips import RIG, hero, loaded, write_clip, write_rig
 
 from animtool.clip.file import load_clip, open_clip
-from animtool.clip.sample import Sampled, sample_channels
+from animtool.clip.sample import SampledMotion, sample_channels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import FormatError, Severity
 from animtool.maths import so3
@@ -23,14 +23,16 @@ X, Y, Z = np.eye(3)
 
 def sampled(
     folder: Path, channels: str, times: object = FRAMES, *, clamp: bool = False
-) -> tuple[Sampled, Rig]:
+) -> tuple[SampledMotion, Rig]:
     clip, rig = loaded(folder, channels)
     return sample_channels(
         clip.channels, rig, np.asarray(times, np.float64), clamp=clamp
     ), rig
 
 
-def locals_of(made: Sampled, rig: Rig, name: str) -> tuple[FloatArray, FloatArray]:
+def locals_of(
+    made: SampledMotion, rig: Rig, name: str
+) -> tuple[FloatArray, FloatArray]:
     """Return a joint's local translations ``(F, 3)`` and rotations ``(F, 4)``."""
     translations, rotations, _ = made.motion.dense()
     j = rig.index(name)

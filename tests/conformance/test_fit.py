@@ -16,7 +16,7 @@ from support.fit import along_x, below, with_rest
 from animtool import open_source
 from animtool.maths import so3
 from animtool.motion.take import Take
-from animtool.rig.fit import FITS, Fit, measure_fit
+from animtool.rig.fit import FITS, RigFit, measure_fit
 from animtool.rig.kinematics import forward, rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources.onto_rig import map_names
@@ -37,11 +37,11 @@ needs_data = pytest.mark.skipif(not BVH, reason="ANIMTOOL_DATA has no BVH")
 Record = Callable[[str, object], None]
 
 
-def fit(take: Rig, rig: Rig) -> Fit:
+def fit(take: Rig, rig: Rig) -> RigFit:
     return measure_fit(take, rig, map_names(rig, take).joints)
 
 
-def row(take: str, rig: str, found: Fit) -> str:
+def row(take: str, rig: str, found: RigFit) -> str:
     parts = " ".join(f"{value:.2f}" for value in found.parts.values())
     verdict = "fits" if found.score >= FITS else "refused"
     return f"  {take:28} {rig:28} {found.score:.2f} {verdict:8} {parts}"

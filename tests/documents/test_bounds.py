@@ -16,12 +16,12 @@ from support.cli import animtool
 from animtool.batch.file import BatchModel
 from animtool.clip.schema import ClipModel
 from animtool.documents.check import FileModel
-from animtool.documents.fields import MAX_NUMBER, MAX_WHOLE, check_numbers
+from animtool.documents.fields import MAX_INTEGER, MAX_NUMBER, check_numbers
 from animtool.ik.schema import TargetsModel
 from animtool.rig.schema import RigModel
-from animtool.scene.file.schema import whole_model
+from animtool.scene.file.schema import full_model
 
-MODELS = [BatchModel, ClipModel, RigModel, whole_model(), TargetsModel]
+MODELS = [BatchModel, ClipModel, RigModel, full_model(), TargetsModel]
 
 
 def unbounded(
@@ -48,7 +48,7 @@ def unbounded(
                     yield f"{annotation.__name__}.{name}: {found}"
     elif annotation in {float, int}:
         low, high = bounds(notes)
-        most = MAX_NUMBER if annotation is float else MAX_WHOLE
+        most = MAX_NUMBER if annotation is float else MAX_INTEGER
         if not (-most <= low and high <= most):
             yield f"{annotation.__name__} from {low} to {high}"
 

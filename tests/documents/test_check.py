@@ -141,7 +141,7 @@ def test_a_misspelt_key_is_not_missing_too(tmp_path: Path) -> None:
     assert isinstance(item, Round)
     assert item.radius == 2
     assert [fault.code for fault in read.faults] == ["DOC020"]
-    assert read.place(("items", 0, "radius")) == (3, 37)
+    assert read.position(("items", 0, "radius")) == (3, 37)
     read.add("X", ("items", 0, "radius"), "is odd")
     assert read.faults[-1].where == "items[0].radus"
 
@@ -187,10 +187,10 @@ def test_no_fault_is_noted_of_a_stand_in(tmp_path: Path) -> None:
 def test_entries_without_a_name_that_is_known(tmp_path: Path) -> None:
     read = document(tmp_path, "rig: x\nitems:\n- {type: square, side: x}\nnamed: 7")
     validated(read, Box)
-    assert not read.unnamed("items")
-    assert read.unnamed("items", "name", "side")
-    assert read.unnamed("named")
-    assert not read.unnamed("rig")
+    assert not read.has_unnamed("items")
+    assert read.has_unnamed("items", "name", "side")
+    assert read.has_unnamed("named")
+    assert not read.has_unnamed("rig")
 
 
 def test_what_does_not_ascend(tmp_path: Path) -> None:

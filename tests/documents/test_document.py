@@ -271,13 +271,13 @@ def test_many_faults_are_counted(tmp_path: Path) -> None:
 def test_byte_order_mark(tmp_path: Path) -> None:
     document = read_document(written(tmp_path, b"\xef\xbb\xbfa: 1"))
     assert document.value == {"a": 1}
-    assert document.place(("a",)) == (1, 4)
+    assert document.position(("a",)) == (1, 4)
 
 
 def test_line_ends(tmp_path: Path) -> None:
     document = read_document(written(tmp_path, b"a: 1\r\nb:\r\n- 2\r\n"))
     assert document.value == {"a": 1, "b": [2]}
-    assert document.place(("b", 0)) == (3, 3)
+    assert document.position(("b", 0)) == (3, 3)
 
 
 JSON = {
@@ -305,19 +305,19 @@ def test_json_without_blanks(tmp_path: Path) -> None:
 def test_places(tmp_path: Path) -> None:
     text = "a: 1\nlist:\n  - {x: 1, y: [5, 6]}\n  - 7\nend: {}\n"
     document = read_document(written(tmp_path, text))
-    assert document.place(()) == (1, 1)
-    assert document.place(("list",)) == (3, 3)
-    assert document.place(("list", 0, "y")) == (3, 15)
-    assert document.place(("list", 0, "y", 1)) == (3, 19)
-    assert document.place(("list", 1)) == (4, 5)
-    assert document.place(("end",)) == (5, 6)
+    assert document.position(()) == (1, 1)
+    assert document.position(("list",)) == (3, 3)
+    assert document.position(("list", 0, "y")) == (3, 15)
+    assert document.position(("list", 0, "y", 1)) == (3, 19)
+    assert document.position(("list", 1)) == (4, 5)
+    assert document.position(("end",)) == (5, 6)
 
 
 def test_places_of_what_is_not_there(tmp_path: Path) -> None:
     document = read_document(written(tmp_path, "a: 1\nb:\n  c: [1]\n"))
-    assert document.place(("b", "d")) == (3, 3)
-    assert document.place(("b", "c", 5)) == (3, 6)
-    assert document.place(("z",)) == (1, 1)
+    assert document.position(("b", "d")) == (3, 3)
+    assert document.position(("b", "c", 5)) == (3, 6)
+    assert document.position(("z",)) == (1, 1)
 
 
 def test_what_is_odd_is_no_fault(tmp_path: Path) -> None:
@@ -392,7 +392,7 @@ def test_yaml_reads_back(values: dict[str, Any], flow: bool, wide: bool) -> None
     document = read_text(text, "a.yaml")
     assert document.value == values
     places = composed(text)
-    assert {at: document.place(at) for at in locations(values)} == places
+    assert {at: document.position(at) for at in locations(values)} == places
 
 
 class NoAliases(yaml.SafeDumper):
@@ -419,7 +419,7 @@ def test_json_reads_back(
     assert document.value == values
     if indent:
         for at in locations(values):
-            line = text.split("\n")[document.place(at)[0] - 1]
+            line = text.split("\n")[document.position(at)[0] - 1]
             name = [step for step in at if isinstance(step, str)][-1:]
             if at and isinstance(at[-1], str):
                 assert json.dumps(name[0], ensure_ascii=ascii_only) in line

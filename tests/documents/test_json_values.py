@@ -89,8 +89,8 @@ def test_letters_and_numbers_of_json_are_read_at_once(text: str) -> None:
 def test_places_are_those_of_the_text() -> None:
     text = '{\n  "a": [1,\n    {"b": 2.50}],\n  "c": "x"\n}'
     document = document_of(text, PATH)
-    assert document.place(("a", 1, "b")) == (3, 11)
-    assert document.place(("c",)) == (4, 8)
+    assert document.position(("a", 1, "b")) == (3, 11)
+    assert document.position(("c",)) == (4, 8)
     assert document.written(("a", 1, "b")) == "2.50"
     assert document.written(("c",)) is None
 

@@ -17,23 +17,23 @@ from animtool.documents.placeholders import (
     annotation_of,
     fields_at,
     fields_of,
+    placeholder_of,
     replaced,
-    stand_in,
 )
 from animtool.rig.joint_schema import JointModel
 from animtool.rig.schema import RigModel
-from animtool.scene.file.schema import whole_model
+from animtool.scene.file.schema import full_model
 
 
-@pytest.mark.parametrize("model", [RigModel, ClipModel, whole_model()])
+@pytest.mark.parametrize("model", [RigModel, ClipModel, full_model()])
 def test_every_key_of_a_file_has_a_stand_in(model: type[BaseModel]) -> None:
     seen = 0
     for inner in models_in(model):
         for field in fields_of(inner).values():
             kind: Any = annotation_of(field)
-            TypeAdapter(kind).validate_python(stand_in(kind))
+            TypeAdapter(kind).validate_python(placeholder_of(kind))
             seen += 1
-        inner.model_validate(stand_in(inner))
+        inner.model_validate(placeholder_of(inner))
     assert seen > 10
 
 
@@ -51,7 +51,7 @@ def test_every_key_of_a_file_has_a_stand_in(model: type[BaseModel]) -> None:
     ],
 )
 def test_stand_ins(kind: Any, expected: object) -> None:
-    assert stand_in(kind) == expected
+    assert placeholder_of(kind) == expected
 
 
 class Part(FileModel):

@@ -74,7 +74,7 @@ def test_lists_and_mappings_are_searched_and_keys_stay() -> None:
     text = "several:\n- ${n}\n- ${n}: [\"${n}\", {x: 'a${n}'}]\n"
     found = resolved(text, n="3")
     assert found.value["several"] == [3, {"${n}": ["3", {"x": "a3"}]}]
-    assert found.place(("several", 1, "${n}", 1, "x")) == (4, 22)
+    assert found.position(("several", 1, "${n}", 1, "x")) == (4, 22)
 
 
 def test_values_of_the_file_come_after_those_given() -> None:
@@ -141,7 +141,7 @@ def test_variables_between_brackets_need_no_quotes() -> None:
     inner = {"x": 3, "y": "${n}", "${n}": "3"}
     assert found.value["several"] == [3, "a3b", inner, "{3}"]
     assert found.value["number"] == 3
-    assert found.place(("several", 2, "y")) == (2, 38)
+    assert found.position(("several", 2, "y")) == (2, 38)
 
 
 def test_a_quoted_variable_is_a_number_where_no_text_may_be() -> None:

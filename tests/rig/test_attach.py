@@ -17,7 +17,7 @@ from support.surfaces import held, shaped_rig
 from animtool.core.errors import Fault, FormatError
 from animtool.documents.document import document_of
 from animtool.rig.file import load_rig, rig_of_document
-from animtool.rig.parts import Attachment, HeldArray
+from animtool.rig.parts import Attachment, LoadedArray
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import with_file
 from animtool.rig.write import rig_text
@@ -168,7 +168,7 @@ def test_arrays_in_memory_go_to_a_file(
     attach = (
         Attachment(name, "strands", ("hand",), points=held(points)),
         Attachment(
-            "cloak", "cloth", mesh="body", pins=HeldArray(np.array(pins, float))
+            "cloak", "cloth", mesh="body", pins=LoadedArray(np.array(pins, float))
         ),
         Attachment("bare", "cloth", mesh="Skel"),
     )

@@ -550,7 +550,7 @@ def test_any_edits_give_a_rig_or_faults(
     for _ in range(data.draw(st.integers(1, 4))):
         edit(root, data)
     marks = document.marks()
-    edited = Document(path, root, lambda: Marks(marks.places * 9, {}))
+    edited = Document(path, root, lambda: Marks(marks.positions * 9, {}))
     joints: list[Any] = []
     faults: list[Any] = []
     try:

@@ -10,7 +10,7 @@ from support.fit import along_x, bent, with_rest
 
 from animtool.core.units import UpAxis
 from animtool.maths import so3
-from animtool.rig.fit import FITS, NOTICEABLE, Fit, measure_fit
+from animtool.rig.fit import FITS, NOTICEABLE, RigFit, measure_fit
 from animtool.rig.skeleton import Joint, Rig
 
 QUARTER = (0.0, 0.0, 0.5**0.5, 0.5**0.5)
@@ -30,7 +30,7 @@ BODY = Rig(
 )
 
 
-def fit(take: Rig, rig: Rig = BODY, *, posed: bool = True) -> Fit:
+def fit(take: Rig, rig: Rig = BODY, *, posed: bool = True) -> RigFit:
     source = [take.names.index(n) if n in take.names else -1 for n in rig.names]
     return measure_fit(take, rig, np.array(source), posed=posed)
 
@@ -76,7 +76,7 @@ def test_a_take_of_some_joints_fits(names: set[str]) -> None:
 
 def test_end_joints_that_the_rig_lacks_do_not_count() -> None:
     rig = kept(set(BODY.names) - {"thumb_l"})
-    assert fit(BODY, rig).take_share == 1.0
+    assert fit(BODY, rig).take_fraction == 1.0
 
 
 def test_few_joints_of_many_do_not_fit() -> None:

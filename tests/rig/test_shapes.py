@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool.rig.parts import Shape
-from animtool.rig.shapes import combined_weights, own_weights
+from animtool.rig.shapes import combined_weights, uncombined_weights
 
 A, B = Shape("a"), Shape("b")
 BOTH = Shape("both", combine=("a", "b"))
@@ -33,5 +33,5 @@ def test_own_weights_undo_the_combination(values: list[float]) -> None:
     shapes = [Shape("late", combine=("a", "both")), A, B, BOTH]
     names = [shape.name for shape in shapes]
     total = {name: np.array([v]) for name, v in zip(names, values, strict=True)}
-    made = combined_weights(shapes, own_weights(shapes, total))
+    made = combined_weights(shapes, uncombined_weights(shapes, total))
     assert_allclose([made[n] for n in names], [total[n] for n in names], atol=1e-15)

@@ -11,7 +11,7 @@ from animtool.core.clock import Clock
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take, TakeStream
-from animtool.rig.parts import Attachment, Collider, HeldArray, Mesh, Skin
+from animtool.rig.parts import Attachment, Collider, LoadedArray, Mesh, Skin
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.take_pass import simulate
@@ -51,7 +51,7 @@ def strands_rig(colliders: tuple[Collider, ...] = ()) -> Rig:
     points = np.zeros((3, 5, 3))
     points[..., 1] = down
     points[..., 0] = np.array([0.1, 0.2, 0.3])[:, None]
-    attach = (Attachment("hair", "strands", ("head",), points=HeldArray(points)),)
+    attach = (Attachment("hair", "strands", ("head",), points=LoadedArray(points)),)
     return Rig("head", (Joint("head", -1),), attach=attach, colliders=colliders)
 
 
@@ -62,10 +62,12 @@ def sheet_rig(size: int = 4, pins: tuple[int, ...] | None = None) -> Rig:
     row, column = np.mgrid[: size - 1, : size - 1]
     corner = (row * size + column).ravel()
     faces = np.stack([corner, corner + 1, corner + size + 1, corner + size], axis=1)
-    held = HeldArray(np.array(range(size) if pins is None else pins, np.float64))
+    held = LoadedArray(np.array(range(size) if pins is None else pins, np.float64))
     every = np.zeros((len(points), 1))
-    skin = Skin("linear", ("post",), HeldArray(every), HeldArray(every + 1.0))
-    mesh = Mesh("flag", HeldArray(points), HeldArray(faces.astype(float)), skin=skin)
+    skin = Skin("linear", ("post",), LoadedArray(every), LoadedArray(every + 1.0))
+    mesh = Mesh(
+        "flag", LoadedArray(points), LoadedArray(faces.astype(float)), skin=skin
+    )
     attach = (Attachment("flag", "cloth", mesh="flag", pins=held),)
     return Rig("pole", (Joint("post", -1),), meshes=(mesh,), attach=attach)
 

@@ -6,16 +6,16 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.rig.parts import HeldArray, Inbetween, Mesh, Shape, Skin, Subdivision
+from animtool.rig.parts import Inbetween, LoadedArray, Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 Floats = npt.NDArray[np.float64]
 TURNED = (0.6, 0.0, 0.0, 0.8)
 
 
-def held(values: npt.ArrayLike) -> HeldArray:
+def held(values: npt.ArrayLike) -> LoadedArray:
     """Return an array that float32 holds exactly."""
-    return HeldArray(np.asarray(values, np.float32).astype(np.float64))
+    return LoadedArray(np.asarray(values, np.float32).astype(np.float64))
 
 
 def grid(rows: int, columns: int) -> tuple[Floats, Floats]:
@@ -54,20 +54,20 @@ def shaped_rig(seed: int = 0, method: str = "linear") -> Rig:
     body = Mesh(
         "body",
         held(points),
-        HeldArray(faces),
+        LoadedArray(faces),
         held(normals),
         (1, 0, 0, 0.5, 0, 0, -1, 0, 0, 1, 0, 0.25, 0, 0, 0, 1),
         Skin(
             method,
             ("arm.l", "hand", "root"),
-            HeldArray(rng.integers(0, 3, (count, 2)).astype(np.float64)),
+            LoadedArray(rng.integers(0, 3, (count, 2)).astype(np.float64)),
             held(shares),
         ),
     )
     cap = Mesh(
         "Skel",
         held(points * 0.5 + 1),
-        HeldArray(faces),
+        LoadedArray(faces),
         subdivision=Subdivision.BILINEAR,
     )
     lifted = rng.normal(0, 0.02, (count, 3))
@@ -81,7 +81,7 @@ def shaped_rig(seed: int = 0, method: str = "linear") -> Rig:
             None,
             (Inbetween(0.5, held(lifted[some][:, ::-1])),),
             (),
-            HeldArray(some.astype(np.float64)),
+            LoadedArray(some.astype(np.float64)),
         ),
         Shape("both", "body", held(lifted[::-1]), combine=("smile", "jaw")),
         Shape("dent", "Skel", held(lifted)),

@@ -1,4 +1,4 @@
-"""What a key reduction holds, and the clip that it makes."""
+"""Results of key reduction, and their conversion to a clip."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from animtool.rig.skeleton import Rig
 
 
 class ChannelKind(StrEnum):
-    """What a reduced channel drives."""
+    """Kinds of reduced channels."""
 
     TRANSLATION = "translation"
     ROTATION = "rotation"
@@ -33,10 +33,10 @@ class ChannelKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ReducedChannel:
-    """The keys of one joint's translation, rotation or scale, a weight or a control."""
+    """Keys of a joint's translation, rotation or scale, of a weight or a control."""
 
     target: str  # ``joint.kind``, ``weight[i]`` or ``control/name``
-    kind: ChannelKind  # what it drives
+    kind: ChannelKind  # kind of its target
     index: int  # of the joint in its rig, of the weight, or of the control
     joint: str | None  # name of the joint; None for a weight or a control
     order: str | None  # of the Euler angles, left to right; None for all but rotations
@@ -50,10 +50,10 @@ class ReducedChannel:
 
 @dataclass(frozen=True, slots=True)
 class Reduction:
-    """Sparse keys of a take, and how far they are from it."""
+    """Sparse keys of a take and their error."""
 
     clock: Clock  # of the take, F frames
-    rest: Motion  # one frame of what holds where there is no channel
+    rest: Motion  # one frame of the values without channels
     # In the order translation, rotation, scale of each joint, then the weights. What
     # stays at rest has none, what only stays has one key.
     channels: tuple[ReducedChannel, ...]
@@ -61,36 +61,36 @@ class Reduction:
     error: float  # largest distance of a point from where it was [m]
     joint: str  # name of the joint that the point belongs to
     frame: int  # where that is [frame]
-    held: bool  # whether every joint keeps its own tolerance
+    held: bool  # whether every joint is within its tolerance
     weight_error: float  # largest error of a weight [1]
-    rounds: int  # how many times the world error was measured
+    rounds: int  # number of world-error measurements
 
     @property
     def keys(self) -> int:
-        """Keys of all channels; the components of a channel share theirs."""
+        """Number of keys of all channels; components of a channel share keys."""
         return sum(len(channel.keys.frames) for channel in self.channels)
 
     @property
     def samples_per_key(self) -> float:
-        """Samples that a key stands for [1]."""
+        """Samples per key [1]."""
         return self.samples / max(1, self.keys)
 
 
 def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) -> Motion:
-    """Return the motion that the keys give: ``frames`` ``(N,)`` [frame]."""
+    """Evaluate the keys at ``frames`` ``(N,)`` [frame]."""
     at = np.asarray(
         np.arange(reduction.clock.count) if frames is None else frames, np.float64
     )
 
-    def held(kind: ChannelKind, rest: Channel | None) -> Channel | None:
+    def optional_channel(kind: ChannelKind, rest: Channel | None) -> Channel | None:
         return None if rest is None else _channel(reduction, kind, rest, at)
 
     rest = reduction.rest
     return Motion(
         _channel(reduction, ChannelKind.TRANSLATION, rest.translations, at),
         _channel(reduction, ChannelKind.ROTATION, rest.rotations, at),
-        held(ChannelKind.SCALE, rest.scales),
-        held(ChannelKind.WEIGHT, rest.weights),
+        optional_channel(ChannelKind.SCALE, rest.scales),
+        optional_channel(ChannelKind.WEIGHT, rest.weights),
     )
 
 
@@ -105,28 +105,28 @@ def channel_values(channel: ReducedChannel, frames: FloatArray) -> FloatArray:
 def _channel(
     reduction: Reduction, kind: ChannelKind, rest: Channel, at: FloatArray
 ) -> Channel:
-    own = [channel for channel in reduction.channels if channel.kind is kind]
-    still, moves = rest.rest.copy(), []
-    for channel in own:
+    channels = [channel for channel in reduction.channels if channel.kind is kind]
+    constant, moves = rest.rest.copy(), []
+    for channel in channels:
         if len(channel.keys.frames) > 1:
             moves.append(channel)
         else:
-            still[channel.index] = channel_values(channel, at[:1])[0]
+            constant[channel.index] = channel_values(channel, at[:1])[0]
     values = np.zeros((len(at), len(moves), rest.rest.shape[1]))
     for i, channel in enumerate(moves):
         values[:, i] = channel_values(channel, at)
-    return Channel(still, np.array([c.index for c in moves], np.int64), values)
+    return Channel(constant, np.array([c.index for c in moves], np.int64), values)
 
 
-# Significant digits: beside the tolerance of any reduction, rounding is nothing.
+# Significant digits: rounding is far below any tolerance.
 DIGITS = 10
 
 
 def clip_of_reduction(reduction: Reduction, rig: Rig, name: str) -> Clip:
     """Return a reduction as a clip, its numbers rounded in the units of the rig.
 
-    Keys are Hermite ones, their tangents slopes a frame: each segment is the cubic
-    that was fitted. Rotations are Euler angles, a pin's is one angle.
+    Keys are Hermite with slopes per frame: each segment is the fitted
+    cubic. Rotations are Euler angles; a pin has one angle.
     """
     clock = reduction.clock
     last = clock.start + (clock.count - 1) * clock.step
@@ -148,32 +148,32 @@ def _clip_channel(channel: ReducedChannel, rig: Rig, clock: Clock) -> ClipChanne
 def fitted_channel(
     target: str, keys: FittedKeys, clock: Clock, unit: float, euler: str = ""
 ) -> ClipChannel:
-    """Return fitted keys as a channel of Hermite ones.
+    """Return fitted keys as a channel of Hermite keys.
 
     Args:
         target: Of the channel.
         keys: In metres, degrees or [1]; frames from 0.
-        clock: What the frames are of.
-        unit: What a value of 1 means where it is written: [m], [rad] or [1].
-        euler: Order of the angles; empty for other values.
+        clock: Clock of the frames.
+        unit: Unit of written values [m], [rad] or [1].
+        euler: Euler order; empty for other values.
     """
-    # What the keys count, in the unit that they are written in.
-    turns = bool(euler) or target.endswith(".angle")
-    given = (math.radians(1.0) if turns else 1.0) / unit
+    # Unit of the fitted keys in the unit of the file.
+    rotates = bool(euler) or target.endswith(".angle")
+    factor = (math.radians(1.0) if rotates else 1.0) / unit
     times = float(clock.start) + keys.frames.astype(np.float64) * float(clock.step)
     spans = np.diff(times)[:, None]
     count, width = keys.values.shape
     ins, outs = np.zeros((2, count, 1 + width))
     ins[1:, 0], outs[:-1, 0] = -1.0, 1.0
-    ins[1:, 1:] = _rounded(3 * keys.ins[1:] / spans * given, unit)
-    outs[:-1, 1:] = _rounded(3 * keys.outs[:-1] / spans * given, unit)
+    ins[1:, 1:] = _rounded(3 * keys.ins[1:] / spans * factor, unit)
+    outs[:-1, 1:] = _rounded(3 * keys.outs[:-1] / spans * factor, unit)
     ends = (Tangent.AUTO_CLAMPED, Tangent.FREE)
     befores = (ends[0], *(Tangent.FREE,) * (count - 1))
     behinds = (*(Tangent.FREE,) * (count - 1), ends[0])
     return ClipChannel(
         target,
         times,
-        _rounded(keys.values * given, unit),
+        _rounded(keys.values * factor, unit),
         (Interp.HERMITE,) * count,
         tuple(zip(befores, behinds, strict=True)),
         ins,
@@ -192,7 +192,7 @@ def _target(channel: ReducedChannel, rig: Rig) -> str:
 
 
 def _rounded(values: ArrayLike, unit: float) -> FloatArray:
-    """Return values of a unit at few digits, in metres and radians."""
+    """Round values in a unit; return them in metres and radians."""
     flat = np.ravel(values).tolist()
     short = [float(f"{value + 0.0:.{DIGITS}g}") * unit for value in flat]
     return np.reshape(short, np.shape(values))

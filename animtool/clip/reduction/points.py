@@ -1,4 +1,4 @@
-"""Points that a rig carries, and the error that its channels may have."""
+"""Error measurement on points attached to joints, and channel tolerances."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.clip.reduction.keys import ChannelKind
-from animtool.clip.reduction.tracks import Track
+from animtool.clip.reduction.tracks import KeyTrack
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.record import dataclass
@@ -20,7 +20,7 @@ from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-# How far off a joint skin and props are that turn with it, as ACL assumes [m].
+# Distance of skin and props from their joint, as ACL assumes [m].
 SHELL = 0.03
 
 
@@ -30,11 +30,11 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
     Args:
         rig: J joints.
         tolerance: Of most joints [m].
-        others: By the names of joints, or by patterns such as ``hand_*``; of those
-            that fit a joint the last one counts [m].
+        others: By joint name or pattern such as ``hand_*``; the last
+            match counts [m].
 
     Raises:
-        OptionError: A name fits no joint, or a tolerance is not above 0 (CLIP020).
+        OptionError: A name matches no joint, or a tolerance is not above 0 (CLIP020).
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("upper", -1), Joint("hand", 0)))
@@ -61,14 +61,14 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
 
 
 def attached_points(rig: Rig, shell: float) -> FloatArray:
-    """Return points of every joint, in its frame ``(J, P, 3)`` [m].
+    """Return points attached to every joint, in its frame ``(J, P, 3)`` [m].
 
-    Its origin, one point off it along each axis, and the tips of its bone. Joints
+    Its origin, one point along each axis, and the tips of its bone. Joints
     with fewer tips repeat their origin.
 
     Args:
         rig: J joints.
-        shell: How far off the origin [m].
+        shell: Distance of the axis points from the origin [m].
 
     >>> from animtool.rig.skeleton import Joint
     >>> attached_points(Rig("r", (Joint("a", -1),)), 0.03)[0].tolist()[:2]
@@ -84,19 +84,19 @@ def attached_points(rig: Rig, shell: float) -> FloatArray:
 
 
 def reach(points: FloatArray) -> FloatArray:
-    """Return how far the points of each joint are off it ``(J,)`` [m]."""
+    """Return the largest distance of each joint's points from it ``(J,)`` [m]."""
     return np.asarray(np.linalg.norm(points, axis=-1).max(axis=-1))
 
 
 def point_errors(
     points: FloatArray, truth: WorldTransforms, reduced: WorldTransforms
 ) -> FloatArray:
-    """Return the largest distance of a point of each joint ``(F, J)`` [m].
+    """Return the largest point error of each joint ``(F, J)`` [m].
 
     Args:
         points: ``(J, P, 3)`` [m], in the joints' frames.
-        truth: Where the joints were.
-        reduced: Where they are.
+        truth: Original world transforms.
+        reduced: Reduced world transforms.
     """
     return _kernels.point_errors(
         points, truth.positions, truth.linear, reduced.positions, reduced.linear
@@ -105,21 +105,21 @@ def point_errors(
 
 @dataclass(slots=True)
 class Budget:
-    """A track, the tolerance that it has for now, and the keys that this gives."""
+    """A track with its current tolerance and keys."""
 
-    track: Track  # samples of one channel
+    track: KeyTrack  # samples of one channel
     tolerance: float  # for the Euclidean error, in the unit of the samples
-    share: FloatArray  # of the tolerance that each frame has ``(F,)`` [1]
+    fraction: FloatArray  # fraction of the tolerance at each frame ``(F,)`` [1]
     keys: FittedKeys  # fitted to the samples
     # Of these keys at every frame ``(F,)``, in the unit of the samples.
     errors: FloatArray
     values: FloatArray  # of these keys at every frame ``(F, D)``
-    # Frames from which a straight segment leads to the next.
+    # Frames that start a straight segment.
     straight: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @staticmethod
-    def of(track: Track, tolerance: float) -> Budget:
-        """Return a track with its first keys."""
+    def of(track: KeyTrack, tolerance: float) -> Budget:
+        """Return a track with its initial keys."""
         frames = len(track.samples)
         keys = fit_keys(track.samples, tolerance, within=track.within)
         blank = np.zeros(frames)
@@ -128,13 +128,13 @@ class Budget:
         return budget
 
     def scale(self, factor: float) -> None:
-        """Fit again with a tolerance so many times as large."""
+        """Refit with the tolerance multiplied by a factor."""
         self.tolerance *= factor
-        self.share = np.ones(len(self.share))
+        self.fraction = np.ones(len(self.fraction))
         self.fit()
 
     def tighten(self, frames: ArrayLike, factor: ArrayLike, *, spread: bool) -> None:
-        """Fit the segments around some frames again, the others stay.
+        """Refit the segments around some frames; keep the others.
 
         ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``.
         """
@@ -142,31 +142,31 @@ class Budget:
         starts = self.keys.frames
         segment = np.searchsorted(starts, at, side="right") - 1
         segment = segment.clip(0, max(0, len(starts) - 2))
-        lengths = np.diff(starts) if len(starts) > 1 else np.array([len(self.share)])
+        lengths = np.diff(starts) if len(starts) > 1 else np.array([len(self.fraction)])
         around = np.maximum(1, lengths[segment] // 4)
         for frame, limit, width in zip(at, limits, around, strict=True):
             near = slice(max(0, int(frame - width)), int(frame + width + 1))
-            self.share[near] = np.minimum(self.share[near], limit)
-        held = np.ones(len(starts), np.bool_)
+            self.fraction[near] = np.minimum(self.fraction[near], limit)
+        kept = np.ones(len(starts), np.bool_)
         marked = np.unique(segment)
         if spread:
-            held[(marked + 1).clip(max=len(starts) - 1)] = False
+            kept[(marked + 1).clip(max=len(starts) - 1)] = False
         else:
             both = marked[np.isin(marked + 1, marked)]
-            held[(both + 1).clip(max=len(starts) - 1)] = False
-        self.fit(starts[1:-1][held[1:-1]])
+            kept[(both + 1).clip(max=len(starts) - 1)] = False
+        self.fit(starts[1:-1][kept[1:-1]])
 
     def straighten(self, frames: IntArray) -> None:
-        """Fit again with straight segments from more frames to the next."""
+        """Refit with straight segments at additional frames."""
         self.straight = np.union1d(self.straight, frames)
-        self.tighten(frames, self.share[frames] * self.tolerance, spread=False)
+        self.tighten(frames, self.fraction[frames] * self.tolerance, spread=False)
 
     def fit(self, anchors: ArrayLike = ()) -> None:
-        """Fit keys with the tolerance and shares as they are."""
+        """Fit keys with the current tolerances."""
         self.keys = fit_keys(
             self.track.samples,
             self.tolerance,
-            share=self.share,
+            tolerance_scale=self.fraction,
             anchors=anchors,
             within=self.track.within,
             straight=self.straight,
@@ -180,7 +180,7 @@ class Budget:
         self.errors = np.linalg.norm(self.values - samples, axis=1)
 
     def unit_motion(self, arm: FloatArray | float) -> FloatArray:
-        """Return how far one unit of error moves what is so far off the joint."""
+        """Return the displacement per unit of error at a distance from the joint."""
         lever = np.asarray(arm, np.float64)
         if self.track.kind is ChannelKind.TRANSLATION:
             return np.ones_like(lever)

@@ -1,4 +1,4 @@
-"""Key reduction: a sampled take as sparse keys, within a tolerance in the world."""
+"""Key reduction of a sampled take within a world-space tolerance."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.clip.reduction.points import (
     subtree_largest,
 )
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
-from animtool.clip.reduction.tracks import Pose, Track, pose_of, tracks_of
+from animtool.clip.reduction.tracks import KeyTrack, ReducedPose, pose_of, tracks_of
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
@@ -37,7 +37,7 @@ SPLITTING = 8
 # Keys of balls keep their limits to within this between samples [rad], measured so many
 # times a frame.
 LIMIT_SLACK, BETWEEN = 1e-4, 4
-# Frames that may be beyond the tolerance when calibrated [1].
+# Fraction of frames beyond the tolerance after calibration [1].
 QUANTILE = 0.95
 
 
@@ -49,7 +49,7 @@ def reduce_motion(
     joint_tolerances: Mapping[str, float] | None = None,
     weight_tolerance: float = WEIGHT_TOLERANCE,
     base: Take | None = None,
-    tracks: Sequence[Track] | None = None,
+    tracks: Sequence[KeyTrack] | None = None,
     start: Motion | None = None,
 ) -> Reduction:
     """Return sparse keys of a take whose world error is within a tolerance.
@@ -73,7 +73,7 @@ def reduce_motion(
     out, as joints and weights hold what they drive.
 
     Args:
-        take: With at least one frame.
+        take: At least one frame.
         tolerance: Largest error of any joint > 0 [m].
         shell: How far off the joint's origin to measure as well, > 0 [m].
         joint_tolerances: Other tolerances, by the names of joints or patterns of
@@ -91,7 +91,7 @@ def reduce_motion(
         gives the motion back where ``tracks`` is None.
 
     Raises:
-        OptionError: A joint is unknown or a tolerance not above 0 (CLIP020).
+        OptionError: Unknown joint or a tolerance not above 0 (CLIP020).
         ValueError: The take has no frame, or the base's joints or frames differ.
 
     References:
@@ -143,7 +143,7 @@ class _Reached:
 
 
 class _World:
-    """Where the points of a rig should be, and where keys put them."""
+    """World-space points of a rig: original and from keys."""
 
     def __init__(
         self,
@@ -154,7 +154,7 @@ class _World:
         bounds: FloatArray,
     ) -> None:
         self.rig, self.bounds = rig, bounds
-        self.pose: Pose = pose_of(rig, motion, base)
+        self.pose: ReducedPose = pose_of(rig, motion, base)
         self.truth = self.pose.world()
         self.reduced_world: WorldTransforms | None = None
         self.points = attached_points(rig, shell)
@@ -162,37 +162,37 @@ class _World:
         self.below = _descendants(rig)
         self.pose = self.pose.copy()
 
-    def first_tolerance(self, track: Track) -> float:
-        """Return a channel's tolerance by the levers of what hangs below it."""
-        own = np.flatnonzero(self.below[track.index])
+    def first_tolerance(self, track: KeyTrack) -> float:
+        """Return a channel's initial tolerance by the lever arms of its descendants."""
+        below = np.flatnonzero(self.below[track.index])
         frames = np.linspace(0, len(self.truth.positions) - 1, 8).astype(np.int64)
         positions = self.truth.positions[frames]
         arms = np.linalg.norm(
-            positions[:, own] - positions[:, track.index, None], axis=-1
+            positions[:, below] - positions[:, track.index, None], axis=-1
         )
-        lever = arms.max(axis=0) + self.reach[own]
+        lever = arms.max(axis=0) + self.reach[below]
         if track.kind is ChannelKind.TRANSLATION:
-            return float(self.bounds[own].min() / 2)
-        tolerance = float((self.bounds[own] / (2 * lever.clip(min=1e-9))).min())
+            return float(self.bounds[below].min() / 2)
+        tolerance = float((self.bounds[below] / (2 * lever.clip(min=1e-9))).min())
         rotates = track.kind is ChannelKind.ROTATION
         return float(np.degrees(tolerance)) if rotates else tolerance
 
     def measure(self, budgets: list[Budget]) -> FloatArray:
-        """Return the error of every joint ``(F, J)`` [m] once these are in place."""
+        """Return the error of every joint ``(F, J)`` [m] with some tracks replaced."""
         for budget in budgets:
             self.pose.set(budget.track, budget.values)
         self.reduced_world = self.pose.world(self.reduced_world)
         return point_errors(self.points, self.truth, self.reduced_world)
 
     def arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
-        """Return how far the points of joints ``ends`` are off a joint [m]."""
+        """Return the distances of points of joints ``ends`` from a joint [m]."""
         positions = self.truth.positions
-        apart = positions[frames, ends] - positions[frames, joint]
-        return np.asarray(np.linalg.norm(apart, axis=-1) + self.reach[ends])
+        offsets = positions[frames, ends] - positions[frames, joint]
+        return np.asarray(np.linalg.norm(offsets, axis=-1) + self.reach[ends])
 
 
 def _search(world: _World, budgets: list[Budget]) -> _Reached:
-    """Return the keys after calibrating and tightening."""
+    """Calibrate and tighten channel tolerances; return the keys."""
     errors = world.measure(budgets)
     rounds = 1
     for _ in range(CALIBRATING if budgets else 0):
@@ -221,16 +221,19 @@ def _search(world: _World, budgets: list[Budget]) -> _Reached:
 
 
 def _beyond_limits(budget: Budget) -> IntArray:
-    """Return the frames behind which a ball's keys leave its limits between samples.
+    """Return the frames after which a ball's keys exceed its limits between samples.
 
-    Samples beyond the limits stay where they are, and so may what is between them.
+    Samples beyond the limits are kept, and so are values between them.
     """
     track = budget.track
     if not isinstance(track.limits, BallLimit) or len(track.samples) < 2:
         return np.zeros(0, np.int64)
-    own = track.excess(track.samples)
-    most = np.repeat(np.maximum(own[:-1], own[1:]), BETWEEN - 1) + LIMIT_SLACK
-    at = np.arange(1, BETWEEN * (len(own) - 1))
+    at_samples = track.excess(track.samples)
+    most = (
+        np.repeat(np.maximum(at_samples[:-1], at_samples[1:]), BETWEEN - 1)
+        + LIMIT_SLACK
+    )
+    at = np.arange(1, BETWEEN * (len(at_samples) - 1))
     between = at[at % BETWEEN != 0] / BETWEEN
     beyond = track.excess(evaluate_keys(budget.keys, between)) > most
     first = np.unique(np.floor(between[beyond]).astype(np.int64))
@@ -240,7 +243,7 @@ def _beyond_limits(budget: Budget) -> IntArray:
 def _tighten(
     world: _World, budgets: list[Budget], errors: FloatArray, *, spread: bool
 ) -> list[Budget]:
-    """Tighten what has the largest parts in each error that is too large."""
+    """Tighten the channels that contribute most to each excessive error."""
     frames, ends = np.argwhere(errors > world.bounds).T.astype(np.int64)
     excess = errors[frames, ends] / world.bounds[ends]
     parts = np.zeros((len(budgets), len(frames)))
@@ -254,18 +257,18 @@ def _tighten(
     for i, budget in enumerate(budgets):
         hit = np.flatnonzero(located[i])
         if len(hit):
-            at, place = np.unique(frames[hit], return_inverse=True)
+            at, inverse = np.unique(frames[hit], return_inverse=True)
             worst = np.zeros(len(at))
-            np.maximum.at(worst, place, excess[hit])
+            np.maximum.at(worst, inverse, excess[hit])
             budget.tighten(at, budget.errors[at] * 0.9 / worst, spread=spread)
             changed.append(budget)
     return changed
 
 
 def _channels(
-    rig: Rig, tracks: list[Track], budgets: list[Budget]
+    rig: Rig, tracks: list[KeyTrack], budgets: list[Budget]
 ) -> tuple[ReducedChannel, ...]:
-    """Return a channel a track: one key where it does not move."""
+    """Return one channel per track, with one key if static."""
     keys = {(b.track.kind, b.track.index): b.keys for b in budgets}
     return tuple(
         _channel(
@@ -279,7 +282,7 @@ def _channels(
     )
 
 
-def _channel(rig: Rig, track: Track, keys: FittedKeys) -> ReducedChannel:
+def _channel(rig: Rig, track: KeyTrack, keys: FittedKeys) -> ReducedChannel:
     if track.kind is ChannelKind.WEIGHT:
         target, joint = f"weight[{track.index}]", None
     else:
@@ -291,7 +294,7 @@ def _channel(rig: Rig, track: Track, keys: FittedKeys) -> ReducedChannel:
 
 
 def _descendants(rig: Rig) -> BoolArray:
-    """Return whether joint k is joint j or hangs below it ``(J, J)``, at [j, k]."""
+    """Return whether joint k is joint j or its descendant ``(J, J)``, at [j, k]."""
     below = np.eye(len(rig.joints), dtype=np.bool_)
     for joint, parent in enumerate(rig.parents):
         if parent >= 0:
@@ -300,14 +303,16 @@ def _descendants(rig: Rig) -> BoolArray:
 
 
 def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
-    """Return one frame of what needs no key."""
+    """Return one frame of the values without keys."""
     joints = len(rig.joints)
-    still = Channel.still
+    constant = Channel.static
     return Motion(
-        still(np.zeros((joints, 3)) if additive else rig.rest_translations),
-        still(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),
-        None if motion.scales is None else still(np.ones((joints, 3))),
-        None if motion.weights is None else still(np.zeros_like(motion.weights.rest)),
+        constant(np.zeros((joints, 3)) if additive else rig.rest_translations),
+        constant(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),
+        None if motion.scales is None else constant(np.ones((joints, 3))),
+        None
+        if motion.weights is None
+        else constant(np.zeros_like(motion.weights.rest)),
     )
 
 

@@ -1,4 +1,4 @@
-"""The local transforms of a rig over time, one channel at a time."""
+"""Tracks of a rig's local transforms, one channel each."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, Rig
 
-# Parts of a joint that hold it as a whole, in its parent's space.
+# Parts that replace a joint's full local transform.
 PARTS = {
     ChannelKind.TRANSLATION: "local_translation",
     ChannelKind.ROTATION: "local_rotation",
     ChannelKind.SCALE: "scale",
 }
 
-# Of the middle angle's cosine: some 80 degrees.
+# Least cosine of the middle angle: some 80 degrees.
 NEAR_LOCK = 0.17
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class KeyTrack:
     """Samples of one channel."""
 
-    kind: ChannelKind  # what it drives
+    kind: ChannelKind  # kind of its target
     index: int  # of the joint in its rig, or of the weight
     order: str | None  # of the Euler angles; None for all but rotations
     # ``(F, D)``, or ``(1, D)`` for a channel that does not move: angles [deg], lengths
@@ -51,12 +51,14 @@ class Track:
     def local(self, values: FloatArray) -> FloatArray:
         """Return values ``(F, D)`` in the space of the joint's parent."""
         if self.kind is ChannelKind.ROTATION:
-            turn = (
+            rotation = (
                 so3.from_axis_angle(self.axis, np.radians(values[:, 0]))
                 if self.order is None
                 else euler.to_quaternion(values, self.order)
             )
-            return turn if self.before is None else so3.multiply(self.before, turn)
+            return (
+                rotation if self.before is None else so3.multiply(self.before, rotation)
+            )
         if self.before is None:
             return values
         moved = values * np.array(self.axis) if values.shape[1] == 1 else values
@@ -64,7 +66,7 @@ class Track:
 
     @property
     def within(self) -> tuple[float, float] | None:
-        """Least and largest of the samples' one component, in their unit."""
+        """Minimum and maximum of a scalar track."""
         if not isinstance(self.limits, RangeLimit) or self.samples.shape[1] != 1:
             return None
         low, high = self.limits.low, self.limits.high
@@ -73,46 +75,46 @@ class Track:
         return low, high
 
     def excess(self, values: FloatArray) -> FloatArray:
-        """Return how far values ``(F, D)`` of a ball are beyond its limits [rad]."""
+        """Return how far ball values ``(F, D)`` exceed the limits [rad]."""
         if not isinstance(self.limits, BallLimit) or self.order is None:
             return np.zeros(len(values))
-        turns = so3.multiply(so3.conjugate(np.array(self.rest)), self.local(values))
-        return self.limits.excess(turns)
+        rotations = so3.multiply(so3.conjugate(np.array(self.rest)), self.local(values))
+        return self.limits.excess(rotations)
 
     @property
     def moves(self) -> bool:
-        """Whether it has a sample a frame."""
+        """Whether it has one sample per frame."""
         return len(self.samples) > 1
 
 
 def euler_order(joint: Joint, rotations: FloatArray) -> str:
-    """Return the order in which a joint's rotations ``(F, 4)`` are best keyed.
+    """Return the Euler order farthest from gimbal lock for rotations ``(F, 4)``.
 
-    That of the joint's own BVH channels where its middle angle stays 10° off
-    gimbal lock, else the order whose middle angle stays farthest off it.
+    The joint's BVH channel order if its middle angle stays 10° from
+    gimbal lock, else the order whose middle angle stays farthest from it.
 
     >>> euler_order(Joint("a", -1), np.array([[0, 0.5**0.5, 0, 0.5**0.5]]))
     'XZY'
     """
-    own = "".join(
+    bvh_order = "".join(
         channel[0].upper()
         for channel in joint.channels or ()
         if channel.lower().endswith("rotation")
     )
-    if own in euler.ORDERS and _off_lock(rotations, own) >= NEAR_LOCK:
-        return own
+    if bvh_order in euler.ORDERS and _off_lock(rotations, bvh_order) >= NEAR_LOCK:
+        return bvh_order
     off = {order: _off_lock(rotations, order) for order in euler.ORDERS}
-    # Rounded, so that a tie does not hang on the last digit.
+    # Rounded, so that ties do not depend on the last digit.
     return max(euler.ORDERS, key=lambda order: round(off[order], 6))
 
 
-def tracks_of(rig: Rig, motion: Motion, rest: Motion) -> list[Track]:
-    """Return a track for whatever moves or is not at rest."""
+def tracks_of(rig: Rig, motion: Motion, rest: Motion) -> list[KeyTrack]:
+    """Return tracks of all channels that move or are not at rest."""
     return in_order(_tracks(rig, motion, rest))
 
 
-def in_order(tracks: Iterable[Track]) -> list[Track]:
-    """Return tracks joint by joint, the weights last."""
+def in_order(tracks: Iterable[KeyTrack]) -> list[KeyTrack]:
+    """Return tracks sorted by joint, weights last."""
     kinds = list(ChannelKind)
     return sorted(
         tracks,
@@ -124,23 +126,23 @@ def in_order(tracks: Iterable[Track]) -> list[Track]:
     )
 
 
-def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[Track]:
-    for kind, channel, still in (
+def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[KeyTrack]:
+    for kind, channel, rest_channel in (
         (ChannelKind.TRANSLATION, motion.translations, rest.translations),
         (ChannelKind.ROTATION, motion.rotations, rest.rotations),
         (ChannelKind.SCALE, motion.scales, rest.scales),
         (ChannelKind.WEIGHT, motion.weights, rest.weights),
     ):
-        if channel is None or still is None:
+        if channel is None or rest_channel is None:
             continue
-        for index, values in _moving_or_placed(channel.compact(), still):
+        for index, values in _moving_or_placed(channel.compact(), rest_channel):
             if kind is ChannelKind.ROTATION:
                 order = euler_order(rig.joints[index], values)
                 samples = euler.from_quaternion(values, order)
-                yield Track(kind, index, order, samples, PARTS[kind])
+                yield KeyTrack(kind, index, order, samples, PARTS[kind])
             else:
                 samples, part = np.ascontiguousarray(values), PARTS.get(kind, "")
-                yield Track(kind, index, None, samples, part)
+                yield KeyTrack(kind, index, None, samples, part)
 
 
 def _moving_or_placed(
@@ -149,13 +151,15 @@ def _moving_or_placed(
     moves = set(channel.animated.tolist())
     for i, index in enumerate(channel.animated):
         yield int(index), channel.values[:, i]
-    for index, (value, still) in enumerate(zip(channel.rest, rest.rest, strict=True)):
-        if index not in moves and (value != still).any():
+    for index, (value, rest_value) in enumerate(
+        zip(channel.rest, rest.rest, strict=True)
+    ):
+        if index not in moves and (value != rest_value).any():
             yield index, value[None]
 
 
 def _off_lock(rotations: FloatArray, order: str) -> float:
-    """Return the least cosine of the middle angle, by the matrix entry that has it."""
+    """Return the least cosine of the middle Euler angle."""
     first, middle, last = euler.axes_of(order)
     product = rotations[:, first] * rotations[:, last]
     twist = rotations[:, middle] * rotations[:, 3]
@@ -165,17 +169,19 @@ def _off_lock(rotations: FloatArray, order: str) -> float:
 
 
 @dataclass(slots=True)
-class Pose:
-    """What a rig does in every frame, on top of a base if there is one."""
+class ReducedPose:
+    """Local transforms of a rig in every frame, on top of an optional base."""
 
     rig: Rig  # J joints
     translations: FloatArray  # ``(F, J, 3)`` [m]
     rotations: FloatArray  # ``(F, J, 4)``
     scales: FloatArray | None  # ``(F, J, 3)`` [1]; None where nothing is scaled
-    base: Pose | None = None  # what the channels add to; None where they stand alone
+    base: ReducedPose | None = (
+        None  # what the channels add to; None where they stand alone
+    )
 
-    def set(self, track: Track, values: FloatArray) -> None:
-        """Put the values ``(F, D)`` of a track in place."""
+    def set(self, track: KeyTrack, values: FloatArray) -> None:
+        """Set the values ``(F, D)`` of a track."""
         j, base, local = track.index, self.base, track.local(values)
         if track.kind is ChannelKind.ROTATION:
             self.rotations[:, j] = (
@@ -190,14 +196,14 @@ class Pose:
             self.scales[:, j] = local if below is None else scaled(below[:, j], local)
 
     def world(self, out: WorldTransforms | None = None) -> WorldTransforms:
-        """Return where every joint is, in ``out`` if it is given."""
+        """Return the world transforms, in ``out`` if given."""
         t, r, s = self.translations, self.rotations, self.scales
         return forward(self.rig, t, r, s, out=out)
 
-    def copy(self) -> Pose:
-        """Return one whose channels can change on their own."""
+    def copy(self) -> ReducedPose:
+        """Return an independent copy."""
         scales = None if self.scales is None else self.scales.copy()
-        return Pose(
+        return ReducedPose(
             self.rig,
             self.translations.copy(),
             self.rotations.copy(),
@@ -206,15 +212,15 @@ class Pose:
         )
 
 
-def pose_of(rig: Rig, motion: Motion, base: Motion | None) -> Pose:
-    """Return the pose of a motion, added to its base by the additive convention."""
+def pose_of(rig: Rig, motion: Motion, base: Motion | None) -> ReducedPose:
+    """Return the pose of a motion, added to its base if additive."""
     if base is None:
-        return Pose(rig, *motion.dense())
+        return ReducedPose(rig, *motion.dense())
     below = pose_of(rig, base, None)
     translations, rotations, scales = motion.dense()
     if below.scales is not None:
         scales = below.scales if scales is None else scaled(below.scales, scales)
-    return Pose(
+    return ReducedPose(
         rig,
         shifted(below.translations, translations),
         turned(below.rotations, rotations),

@@ -19,7 +19,7 @@ from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.gltf.binding import Binder
 from animtool.formats.gltf.characters import CharacterNodes
 from animtool.formats.gltf.rig import joint_names
-from animtool.rig.parts import HeldArray, Inbetween, Mesh, Shape, Skin, Subdivision
+from animtool.rig.parts import Inbetween, LoadedArray, Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Joint, Rig
 
 MAX_NAMED = 6
@@ -250,11 +250,11 @@ def _shape(
 ) -> Shape:
     back = geometric[:3, :3].T
     between = [
-        Inbetween(at / full, HeldArray(offsets @ back))
+        Inbetween(at / full, LoadedArray(offsets @ back))
         for at, offsets in channel.targets[:-1]
     ]
     between.sort(key=lambda one: one.at)
-    full_offsets = HeldArray(channel.targets[-1][1] @ back)
+    full_offsets = LoadedArray(channel.targets[-1][1] @ back)
     return Shape(name, mesh, full_offsets, None, tuple(between))
 
 
@@ -265,8 +265,8 @@ def _mesh(scene: FbxScene, node: int, name: str, binder: Binder) -> Mesh:
     bind = tuple(geometry.ravel().tolist())
     return Mesh(
         name,
-        HeldArray(points),
-        HeldArray(mesh.faces.astype(np.float64)),
+        LoadedArray(points),
+        LoadedArray(mesh.faces.astype(np.float64)),
         None,
         None if (geometry == np.eye(4)).all() else bind,
         skin,
@@ -291,8 +291,8 @@ def _skin(
     skin = Skin(
         mesh.method if index >= 0 else "linear",
         tuple(names[joint] for joint in joints),
-        HeldArray(indices.astype(np.float64)),
-        HeldArray(weights),
+        LoadedArray(indices.astype(np.float64)),
+        LoadedArray(weights),
     )
     return skin, geometry
 

@@ -14,7 +14,7 @@ from animtool.formats.gltf.binding import Binder
 from animtool.formats.gltf.characters import CharacterNodes
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.meshes import Primitive, skin_weights, triangles
-from animtool.rig.parts import HeldArray, Mesh, Shape, Skin, Subdivision
+from animtool.rig.parts import LoadedArray, Mesh, Shape, Skin, Subdivision
 
 ShapeKey = tuple[int, int]  # node and morph target
 
@@ -38,14 +38,14 @@ def mesh_parts(
     shapes: list[Shape] = []
     keys: list[ShapeKey] = []
     empty: list[str] = []
-    targets: list[tuple[str, list[HeldArray], list[HeldArray | None]]] = []
+    targets: list[tuple[str, list[LoadedArray], list[LoadedArray | None]]] = []
     for node in nodes:
         mesh = _mesh(gltf, node, names[node], binder)
         count = gltf.meshes[gltf.nodes[node].mesh].targets
         if mesh is None:
             empty.append(names[node])
-            deltas: list[HeldArray] = []
-            normals: list[HeldArray | None] = []
+            deltas: list[LoadedArray] = []
+            normals: list[LoadedArray | None] = []
             keys += [(node, target) for target in range(count)]
             targets.append(("", deltas, normals))
             continue
@@ -137,8 +137,8 @@ def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
     bind = tuple(geometry.ravel().tolist())
     return Mesh(
         name,
-        HeldArray(np.concatenate(points)),
-        HeldArray(np.concatenate(faces).astype(np.float64)),
+        LoadedArray(np.concatenate(points)),
+        LoadedArray(np.concatenate(faces).astype(np.float64)),
         _normals(gltf, parts),
         None if (geometry == np.eye(4)).all() else bind,
         skin,
@@ -146,12 +146,12 @@ def _mesh(gltf: Gltf, node: int, name: str, binder: Binder) -> Mesh | None:
     )
 
 
-def _normals(gltf: Gltf, parts: list[_SharedVertices]) -> HeldArray | None:
+def _normals(gltf: Gltf, parts: list[_SharedVertices]) -> LoadedArray | None:
     if any(part.primitive.normal < 0 for part in parts):
         return None
     accessors = gltf.accessors
     rows = [accessors.floats(part.primitive.normal) for part in parts]
-    return HeldArray(np.concatenate(rows))
+    return LoadedArray(np.concatenate(rows))
 
 
 def _skin(
@@ -177,8 +177,8 @@ def _skin(
     skin = Skin(
         "linear",
         tuple(names[joint] for joint in joints),
-        HeldArray(indices.astype(np.float64)),
-        HeldArray(weights.astype(np.float64)),
+        LoadedArray(indices.astype(np.float64)),
+        LoadedArray(weights.astype(np.float64)),
     )
     return skin, geometry
 
@@ -189,11 +189,13 @@ def _wide(values: FloatArray | IntArray, width: int) -> FloatArray:
     return padded
 
 
-def _targets(gltf: Gltf, node: int) -> tuple[list[HeldArray], list[HeldArray | None]]:
+def _targets(
+    gltf: Gltf, node: int
+) -> tuple[list[LoadedArray], list[LoadedArray | None]]:
     """Return point and normal offsets of each morph target."""
     parts = _shared(gltf, node)
-    deltas: list[HeldArray] = []
-    normals: list[HeldArray | None] = []
+    deltas: list[LoadedArray] = []
+    normals: list[LoadedArray | None] = []
     with_normals = _normals(gltf, parts) is not None
     for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
         moves: list[FloatArray] = []
@@ -204,7 +206,7 @@ def _targets(gltf: Gltf, node: int) -> tuple[list[HeldArray], list[HeldArray | N
                 is_stored = index >= 0
                 nothing = np.zeros((part.count, 3))
                 rows.append(gltf.accessors.floats(index) if is_stored else nothing)
-        deltas.append(HeldArray(np.concatenate(moves)))
+        deltas.append(LoadedArray(np.concatenate(moves)))
         turned = np.concatenate(normal_rows)
-        normals.append(HeldArray(turned) if with_normals and turned.any() else None)
+        normals.append(LoadedArray(turned) if with_normals and turned.any() else None)
     return deltas, normals

@@ -23,7 +23,7 @@ from animtool.formats.robots.parts import ORIGIN, Link, Move, Robot
 from animtool.formats.robots.solids import capsule_of, masses_of
 from animtool.formats.robots.triangles import joined
 from animtool.rig.kinematics import rest_world
-from animtool.rig.parts import Collider, HeldArray, Mass, Mesh, Skin, Subdivision
+from animtool.rig.parts import Collider, LoadedArray, Mass, Mesh, Skin, Subdivision
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 MAX_NAMED = 8
@@ -122,14 +122,14 @@ def _meshes(robot: Robot, names: _Names, joints: list[Joint]) -> tuple[Mesh, ...
         skin = Skin(
             "linear",
             (name,),
-            HeldArray(np.zeros((count, 1))),
-            HeldArray(np.ones((count, 1))),
+            LoadedArray(np.zeros((count, 1))),
+            LoadedArray(np.ones((count, 1))),
         )
         meshes.append(
             Mesh(
                 name,
-                HeldArray(surface.points),
-                HeldArray(surface.faces.astype(np.float64)),
+                LoadedArray(surface.points),
+                LoadedArray(surface.faces.astype(np.float64)),
                 geom_bind=tuple(bind.ravel().tolist()),
                 skin=skin,
                 subdivision=Subdivision.NONE,

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.formats.robots.parts import SimpleShape, Weight, quaternion, vector
 from animtool.maths import so3
-from animtool.rig.mass_entries import moments_problem
+from animtool.rig.mass_entries import inertia_problem
 from animtool.rig.parts import Capsule, Mass, Vector
 
 
@@ -72,5 +72,5 @@ def weight_problem(mass: float, inertia: FloatArray) -> str:
     """Return why mass and inertia ``(3, 3)`` are impossible; empty if possible."""
     if not mass > 0:
         return f"its mass is {mass:g} kg"
-    problem = moments_problem(np.linalg.eigvalsh(inertia).tolist())
+    problem = inertia_problem(np.linalg.eigvalsh(inertia).tolist())
     return f"its moments of inertia, {problem}" if problem else ""

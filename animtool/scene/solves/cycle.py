@@ -1,4 +1,4 @@
-"""The cycle of a take of a file, and the take that repeats it, into a file."""
+"""The cycle of a take, written as a repeated take."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from animtool.core.errors import Fault, refuse_warnings
 from animtool.core.record import dataclass
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.loop_options import LoopOptions
-from animtool.edit.looping import PASS, said_of
+from animtool.edit.looping import PASS, cycle_notices
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.progress import Progress
 from animtool.scene.convert.takes import convert_with_passes
@@ -20,13 +20,13 @@ from animtool.scene.sources.open import SourceOptions, open_source
 
 @dataclass(frozen=True, slots=True)
 class LoopResult:
-    """The cycle of a take, its length, and notices."""
+    """The cycle of a take, its length and notices."""
 
     source: Path
     output: Path | None
     cycle: Cycle
     seconds: float  # its length
-    notices: list[Fault]  # those of what was written, where it was
+    notices: list[Fault]  # frames that were written, if any
     written: ConvertReport | None = None
     json_keys: ClassVar[str] = (
         "'loop' source output first=cycle.first last=cycle.last seconds "
@@ -44,7 +44,7 @@ def loop_source(
     strict: bool = False,
     progress: Progress = None,
 ) -> LoopResult:
-    """Return the cycle of a take; with an output, also write it, repeated.
+    """Return the cycle of a take; with an output, write its repetition.
 
     Args:
         source: BVH, USD or clip.
@@ -71,7 +71,7 @@ def loop_source(
         else:
             best = measure_cycle(take, options.first, options.last)
     seconds = (best.last - best.first) / float(take.clock.fps)
-    notices = [*stream.notices, *said_of(best, searched=options.find)]
+    notices = [*stream.notices, *cycle_notices(best, searched=options.find)]
     result = LoopResult(source, output, best, seconds, notices)
     if output is None:
         refuse_warnings(notices, strict=strict)

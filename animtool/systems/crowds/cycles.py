@@ -314,7 +314,7 @@ def _uncut(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gai
 def _headings(walker: Walker, world: WorldTransforms) -> FloatArray:
     """Return the heading of the hips over time ``(F,)`` [rad]."""
     hips = max(walker.person.first("hips"), 0)
-    rest = walker.person.turns[hips]
+    rest = walker.person.rotations[hips]
     turned = so3.multiply(world.rotations[:, hips], so3.conjugate(rest))
     return np.unwrap(heading_of(turned)) + walker.heading
 

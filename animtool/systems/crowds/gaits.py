@@ -11,7 +11,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.retarget.anatomy import anatomy
-from animtool.retarget.person import Person
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.skeleton import Rig
 from animtool.systems.crowds.ground import about_up
 
@@ -36,7 +36,7 @@ class Walker:
         leg: Length of thigh and shin [m].
     """
 
-    person: Person
+    person: RoledSkeleton
     legs: tuple[tuple[int, int, int, int], tuple[int, int, int, int]]
     heading: float
     level: FloatArray
@@ -52,7 +52,7 @@ class Walker:
     @staticmethod
     def of(rig: Rig) -> Walker:
         """Return a biped from its rest pose (SIM149 if it lacks two legs)."""
-        person = Person.of(rig, anatomy(rig).roles)
+        person = RoledSkeleton.of(rig, anatomy(rig).roles)
         left, right, facing = person.leg("l"), person.leg("r"), person.facing
         if left is None or right is None or facing is None:
             message = f"{rig.name!r} does not have two legs with thigh, shin and foot"
@@ -71,20 +71,20 @@ class Walker:
             person,
             (left, right),
             heading,
-            so3.multiply(back, person.turns[feet]),
+            so3.multiply(back, person.rotations[feet]),
             person.positions[feet, 1] - ground,
             np.array(balls),
             person.leg_length("l"),
         )
 
 
-def _ground(person: Person) -> float:
+def _ground(person: RoledSkeleton) -> float:
     """Return the height of the ground below a rig at rest [m].
 
     Below its lowest joint, or where the bone of one ends, such as that of a toe.
     """
     ends = [
-        person.positions[joint] + so3.rotate(person.turns[joint], np.array(tip))
+        person.positions[joint] + so3.rotate(person.rotations[joint], np.array(tip))
         for joint, config in enumerate(person.rig.joints)
         for tip in config.tips
     ]

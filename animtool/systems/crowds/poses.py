@@ -7,7 +7,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.retarget.legs import put_ankle
+from animtool.retarget.legs import ankle_rotations
 from animtool.rig.kinematics import forward
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.bodies import AgentBodies
@@ -100,7 +100,7 @@ def _reach(
     missed = np.zeros((len(rotations), 2))
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         above = int(rig.parents[thigh])
-        upper, lower = put_ankle(
+        upper, lower = ankle_rotations(
             walker.person,
             SIDES[k],
             joints[:, [thigh, shin, foot]],

@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.systems.crowds.ground import about_up
 
 if TYPE_CHECKING:
-    from animtool.retarget.person import Person
+    from animtool.retarget.roled_skeleton import RoledSkeleton
 
 # Largest yaw [rad].
 MOST = 0.9
@@ -62,7 +62,7 @@ class Trunk:
     neck: tuple[int, ...]  # with the head
 
     @staticmethod
-    def of(person: Person) -> Trunk:
+    def of(person: RoledSkeleton) -> Trunk:
         """Return the trunk of a skeleton; without a spine nothing rotates."""
         named = {
             role: tuple(j for j, actual in enumerate(person.roles) if actual == role)

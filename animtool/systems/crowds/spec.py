@@ -9,12 +9,12 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
+    Integer,
     Name,
     NotNegative,
     Positive,
     Real,
     Vector,
-    Whole,
     key,
 )
 from animtool.systems.framework.fields import (
@@ -111,7 +111,7 @@ class PopulationModel(PlacedModel):
     """Agents that begin at one place and have one route."""
 
     name: Name = key("Its name.", "commuters")
-    count: Annotated[Whole, Ge(0), Le(10**6)] = key("How many.", 200, default=50)
+    count: Annotated[Integer, Ge(0), Le(10**6)] = key("How many.", 200, default=50)
     place: PlaceEntry = key(
         "Start region, seen from above: `point`, `disc`, `sphere`, `box`, `mesh`.",
         {"box": {"size": [6, 0, 2]}},
@@ -130,7 +130,7 @@ class PopulationModel(PlacedModel):
     delay: NotNegative = key(
         "Each agent starts at a random time before this [s].", 3, default=0.0
     )
-    group: Annotated[Whole, Ge(1), Le(8)] = key(
+    group: Annotated[Integer, Ge(1), Le(8)] = key(
         "Number of agents that walk side by side in a group.", 2, default=1
     )
     speed: WalkingSpeedModel = key(
@@ -160,7 +160,7 @@ class AgentAvoidanceModel(FileModel):
     """How agents keep clear of each other."""
 
     sight: Positive = key("Range of sight [m].", 5, default=3.0)
-    nearest: Annotated[Whole, Ge(1), Le(100)] = key(
+    nearest: Annotated[Integer, Ge(1), Le(100)] = key(
         "Number of nearest visible agents to avoid.", 16, default=10
     )
     horizon: Positive = key(

@@ -9,12 +9,12 @@ from annotated_types import Ge, Gt, Le, Len
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
+    Integer,
     Name,
     NotNegative,
     Positive,
     Real,
     Vector,
-    Whole,
     key,
 )
 from animtool.systems.framework.fields import (
@@ -39,7 +39,7 @@ class VisionModel(FileModel):
         300,
         default=360.0,
     )
-    nearest: Annotated[Whole, Ge(1), Le(10_000)] | None = key(
+    nearest: Annotated[Integer, Ge(1), Le(10_000)] | None = key(
         "Number of nearest neighbours to follow. Default: all that are visible.",
         7,
         default=None,
@@ -142,7 +142,7 @@ class SpeciesModel(PlacedModel):
     """Members of one kind: where they begin, and what they do."""
 
     name: Name = key("Its name.", "starling")
-    count: Annotated[Whole, Ge(0), Le(2 * 10**6)] = key("How many.", 500, default=100)
+    count: Annotated[Integer, Ge(0), Le(2 * 10**6)] = key("How many.", 500, default=100)
     place: PlaceEntry = key(
         "Start region: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"box": {"size": [6, 2, 6]}},

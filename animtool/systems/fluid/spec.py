@@ -11,12 +11,12 @@ from pydantic import Field
 from animtool.core.errors import Fault, Problem
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
+    Integer,
     NotNegative,
     Pair,
     Positive,
     Real,
     Vector,
-    Whole,
     key,
 )
 from animtool.systems.framework.colours import ColourModel
@@ -86,7 +86,7 @@ class FluidSurfaceModel(FileModel):
     smoothing: NotNegative = key(
         "Half width of the smoothing kernel, in spacings.", 1.5, default=1.0
     )
-    max_cells: Annotated[Whole, Gt(0), Le(10**9)] = key(
+    max_cells: Annotated[Integer, Gt(0), Le(10**9)] = key(
         "Limit of grid cells in a frame.", 10**8, default=5 * 10**7
     )
 

@@ -14,11 +14,11 @@ from animtool.core.plugins import load_object
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Frame,
+    Integer,
     Name,
     Quaternion,
     Real,
     Vector,
-    Whole,
     check_numbers,
     key,
     record_of,
@@ -44,7 +44,7 @@ class Part(StrEnum):
 
 
 ArrayEntry = Annotated[Name, Part.ARRAY]
-NameEntry = Annotated[str | Whole, Part.NAMES]
+NameEntry = Annotated[str | Integer, Part.NAMES]
 ForceEntry = Annotated[Named, Part.FORCE]
 # How shapes are written.
 SHAPE_FORMS = Forms(
@@ -136,7 +136,7 @@ class CarryingVertexModel(_CarrierModel):
     file: CharacterFile = None
     source: OwnCharacter = False
     mesh: Name = key("Name of the rig's mesh.", "body")
-    vertex: Annotated[Whole, Ge(0)] = key("Its number.", 120)
+    vertex: Annotated[Integer, Ge(0)] = key("Its number.", 120)
 
 
 class CarryingPrimModel(FollowedPrimModel, _CarrierModel):
@@ -286,7 +286,7 @@ class PrototypeModel(FileModel):
         "Path of the mesh in a USD file.", "/bird", default=None
     )
     mesh: Name | None = key("Name of the mesh of a rig.", "body", default=None)
-    samples: Annotated[Whole, Ge(1), Le(240)] = key(
+    samples: Annotated[Integer, Ge(1), Le(240)] = key(
         "Number of phases of its cycle to show; the last frame continues with the "
         "first. Something static has one.",
         24,
@@ -354,9 +354,9 @@ Forces = Annotated[
     ),
 ]
 Integrator = Annotated[str, key("An integrator.", "rk4")]
-Seed = Annotated[Whole, key("Seed for random numbers.", 7)]
+Seed = Annotated[Integer, key("Seed for random numbers.", 7)]
 MaxParticles = Annotated[
-    Whole, Gt(0), Le(10**7), key("Limit of particles at once.", 50_000)
+    Integer, Gt(0), Le(10**7), key("Limit of particles at once.", 50_000)
 ]
 Shows = Annotated[
     PrototypeModel | None,

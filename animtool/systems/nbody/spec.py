@@ -11,12 +11,12 @@ from animtool.core.errors import Problem
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Count,
+    Integer,
     Name,
     NotNegative,
     Positive,
     Real,
     Vector,
-    Whole,
     key,
 )
 from animtool.systems.framework.colours import ColourModel
@@ -189,7 +189,7 @@ class NbodyModel(SystemSpec):
         1e-3,
         default=2e-4,
     )
-    substeps: Annotated[Whole, Ge(1), Le(2**20)] = key(
+    substeps: Annotated[Integer, Ge(1), Le(2**20)] = key(
         "Largest number of substeps where two bodies come close.",
         1024,
         default=64,

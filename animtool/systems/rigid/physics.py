@@ -190,8 +190,8 @@ def body_entries(
             keys["mass"] = body.mass
         if body.centre is not None:
             keys["centre"] = body.centre.tolist()
-        if body.moments is not None:
-            keys["inertia"] = body.moments.tolist()
+        if body.inertia is not None:
+            keys["inertia"] = body.inertia.tolist()
             keys["inertia_axes"] = body.axes[[3, 0, 1, 2]].tolist()
         if not body.kinematic:
             keys["velocity"] = body.velocity.tolist()
@@ -244,7 +244,7 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
         pair = [i if i < 0 else i + first for i in joint.bodies]
         frames, drive, limits = list(joint.frames), joint.drive, joint.limits
         target, speed = (0.0, 0.0) if drive is None else (drive.target, drive.speed)
-        rotation = so3.IDENTITY if drive is None else drive.turn
+        rotation = so3.IDENTITY if drive is None else drive.rotation
         if pair[1] not in dynamic_numbers:
             # Swapped: the joint's second body becomes the first.
             pair.reverse()

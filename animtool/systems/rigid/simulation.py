@@ -362,7 +362,7 @@ class RigidSimulation(SharedBodies):
             meshes,
             names=tuple(bodies.names),
             xforms=self._spec.prims == "xforms",
-            still=bodies.static,
+            static=bodies.static,
             physics=self._physics,
         )
 

@@ -11,13 +11,13 @@ from pydantic import Field
 from animtool.core.errors import Problem
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
+    Integer,
     Name,
     NotNegative,
     Positive,
     Quaternion,
     Real,
     Vector,
-    Whole,
     key,
 )
 from animtool.systems.framework.fields import (
@@ -82,7 +82,7 @@ class PushModel(FileModel):
 class GridModel(FileModel):
     """Copies of a body in rows: a wall, a row of dominoes, a stack."""
 
-    count: Annotated[list[Annotated[Whole, Ge(1)]], Len(3, 3)] = key(
+    count: Annotated[list[Annotated[Integer, Ge(1)]], Len(3, 3)] = key(
         "Number along x, y and z of the body's frame.", [10, 8, 1]
     )
     spacing: Vector = key("Spacing [m].", [0.42, 0.2, 0])
@@ -309,12 +309,12 @@ class RigidModel(CollidingSpec):
         "rk4",
         default="splitting",
     )
-    substeps: Annotated[Whole, Ge(1), Le(1000)] = key(
+    substeps: Annotated[Integer, Ge(1), Le(1000)] = key(
         "Substeps in each step; contacts are found once per step.",
         16,
         default=8,
     )
-    iterations: Annotated[Whole, Ge(1), Le(10_000)] = key(
+    iterations: Annotated[Integer, Ge(1), Le(10_000)] = key(
         "Largest number of velocity iterations in half a substep; with fewer than "
         "some hundred contact points up to 32 times as many.",
         32,

@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import Annotated
 
 from animtool.core.array_types import ArrayLike
-from animtool.core.options import Key, above, described, or_more
+from animtool.core.options import Key, above, inherits_docs, or_more
 from animtool.core.record import dataclass
 
 # Of springs, and of the air.
@@ -14,7 +14,7 @@ _OfSpring = Annotated[float, or_more(0, "SIM042")]
 _OfAir = Annotated[float, or_more(0, "SIM050")]
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class Family:
     """What springs of a kind have in common.
@@ -82,7 +82,7 @@ class Family:
     ] = None
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class Air:
     """Air that moves past the triangles of a body.
@@ -123,7 +123,7 @@ class Solver(StrEnum):
     IMPLICIT_EULER = "implicit_euler"
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class SpringOptions:
     """How to simulate springs.
@@ -173,7 +173,7 @@ class SpringOptions:
     longest: Annotated[float, above(1, "SIM004")] = 10.0
 
 
-@described
+@inherits_docs
 @dataclass(frozen=True, slots=True)
 class SelfContact:
     """How a surface keeps apart from itself: cloth in folds, rolls and layers.

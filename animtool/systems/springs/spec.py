@@ -13,10 +13,10 @@ from animtool.core.options import above, or_more
 from animtool.core.plugins import load_object
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
+    Integer,
     Name,
     Real,
     Vector,
-    Whole,
     key,
     record_of,
     with_fields,
@@ -135,7 +135,7 @@ class JoinedModel(FileModel):
     """Particles of another system."""
 
     system: Name = key("Its name.", "flag")
-    particles: Annotated[list[str | Whole], Len(1)] = key(
+    particles: Annotated[list[str | Integer], Len(1)] = key(
         "Its particles, one for each or one for all, written like `particles` of a "
         "pin.",
         ["top_left"],
@@ -302,7 +302,7 @@ class RopeModel(SpringsModel):
     end: Vector = Field(
         alias="to", description="End point [m].", examples=[[1.5, 2, 0]]
     )
-    count: Whole = key("Number of particles.", 31)
+    count: Integer = key("Number of particles.", 31)
     tip_mass: Real | None = key(
         "Mass of the last particle [kg]. Default: like the others.", 2, default=None
     )
@@ -349,7 +349,7 @@ class ClothModel(SpringsModel):
         [0, 0, -1],
         default=[0.0, 1.0, 0.0],
     )
-    resolution: Annotated[list[Whole], Len(2, 2)] = key(
+    resolution: Annotated[list[Integer], Len(2, 2)] = key(
         "Number of particles across and up.", [31, 21], default=[20, 20]
     )
     mesh: PrimMeshModel | None = key(
@@ -385,7 +385,7 @@ class VolumeModel(SpringsModel):
     size: Vector = key(
         "Size along x, y and z [m].", [0.5, 0.5, 0.5], default=[1.0, 1.0, 1.0]
     )
-    resolution: Annotated[list[Whole], Len(3, 3)] = key(
+    resolution: Annotated[list[Integer], Len(3, 3)] = key(
         "Number of particles along x, y and z.", [8, 4, 8], default=[6, 6, 6]
     )
     tetrahedra: TetrahedraModel | None = key(

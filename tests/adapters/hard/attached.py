@@ -20,7 +20,7 @@ from support.attached import (
 
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take
-from animtool.rig.parts import Capsule, Collider, HeldArray, Shape
+from animtool.rig.parts import Capsule, Collider, LoadedArray, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.systems.attach.strands import DEPENETRATION
 
@@ -70,9 +70,9 @@ def _coincident_particles(way: str) -> None:  # noqa: ARG001 - there is one
 
 def _all_coincident(way: str) -> None:  # noqa: ARG001 - there is one
     flat = sheet_rig()
-    at_one = replace(flat.meshes[0], points=HeldArray(np.zeros((16, 3))))
+    at_one = replace(flat.meshes[0], points=LoadedArray(np.zeros((16, 3))))
     # Either at bind, or by a shape in the first pose alone.
-    falls = HeldArray(-flat.meshes[0].points.load())
+    falls = LoadedArray(-flat.meshes[0].points.load())
     shape = Shape("gone", "flag", falls)
     whole = Channel.from_dense(np.ones((13, 1, 1)))
     for rig, weights in (

@@ -67,10 +67,10 @@ def reference(source: Path, clip: str) -> dict[str, Any]:
     weights = take.motion.weights
     points = {}
     for mesh in character_meshes(surfaces_of(rig), rig.names, bind, shapes):
-        own_weights = None
+        uncombined_weights = None
         if weights is not None:
-            own_weights = mesh.weights(weights.dense()[chosen][:, :, 0])
-        moved = deform(mesh.mesh, own_weights, world).points
+            uncombined_weights = mesh.weights(weights.dense()[chosen][:, :, 0])
+        moved = deform(mesh.mesh, uncombined_weights, world).points
         points[mesh.name] = moved[:, :: moved.shape[1] // MAX_POINTS + 1]
     seconds = (clock.times[chosen] - float(clock.start)) / float(clock.fps)
     size = float(np.ptp(places.reshape(-1, 3), axis=0).max())

@@ -17,7 +17,7 @@ from support.attached import (
 
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.rig.parts import Attachment, HeldArray
+from animtool.rig.parts import Attachment, LoadedArray
 from animtool.rig.skeleton import JointType
 
 
@@ -28,13 +28,13 @@ def test_degenerate_faces() -> None:
     )
     faces = np.array([[0, 1, 2], [1, 2, 3], [1, 2, 4], [0, 1, 5]], np.float64)
     rig = sheet_rig()
-    mesh = replace(rig.meshes[0], points=HeldArray(points), faces=HeldArray(faces))
+    mesh = replace(rig.meshes[0], points=LoadedArray(points), faces=LoadedArray(faces))
     skin = replace(
         mesh.skin,
-        indices=HeldArray(np.zeros((6, 1))),
-        weights=HeldArray(np.ones((6, 1))),
+        indices=LoadedArray(np.zeros((6, 1))),
+        weights=LoadedArray(np.ones((6, 1))),
     )
-    attach = Attachment("flag", "cloth", mesh="flag", pins=HeldArray(np.zeros(1)))
+    attach = Attachment("flag", "cloth", mesh="flag", pins=LoadedArray(np.zeros(1)))
     rig = replace(rig, meshes=(replace(mesh, skin=skin),), attach=(attach,))
     found, codes = simulated(take_of(rig, 24, 0.5))
     assert np.isfinite(moved(found)).all()

@@ -9,7 +9,7 @@ import pytest
 from support.attached import moved, sheet_rig, simulated, take_of
 
 from animtool.motion.take import Take
-from animtool.rig.parts import Capsule, Collider, HeldArray, Mesh, Skin
+from animtool.rig.parts import Capsule, Collider, LoadedArray, Mesh, Skin
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.skins import capped, margin_for, skins_of
 from animtool.systems.framework.meter import Solid, depths_in
@@ -27,8 +27,8 @@ def posted(faces: np.ndarray = FACES) -> Rig:
     rig = sheet_rig(SIZE)
     points = (BOX - [0.5, 0.5, 0]) * [0.6, 0.3, 0.2] + [0.15, -0.2, -0.215]
     every = np.zeros((8, 1))
-    skin = Skin("linear", ("post",), HeldArray(every), HeldArray(every + 1.0))
-    box = Mesh("box", HeldArray(points), HeldArray(faces.astype(float)), skin=skin)
+    skin = Skin("linear", ("post",), LoadedArray(every), LoadedArray(every + 1.0))
+    box = Mesh("box", LoadedArray(points), LoadedArray(faces.astype(float)), skin=skin)
     return replace(rig, meshes=(*rig.meshes, box))
 
 

@@ -17,7 +17,7 @@ from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, bind_world, forward
-from animtool.rig.parts import HeldArray, Mesh
+from animtool.rig.parts import LoadedArray, Mesh
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.scene.bake.bake import bake
@@ -27,7 +27,7 @@ from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 from animtool.usd.rigs.layer import write_rig_layer
 from animtool.usd.rigs.meshes import bone_segments
-from animtool.usd.rigs.stored import read_rig, read_whole_rig
+from animtool.usd.rigs.stored import read_rig, read_rig_with_data
 
 Floats = npt.NDArray[np.float64]
 
@@ -154,7 +154,7 @@ def test_they_come_back(tmp_path: Path, suffix: str) -> None:
     rig = shaped_rig(3)
     _, notices = write_rig_layer(rig, tmp_path / f"hero.{suffix}")
     assert notices == []
-    found, said = read_whole_rig(tmp_path / f"hero.{suffix}")
+    found, said = read_rig_with_data(tmp_path / f"hero.{suffix}")
     assert said == []
     same_arrays(rig, found)
     a, b = (skin_matrix(r.meshes[0], rig.names) for r in (rig, found))
@@ -187,7 +187,7 @@ def test_an_open_mesh_is_visible_from_inside(tmp_path: Path) -> None:
     rig = shaped_rig()
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3.0]])
     one, other = (
-        Mesh(name, held(np.vstack([np.zeros(3), np.eye(3)])), HeldArray(some))
+        Mesh(name, held(np.vstack([np.zeros(3), np.eye(3)])), LoadedArray(some))
         for name, some in (("whole", faces), ("open", faces[:3]))
     )
     write_rig_layer(replace(rig, meshes=(one, other), shapes=()), tmp_path / "x.usda")

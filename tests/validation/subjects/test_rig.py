@@ -32,5 +32,5 @@ def test_entries_are_found_by_name(root: Path) -> None:
     left = subject.at("joints", "knee_l")
     assert subject.at("joints", "knee_r") == left
     assert subject.at("joints", "nobody") == ("joints",)
-    line, _ = document.place(left)
+    line, _ = document.position(left)
     assert "knee_l" in document.path.read_text("utf-8").splitlines()[line - 1]
