@@ -38,9 +38,9 @@ from animtool.systems.framework.fields import (
     CarryingPrimModel,
     CarryingVertexModel,
     CharacterModel,
+    EntryPart,
     GaitsModel,
     MovingMeshModel,
-    Part,
     PhysicsStageModel,
     PlacedModel,
     PrimMeshModel,
@@ -158,7 +158,7 @@ class SpecPartReader(EntryReader):
             read = self._reader(declared.annotation, declared.metadata, check=check)
             if placing or read is None or value is None:
                 continue
-            if Part.ARRAY in _marks(declared.annotation, declared.metadata):
+            if EntryPart.ARRAY in _marks(declared.annotation, declared.metadata):
                 values = read((*at, key), value)
                 factor = self.units.array_factor(declared.description)
                 parts[key] = values
@@ -188,9 +188,9 @@ class SpecPartReader(EntryReader):
         Faults of places and shapes are noted where nothing else does.
         """
         for mark in marks:
-            if isinstance(mark, Part):
+            if isinstance(mark, EntryPart):
                 read: Reader = getattr(self, READERS[mark])
-                if mark in {Part.PLACE, Part.SHAPE}:
+                if mark in {EntryPart.EMITTER_SHAPE, EntryPart.SHAPE}:
                     return lambda at, one: self._checked_part(
                         at, read(at, one), check=check
                     )
@@ -326,11 +326,11 @@ class SpecPartReader(EntryReader):
 
 # What reads entries that are marked, or of a model, by the name of its method.
 READERS: Mapping[Any, str] = {
-    Part.ARRAY: "array",
-    Part.NAMES: "names",
-    Part.FORCE: "force",
-    Part.PLACE: "emitter_shape",
-    Part.SHAPE: "shape",
+    EntryPart.ARRAY: "array",
+    EntryPart.NAMES: "names",
+    EntryPart.FORCE: "force",
+    EntryPart.EMITTER_SHAPE: "emitter_shape",
+    EntryPart.SHAPE: "shape",
     PrototypeModel: "prototype",
     GaitsModel: "gaits",
     PhysicsStageModel: "physics",
@@ -375,7 +375,7 @@ def read_spec(
     outer |= outside.parts(at, spec, AROUND[1:])
     parts = reader.parts(at, spec, type(spec).model_fields.keys() - {*AROUND})
     reader.note_ranges(at, spec)
-    record, faults = spec.made(parts)
+    record, faults = spec.build_record(parts)
     for fault in faults:
         at_key = (*at, *location_of(fault.where or ""))
         document.add(fault.code, at_key, fault.message, fault.hint)

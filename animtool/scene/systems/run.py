@@ -221,7 +221,8 @@ class SystemRun:
         predicted = {
             i: run
             for i, run in runs.items()
-            if isinstance(run.simulation, NeedsFinalState) and run.simulation.ahead
+            if isinstance(run.simulation, NeedsFinalState)
+            and run.simulation.needs_final_state
         }
         if not predicted:
             return
@@ -229,7 +230,7 @@ class SystemRun:
         phase = None if self._phases is None else self._phases.phase()
         last = last_states(self.systems, list(predicted), times, self._character, phase)
         for i, run in predicted.items():
-            run.simulation.see(last[i])
+            run.simulation.set_final_state(last[i])
         self.seconds[min(predicted)] += time.perf_counter() - began
 
     def _before(self, code: Fraction, error: ToleranceError) -> list[Fault]:

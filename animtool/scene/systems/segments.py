@@ -21,7 +21,7 @@ from animtool.scene.systems.character_motion import motion_of
 from animtool.scene.systems.links import with_dependencies
 from animtool.scene.systems.simulation import located_systems, open_systems
 from animtool.systems.framework.run import EntryRun
-from animtool.systems.springs.drawing import Curves
+from animtool.systems.springs.drawing import CurveShape
 from animtool.systems.springs.pins import numbered
 from animtool.systems.springs.view import SpringView
 
@@ -79,7 +79,7 @@ def _index(systems: Sequence[SceneSystem], name: str) -> int:
 def _view(opened: EntryRun, name: str) -> SpringView:
     """Return the rows of a rope or strand that are shown."""
     view = opened.simulation
-    if isinstance(view, SpringView) and isinstance(view.body.shape, Curves):
+    if isinstance(view, SpringView) and isinstance(view.body.shape, CurveShape):
         return view
     message = f"{name!r} has no segments to attach to"
     hint = "use a rope or strands"
@@ -97,7 +97,7 @@ def _particles(view: SpringView, name: str, particle: str) -> IntArray:
             message = f"{name!r} has no particle {particle!r}"
         hint = f"write one of {', '.join(body.places)}, or a number"
         raise OptionError(Fault("SIM192", message, where="particle", hint=hint))
-    shape = cast(Curves, body.shape)
+    shape = cast(CurveShape, body.shape)
     starts = np.cumsum([0, *shape.counts.tolist()])
     before = particles[0] + 1 if particles[0] in starts else particles[0] - 1
     return np.asarray(view.rows[[before, particles[0]]], np.int64)

@@ -113,7 +113,7 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
         run.state = saved.read("", clocked(member, run), run.state)
     if isinstance(run.simulation, Resumed):
         t = run.time(run.state.steps)
-        why = run.simulation.misfit(run.state.state, t)
+        why = run.simulation.incompatibility(run.state.state, t)
         if why:
             raise OptionError(
                 Fault("SIM035", f"its state does not match: {why}", str(path))

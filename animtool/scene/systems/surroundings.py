@@ -28,7 +28,7 @@ from animtool.systems.framework.fields import (
     SystemSurfaceModel,
 )
 from animtool.systems.framework.run import EntryRun
-from animtool.systems.framework.surfaces import Bodies
+from animtool.systems.framework.surfaces import BodyColliders
 
 if TYPE_CHECKING:
     from animtool.usd.caches.reader import MeshSource
@@ -197,7 +197,7 @@ class Surroundings:
         """
         capsules, skins = character_colliders(self.characters, characters)
         sheets: list[Sheet] = []
-        bodies: list[Bodies] = []
+        bodies: list[BodyColliders] = []
         for one in self.systems:
             other = opened[one.system]
             if other.rigid:

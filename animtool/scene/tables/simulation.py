@@ -39,7 +39,12 @@ from animtool.sim.trials.trial import (
     Trial,
     TrialOutcome,
 )
-from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
+from animtool.systems.attach.bodies import (
+    AttachedBody,
+    ChainBody,
+    SurfaceBody,
+    bodies_of,
+)
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.take_pass import moves
 
@@ -193,7 +198,7 @@ def _simulates(entry: ScenePass) -> bool:
 
 
 def _attach_trial(
-    scene: Scene, entry: ScenePass, take: Take, body: Body, instants: int
+    scene: Scene, entry: ScenePass, take: Take, body: AttachedBody, instants: int
 ) -> Trial:
     """Return the trial of a spring attachment, with more and fewer steps."""
     clock = take.clock
@@ -256,7 +261,7 @@ def _figures(report: Mapping[str, Any]) -> dict[Figure, float]:
     return figures
 
 
-def _attached(rig: Rig, body: Body, motion: Motion) -> FloatArray:
+def _attached(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArray:
     """Return the compared points of an attachment ``(F, N, 3)`` [m]."""
     if isinstance(body, SurfaceBody):
         return motion.points[body.mesh.name].dense()

@@ -15,7 +15,7 @@ from animtool.systems.framework.fields import (
     Integrator,
     MaxParticles,
     PlacedModel,
-    PlaceEntry,
+    EmitterShapeEntry,
     PrimName,
     RecordModel,
     SystemColliderModel,
@@ -36,7 +36,7 @@ class EmitterModel(PlacedModel, RecordModel):
     code: ClassVar[str] = "SIM021"
     makes: ClassVar[str] = "animtool.systems.particles.emitter:Emitter"
 
-    place: PlaceEntry = key(
+    place: EmitterShapeEntry = key(
         "Emitter shape: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"disc": {"radius": 0.2}},
         default={"point": None},
