@@ -18,16 +18,16 @@ from animtool.documents.fields import (
     key,
 )
 from animtool.systems.framework.fields import (
+    EmitterShapeEntry,
     Integrator,
     PlacedModel,
-    EmitterShapeEntry,
     Seed,
     Shows,
     StartPoints,
     Tolerance,
     Velocities,
 )
-from animtool.systems.framework.spec import CollidingSpec
+from animtool.systems.framework.spec import ForcedSpec
 
 
 class VisionModel(FileModel):
@@ -236,7 +236,7 @@ class DomainModel(FileModel):
     )
 
 
-class FlocksModel(CollidingSpec):
+class FlocksModel(ForcedSpec):
     """Flocks: members see each other, and attract, align and repel."""
 
     methods: ClassVar[Sequence[str]] = ("symplectic_euler", "midpoint", "heun", "rk4")

@@ -28,7 +28,7 @@ from animtool.systems.framework.fields import (
     ShapeEntry,
     SystemColliderModel,
 )
-from animtool.systems.framework.spec import CollidingSpec
+from animtool.systems.framework.spec import ForcedSpec
 
 # Quantities that can be written and used as colours.
 Quantity = Literal["age", "density", "pressure", "speed"]
@@ -91,7 +91,7 @@ class FluidSurfaceModel(FileModel):
     )
 
 
-class FluidModel(CollidingSpec):
+class FluidModel(ForcedSpec):
     """A fluid: particles that pressure keeps as dense as at rest."""
 
     acted_on: ClassVar[Sequence[str]] = ("fills", "emitters", "drains", "forces")

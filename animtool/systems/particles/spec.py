@@ -12,16 +12,16 @@ from pydantic import Field
 from animtool.core.errors import Fault, OptionError
 from animtool.documents.fields import Real, key, with_fields
 from animtool.systems.framework.fields import (
+    EmitterShapeEntry,
     Integrator,
     MaxParticles,
     PlacedModel,
-    EmitterShapeEntry,
     PrimName,
     RecordModel,
     SystemColliderModel,
     Tolerance,
 )
-from animtool.systems.framework.spec import CollidingSpec
+from animtool.systems.framework.spec import ForcedSpec
 from animtool.systems.particles.records import Emission, Velocity
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class VelocityModel(RecordModel):
     makes: ClassVar[str] = "animtool.systems.particles.velocity_field:VelocityField"
 
 
-class ParticlesModel(CollidingSpec):
+class ParticlesModel(ForcedSpec):
     """Particles: born, moved, stopped and removed. Lengths are in metres."""
 
     methods: ClassVar[Sequence[str] | None] = None

@@ -28,7 +28,7 @@ from animtool.systems.framework.fields import (
     PrototypeModel,
     ShapeEntry,
 )
-from animtool.systems.framework.spec import CollidingSpec
+from animtool.systems.framework.spec import ForcedSpec
 
 RotationMethod: TypeAlias = Literal[
     "splitting", "rk4", "symplectic_euler", "explicit_euler"
@@ -281,7 +281,7 @@ class SleepModel(FileModel):
     time: Positive = key("Time below that speed [s].", 1, default=0.5)
 
 
-class RigidModel(CollidingSpec):
+class RigidModel(ForcedSpec):
     """Rigid bodies of a scene, and joints; forces act at their centres of mass."""
 
     methods: ClassVar[Sequence[str]] = get_args(RotationMethod)

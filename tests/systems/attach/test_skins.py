@@ -103,8 +103,8 @@ def combed() -> Rig:
     rig = strands_rig()
     points = (BOX - [0.5, 0.5, 0]) * [0.6, 0.3, 0.2] + [0.2, -0.3, -0.24]
     every = np.zeros((8, 1))
-    skin = Skin("linear", ("head",), HeldArray(every), HeldArray(every + 1.0))
-    box = Mesh("box", HeldArray(points), HeldArray(FACES.astype(float)), skin=skin)
+    skin = Skin("linear", ("head",), LoadedArray(every), LoadedArray(every + 1.0))
+    box = Mesh("box", LoadedArray(points), LoadedArray(FACES.astype(float)), skin=skin)
     return replace(rig, meshes=(box,))
 
 
