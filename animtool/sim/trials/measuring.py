@@ -48,11 +48,7 @@ SHORT, REPEATS = 0.3, 3
 # reference.
 TOO_SLOW = 10.0
 # Smaller differences of figures do not count: fractions, metres and pairs.
-FIGURE_TOLERANCES = {
-    Figure.STRETCH: 1e-3,
-    Figure.DEPTH: 1e-4,
-    Figure.PIERCED: 1.0,
-}
+FIGURE_TOLERANCES = {Figure.STRETCH: 1e-3, Figure.DEPTH: 1e-4, Figure.PIERCED: 1.0}
 ENERGY_TOLERANCE = 1e-3
 
 
@@ -325,10 +321,7 @@ def _row(
     sign = _sign(error, extent_of(truth.shots))
     if sign:
         return replace(
-            row,
-            status=Status.UNSTABLE,
-            reason=sign,
-            stable_step=done.stable_step,
+            row, status=Status.UNSTABLE, reason=sign, stable_step=done.stable_step
         )
     worst = "" if trial.where is None or error.at is None else trial.where(*error.at)
     return replace(complete, error=error, worst=worst)

@@ -66,9 +66,7 @@ def rules_of(members: Members) -> list[FlockRule]:
 
 
 def _flocking(
-    species: SpeciesModel,
-    subjects: Indices | None,
-    mates: Indices | None,
+    species: SpeciesModel, subjects: Indices | None, mates: Indices | None
 ) -> FlockRule:
     vision, repulsion = species.vision, species.repulsion
 

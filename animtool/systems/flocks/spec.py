@@ -101,8 +101,7 @@ class FlockGoalModel(PlacedModel):
     """Where members are drawn to; it may move, or go with a prim."""
 
     weight: Real = key(
-        "Weight: acceleration over the distance to it [1/s²]; below 0 it repels.",
-        0.1,
+        "Weight: acceleration over the distance to it [1/s²]; below 0 it repels.", 0.1
     )
     radius: NotNegative = key("No pull within this distance [m].", 4, default=0.0)
     limit: Positive | None = key("Maximum acceleration [m/s²].", 5, default=None)
@@ -203,9 +202,7 @@ class SpeciesModel(PlacedModel):
         "Maximum acceleration [m/s²].", 30, default=None
     )
     avoidance: AvoidanceModel = key(
-        "Avoidance of colliders and walls.",
-        {"distance": 3},
-        default=AvoidanceModel(),
+        "Avoidance of colliders and walls.", {"distance": 3}, default=AvoidanceModel()
     )
     goals: list[FlockGoalModel] = key(
         "Points of attraction.", [{"at": [0, 6, 0], "weight": 0.1}], default=[]

@@ -99,8 +99,7 @@ class FluidModel(ForcedSpec):
     quantities: ClassVar[Sequence[str]] = get_args(Quantity)
 
     spacing: Positive = key(
-        "Spacing of particles [m]; half the spacing gives eight times as many.",
-        0.04,
+        "Spacing of particles [m]; half the spacing gives eight times as many.", 0.04
     )
     fills: list[FillModel] = key(
         "What is filled at the start.",

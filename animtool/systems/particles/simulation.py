@@ -144,11 +144,7 @@ class ParticleSimulation:
         return particle_system(setup, colliders, state.particles, state.state)
 
     def _moved(
-        self,
-        state: ParticleRunState,
-        now: float,
-        until: float,
-        notices: list[Fault],
+        self, state: ParticleRunState, now: float, until: float, notices: list[Fault]
     ) -> tuple[ParticleRunState, Sequence[Wrenches]]:
         """Return particles after a step [s], and impulses on bodies."""
         system, options = self._system(state), self.setup.options

@@ -310,9 +310,7 @@ class RigidModel(ForcedSpec):
         default="splitting",
     )
     substeps: Annotated[Integer, Ge(1), Le(1000)] = key(
-        "Substeps in each step; contacts are found once per step.",
-        16,
-        default=8,
+        "Substeps in each step; contacts are found once per step.", 16, default=8
     )
     iterations: Annotated[Integer, Ge(1), Le(10_000)] = key(
         "Largest number of velocity iterations in half a substep; with fewer than "
@@ -337,9 +335,7 @@ class RigidModel(ForcedSpec):
         default=False,
     )
     sleep: SleepModel = key(
-        "When slow bodies fall asleep.",
-        {"speed": 0},
-        default=SleepModel(),
+        "When slow bodies fall asleep.", {"speed": 0}, default=SleepModel()
     )
 
     def problems(self) -> Iterator[Problem]:
