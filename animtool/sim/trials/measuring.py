@@ -348,18 +348,15 @@ def _drift(energies: Sequence[Energy] | None) -> float | None:
 
 def _notices(trial: Trial, reference: Reference | None) -> list[Fault]:
     if reference is None:
-        message = (
-            f"{trial.name}: there is no motion to compare with: every setting blew up"
-        )
+        message = f"{trial.name}: there is no motion to compare with: every setting "
+        message += "blew up"
         hint = "shorten the step, or use an implicit method: it is then refined"
         return [warning("SIM056", message, hint)]
     if not reference.sensitive:
         return []
     off = reference.error.rms
-    message = (
-        f"{trial.name}: half the step changes the motion by {1000 * off:.3g} mm "
-        "(rms): it is sensitive, and no setting has a small error"
-    )
+    message = f"{trial.name}: half the step changes the motion by {1000 * off:.3g} mm "
+    message += "(rms): it is sensitive, and no setting has a small error"
     hint = "compare settings by eye; a shorter range may still separate them"
     return [warning("SIM055", message, hint)]
 

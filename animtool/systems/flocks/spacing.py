@@ -82,8 +82,7 @@ class Spacing:
     @staticmethod
     def _check(count: int, looked: float, most: float) -> None:
         if looked > most:
-            message = (
-                f"{count} members are so close that each has thousands of neighbours"
-            )
+            message = f"{count} members are so close that each has thousands of "
+            message += "neighbours"
             hint = "use a larger start region, or a smaller distance"
             raise ToleranceError(Fault("SIM107", message, hint=hint))

@@ -230,9 +230,8 @@ class ParticleSimulation:
         missed = max(total - room, 0)
         if missed and not state.missed:
             most = self.setup.max_particles
-            message = (
-                f"from {until:g} s on, the limit of {most} particles leaves room for "
-            )
+            message = f"from {until:g} s on, the limit of {most} particles leaves room "
+            message += "for "
             hint = "raise max_particles, or lower rates or lifetimes"
             notices.append(
                 warning("SIM121", f"{message}no more", hint, self.setup.name)

@@ -343,7 +343,6 @@ class RigidModel(ForcedSpec):
         if not self.bodies and not self.stages:
             yield "there are no bodies", None, "add some, or a stage with some"
         if self.physics and self.prims != "xforms":
-            message = (
-                "UsdPhysics describes prims, but copies of an instancer are not prims"
-            )
+            message = "UsdPhysics describes prims, but copies of an instancer are not "
+            message += "prims"
             yield message, "physics", "prims: xforms"
