@@ -16,7 +16,7 @@ from animtool.sim.integrators.integrator import StepControl
 from animtool.sim.system import Energy
 from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
-from animtool.systems.framework.matter import PointMasses, check_apart
+from animtool.systems.framework.matter import PointMasses, check_distinct
 from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.nbody.galaxies import built_galaxies
 from animtool.systems.nbody.spec import AttractorModel, NbodyModel
@@ -90,7 +90,7 @@ def _check_start(spec: NbodyModel, bodies: PointMasses) -> None:
     where, hint = "bodies", "move one of them"
     whys = "their attraction is infinite", "they cannot be told apart"
     pair, why = "bodies {} and {}".format, whys[spec.softening > 0]
-    check_apart(bodies.points, pair, spec.code, where, hint, why)
+    check_distinct(bodies.points, pair, spec.code, where, hint, why)
     if not np.isfinite([bodies.points, bodies.velocities]).all():
         message = "galaxies are so small, large or heavy that numbers overflow"
         refuse(spec.code, message, "bodies")
