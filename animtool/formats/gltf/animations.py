@@ -14,6 +14,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Severity, excerpt
 from animtool.core.record import dataclass
+from animtool.formats.characters.nodes import Node
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import FLOAT, Accessors, check_finite
 from animtool.formats.gltf.json_items import JsonItem
@@ -25,7 +26,7 @@ from animtool.formats.gltf.meshes import (
     MeshEntry,
     check_bounds,
 )
-from animtool.formats.gltf.nodes import UNIT, VISIBILITY, Node
+from animtool.formats.gltf.nodes import UNIT, VISIBILITY
 from animtool.maths import so3
 
 POINTER = "KHR_animation_pointer"

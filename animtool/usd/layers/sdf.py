@@ -28,6 +28,7 @@ from animtool.core.files.reading import (
     too_large,
     unreadable,
 )
+from animtool.core.files.signatures import expects
 from animtool.core.process.supervisor import note_said, reading
 from animtool.core.rates import rate_from_float
 from animtool.core.readers import PACKAGE
@@ -159,6 +160,7 @@ def asset_path(file: Path, folder: Path) -> str:
     return f"./{name}"
 
 
+@expects("USD001", "a USD file")
 def find_layer(path: Path) -> Any:
     """Open a layer by its path."""
     state = layer_state(path, recorded=True)
