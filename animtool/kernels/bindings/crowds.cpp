@@ -33,7 +33,7 @@ weighted by proximity; the gap is at least ``room`` times the distance. ``period
 Returns ``(accelerations, pairs)``: the number of tested pairs; if it exceeds ``most``, the result
 is incomplete.)");
 
-  m.def("flock_apart", &flock_apart, Unlocked(), "points"_a, "least"_a, "rounds"_a, "share"_a, "clear"_a,
+  m.def("flock_separate", &flock_separate, Unlocked(), "points"_a, "least"_a, "rounds"_a, "share"_a, "clear"_a,
         "period"_a, "most"_a,
         R"(Separate N members that are closer than the mean of their ``least`` ``(N, 3)`` [m].
 

@@ -40,7 +40,7 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
 std::tuple<Out<double, 2>, double> flock_braking(In<double, 2> points, In<double, 2> velocities,
                                                  In<double, 1> least, double sight, double room,
                                                  In<double, 2> period, double most);
-std::tuple<Out<double, 2>, double, double> flock_apart(In<double, 2> points, In<double, 1> least,
+std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points, In<double, 1> least,
                                                        std::int64_t rounds, double relaxation,
                                                        double clear, In<double, 2> period,
                                                        double most);

@@ -120,7 +120,7 @@ std::tuple<Out<double, 2>, double> flock_braking(In<double, 2> points, In<double
   return {std::move(result), looked};
 }
 
-std::tuple<Out<double, 2>, double, double> flock_apart(In<double, 2> points, In<double, 1> least,
+std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points, In<double, 1> least,
                                                        std::int64_t rounds, double relaxation,
                                                        double clear, In<double, 2> period,
                                                        double most) {

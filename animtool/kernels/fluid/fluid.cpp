@@ -52,16 +52,16 @@ Pose shifted(const Pose& pose, const Body& body, Vec centre) {
   if (angle > 0) {
     const double vector[3] = {body.turned.x, body.turned.y, body.turned.z};
     double quaternion[4];
-    Pose turn;
+    Pose change;
     ik::exponential(vector, quaternion);
     ik::normalize(quaternion);
-    ik::to_matrix(quaternion, turn.turn);
-    shifted_pose.origin = centre + turn.rotated(pose.origin - centre);
+    ik::to_matrix(quaternion, change.rotation);
+    shifted_pose.origin = centre + change.rotated(pose.origin - centre);
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j) {
-        shifted_pose.turn[3 * i + j] = 0;
+        shifted_pose.rotation[3 * i + j] = 0;
         for (int k = 0; k < 3; ++k)
-          shifted_pose.turn[3 * i + j] += turn.turn[3 * i + k] * pose.turn[3 * k + j];
+          shifted_pose.rotation[3 * i + j] += change.rotation[3 * i + k] * pose.rotation[3 * k + j];
       }
   }
   shifted_pose.origin = shifted_pose.origin + body.shift;
@@ -189,7 +189,7 @@ class Steps {
     for (std::size_t c = 0; c < colliders_.size(); ++c) {
       const Pose &was = listed_poses_[c], &is = poses_[c];
       double turned = 0;
-      for (int k = 0; k < 9; ++k) turned += std::fabs(is.turn[k] - was.turn[k]);
+      for (int k = 0; k < 9; ++k) turned += std::fabs(is.rotation[k] - was.rotation[k]);
       const double far = length(is.origin - middle_) + extent_;
       if (!(moved + length(is.origin - was.origin) + turned * far <= room)) return true;
     }
@@ -468,7 +468,7 @@ class Steps {
   void push_bodies(double h, double left) {
     if (bodies_.empty()) return;
     const double fraction = 1 - left;
-    std::vector<Vec> impulses(bodies_.size()), moments(bodies_.size());
+    std::vector<Vec> impulses(bodies_.size()), twists(bodies_.size());
     const double mass = rule_.mass();
     for (const Near& near : near_) {
       const std::int32_t owner = owners_[static_cast<std::size_t>(near.collider)];
@@ -476,17 +476,17 @@ class Steps {
       const std::size_t b = static_cast<std::size_t>(owner);
       const Vec impulse = near.pushed * -mass;
       impulses[b] = impulses[b] + impulse;
-      moments[b] = moments[b] + cross(near.point, impulse);
+      twists[b] = twists[b] + cross(near.point, impulse);
     }
     for (std::size_t b = 0; b < bodies_.size(); ++b) {
       Body& body = bodies_[b];
       const double all[6] = {impulses[b].x, impulses[b].y, impulses[b].z,
-                             moments[b].x,  moments[b].y,  moments[b].z};
+                             twists[b].x,  twists[b].y,  twists[b].z};
       for (int k = 0; k < 6; ++k)
         body.now[k] += all[k], body.moved[k] += all[k] * left * step_;
       const Vec centre = body.begin + (body.end - body.begin) * fraction + body.shift;
       body.velocity = body.velocity + impulses[b] * body.ease;
-      body.spin = body.spin + body.turned_by(moments[b] - cross(centre, impulses[b]));
+      body.spin = body.spin + body.turned_by(twists[b] - cross(centre, impulses[b]));
       body.shift = body.shift + body.velocity * h;
       body.turned = body.turned + body.spin * h;
     }

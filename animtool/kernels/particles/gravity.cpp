@@ -135,15 +135,15 @@ class Tree {
         key |= spaced(static_cast<std::uint64_t>(std::clamp(cell, 0.0, CELLS - 1))) << k;
       }
       sorted_.keys[i] = key;
-      sorted_.places[i] = static_cast<std::int32_t>(i);
+      sorted_.indices[i] = static_cast<std::int32_t>(i);
     }
     sort_keys(sorted_, count);
-    bodies.fill(points, masses, sorted_.places.get());
+    bodies.fill(points, masses, sorted_.indices.get());
     cells_.reserve(count / 4 + 64);
     build(0, count, 0);
   }
 
-  const std::int32_t* order() const { return sorted_.places.get(); }
+  const std::int32_t* order() const { return sorted_.indices.get(); }
 
   template <class Function>
   void each_group(Function function) const {

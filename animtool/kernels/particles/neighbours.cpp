@@ -61,7 +61,7 @@ Neighbours::Neighbours(const double* points, const std::int32_t* chosen, std::si
   SortedKeys sorted(total);
   for (std::size_t i = 0; i < total; ++i) {
     sorted.keys[i] = key(at(i));
-    sorted.places[i] = static_cast<std::int32_t>(i);
+    sorted.indices[i] = static_cast<std::int32_t>(i);
   }
   sort_keys(sorted, total);
   cells_ = cells_of(sorted.keys.get(), total);
@@ -69,7 +69,7 @@ Neighbours::Neighbours(const double* points, const std::int32_t* chosen, std::si
   const std::size_t stride = total + NEAR_SPARE;
   grid_points_ = block<double>(3 * stride);
   for (std::size_t i = 0; i < total; ++i) {
-    const double* from = at(static_cast<std::size_t>(sorted.places[i]));
+    const double* from = at(static_cast<std::size_t>(sorted.indices[i]));
     for (std::size_t k = 0; k < 3; ++k) grid_points_[k * stride + i] = from[k];
   }
   double* grid_points = grid_points_.get();
@@ -77,7 +77,7 @@ Neighbours::Neighbours(const double* points, const std::int32_t* chosen, std::si
   for (std::size_t k = 0; k < 3; ++k) std::fill_n(grid_points + k * stride + total, NEAR_SPARE, 0.0);
   std::vector<std::int32_t> index(total);
   for (std::size_t i = 0; i < total; ++i)
-    index[i] = index_[static_cast<std::size_t>(sorted.places[i])];
+    index[i] = index_[static_cast<std::size_t>(sorted.indices[i])];
   index_ = std::move(index);
 }
 
@@ -136,7 +136,7 @@ SortedKeys Neighbours::seekers(const double* points, const std::int32_t* chosen,
     wrapped(points + 3 * (chosen ? static_cast<std::size_t>(chosen[i]) : i), at);
     if (!inside(at)) continue;
     sorted.keys[sorted.count] = key(at);
-    sorted.places[sorted.count++] = static_cast<std::int32_t>(i);
+    sorted.indices[sorted.count++] = static_cast<std::int32_t>(i);
   }
   sort_keys(sorted, sorted.count);
   return sorted;

@@ -122,7 +122,7 @@ double Neighbours::visit(const double* points, const std::int32_t* chosen, std::
               looked += static_cast<double>(last - first) * static_cast<double>(room);
               if (hits.size() < room + NEAR_SPARE) hits.resize(2 * room + NEAR_SPARE);
               for (std::size_t i = first; i < last && looked <= most; ++i) {
-                const std::size_t number = static_cast<std::size_t>(sorted.places[i]);
+                const std::size_t number = static_cast<std::size_t>(sorted.indices[i]);
                 const std::size_t which =
                     chosen ? static_cast<std::size_t>(chosen[number]) : number;
                 double at[3];

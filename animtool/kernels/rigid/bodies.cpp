@@ -12,12 +12,12 @@ namespace {
 
 using collide::load;
 using collide::store;
-using rigid::Turn;
+using rigid::Quaternion;
 using rigid::Vec;
 
 constexpr std::size_t STATE = 14, JOINT = 27, CONTACT = 6, POSE = 7;
 
-Turn rotation(const double* p) { return unit(Turn{p[0], p[1], p[2], p[3]}); }
+Quaternion rotation(const double* p) { return unit(Quaternion{p[0], p[1], p[2], p[3]}); }
 
 void check_rotation(const char* name, const double* p) {
   if (!(p[0] * p[0] + p[1] * p[1] + p[2] * p[2] + p[3] * p[3] > 1e-20))
@@ -200,7 +200,7 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
     double* to = moved.get() + STATE * i;
     const rigid::State& s = states[i];
     store(s.at, to), store(s.velocity, to + 7), store(s.momentum, to + 10);
-    to[3] = s.turn.x, to[4] = s.turn.y, to[5] = s.turn.z, to[6] = s.turn.w, to[13] = s.idle;
+    to[3] = s.rotation.x, to[4] = s.rotation.y, to[5] = s.rotation.z, to[6] = s.rotation.w, to[13] = s.idle;
   }
   for (std::size_t i = 0; i < kept.size(); ++i) {
     touched.get()[2 * i] = kept[i].first, touched.get()[2 * i + 1] = kept[i].second;

@@ -13,7 +13,7 @@ namespace {
 constexpr double ANY = std::numeric_limits<double>::infinity();
 
 // The rotation vector of a rotation, the short way.
-Vec vector_of(Turn q) {
+Vec vector_of(Quaternion q) {
   if (q.w < 0) q = {-q.x, -q.y, -q.z, -q.w};
   const Vec v{q.x, q.y, q.z};
   const double n = length(v);
@@ -68,9 +68,9 @@ class Writing {
 Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Vec arm_b,
              const Speed& on_a, const Speed& on_b, double h) {
   Writing to(on_a, on_b, h);
-  const Vec x = rotate(a.turn, {1, 0, 0}), y = rotate(a.turn, {0, 1, 0});
-  const Vec z = rotate(a.turn, {0, 0, 1}), off = b.at - a.at;
-  const Turn between = conjugate(a.turn) * b.turn;
+  const Vec x = rotate(a.rotation, {1, 0, 0}), y = rotate(a.rotation, {0, 1, 0});
+  const Vec z = rotate(a.rotation, {0, 0, 1}), off = b.at - a.at;
+  const Quaternion between = conjugate(a.rotation) * b.rotation;
   const bool slides = joint.kind == Joined::PRISMATIC;
   const Vec axes[3] = {x, y, z};
   // On a slide the arm of the first body reaches to the anchor of the second.
@@ -79,11 +79,11 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
   for (int i = slides ? 1 : 0; i < 3; ++i)
     to.along(axes[i], reach_a, arm_b, dot(axes[i], off), -dot(axes[i], going), SLOT_LINE + i);
   if (joint.kind == Joined::FIXED || slides) {
-    const Vec error = rotate(a.turn, vector_of(between));
+    const Vec error = rotate(a.rotation, vector_of(between));
     for (int i = 0; i < 3; ++i)
       to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_ROTATION + i);
   } else if (joint.kind == Joined::PIN) {
-    const Vec error = cross(x, rotate(b.turn, {1, 0, 0}));
+    const Vec error = cross(x, rotate(b.rotation, {1, 0, 0}));
     for (int i = 1; i < 3; ++i)
       to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_ROTATION + i);
   }
@@ -106,7 +106,7 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
     const double about = limited ? (joint.low + joint.high) / 2 : joint.target;
     twist -= FULL_CIRCLE * std::round((twist - about) / FULL_CIRCLE);
   }
-  const Vec far = rotate(b.turn, {1, 0, 0});
+  const Vec far = rotate(b.rotation, {1, 0, 0});
   const double lean = 1 + dot(x, far);
   // Rate of the twist of a ball, if it is not bent back.
   const Vec axis = ball && lean > 1e-6 ? (x + far) * (1 / lean) : x;
@@ -119,7 +119,7 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
     const Vec bend = cross(x, far);
     const double sine = length(bend), angle = std::atan2(sine, lean - 1);
     if (sine > 1e-9) {
-      const Vec about = bend * (1 / sine), local = unrotate(a.turn, about);
+      const Vec about = bend * (1 / sine), local = unrotate(a.rotation, about);
       const double u = local.y * joint.swing[1], v = local.z * joint.swing[0];
       const double size = std::sqrt(u * u + v * v);
       const double most = size > 0 ? joint.swing[0] * joint.swing[1] / size : 0;
@@ -131,7 +131,7 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
     to.drive(to.about(x, twist - joint.target, -dot(x, a.spin), SLOT_DRIVE), joint);
     return to.rows;
   }
-  const Vec error = rotate(a.turn, vector_of(between * conjugate(joint.goal)));
+  const Vec error = rotate(a.rotation, vector_of(between * conjugate(joint.goal)));
   for (int i = 0; i < 3; ++i)
     to.drive(to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_DRIVE + i), joint);
   return to.rows;
@@ -140,7 +140,7 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
 double stretch_of(const Joint& joint, const Anchor& a, const Anchor& b) {
   Vec off = b.at - a.at;
   if (joint.kind == Joined::PRISMATIC) {
-    const Vec x = rotate(a.turn, {1, 0, 0});
+    const Vec x = rotate(a.rotation, {1, 0, 0});
     off = off - x * dot(x, off);
   }
   return length(off);

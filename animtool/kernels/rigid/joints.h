@@ -17,7 +17,7 @@ enum class Joined : std::int64_t { FIXED, PIN, BALL, PRISMATIC };
 // ball.
 struct Frame {
   Vec at;
-  Turn turn;
+  Quaternion rotation;
 };
 
 struct Joint {
@@ -28,7 +28,7 @@ struct Joint {
   double low = 1, high = 0;       // of angle, slide or twist; none if low is above high
   double swing[2] = {-1, -1};     // half-angles about y and z; none if negative
   double target = 0;              // of the drive: angle or slide
-  Turn goal;                      // target of a ball's drive: b relative to a
+  Quaternion goal;                      // target of a ball's drive: b relative to a
   double stiffness = 0, damping = 0;  // of the drive: N/m, N s/m, or per rad
   double speed = 0;               // target speed of the drive's damping
   double most = -1;               // largest force or torque of the drive; unlimited if negative
@@ -82,7 +82,7 @@ constexpr double FULL_CIRCLE = 2 * 3.14159265358979323846;  // [rad]
 // A frame in the world, and its animated motion.
 struct Anchor {
   Vec at;
-  Turn turn;
+  Quaternion rotation;
   Vec velocity, spin;
 };
 

@@ -159,7 +159,7 @@ struct Going {
   Pose at(double t) const {
     State s = begin;
     s.at = s.at + velocity * t;
-    s.turn = unit(rotation_of(spin * t) * s.turn);
+    s.rotation = unit(rotation_of(spin * t) * s.rotation);
     return pose_of(s);
   }
 };

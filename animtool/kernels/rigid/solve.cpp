@@ -136,7 +136,7 @@ void Solver::soften() {
 }
 
 void Solver::refresh(std::size_t i) {
-  const double* r = poses_[i].turn;
+  const double* r = poses_[i].rotation;
   const double* e = world_.bodies[i].turning.of;
   double* to = speeds_[i].turning;
   for (int p = 0; p < 3; ++p)
@@ -244,12 +244,12 @@ void Solver::go(std::size_t i) {
 }
 
 void Solver::rotate_freely(std::size_t i, State& s) const {
-  const Vec p = unrotate(s.turn, s.momentum);
-  Spin spin{s.turn, {p.x, p.y, p.z}};
+  const Vec p = unrotate(s.rotation, s.momentum);
+  Spin spin{s.rotation, {p.x, p.y, p.z}};
   spin_freely(spin, world_.bodies[i].turning, h_, settings_.method);
-  s.turn = spin.q;
+  s.rotation = spin.q;
   if (settings_.method != Method::SPLITTING)
-    s.momentum = rotate(s.turn, {spin.p[0], spin.p[1], spin.p[2]});
+    s.momentum = rotate(s.rotation, {spin.p[0], spin.p[1], spin.p[2]});
 }
 
 Vec Solver::momentum_of(std::size_t i) const {

@@ -61,10 +61,10 @@ Solver::Frames Solver::frames_of(std::size_t number, double fraction, const Stat
   Frames frames;
   if (joint.a < 0) {
     const Pose pose = anchors_[number].at(fraction);
-    frames.a = {pose.to_world(joint.on_a.at), unit(rotation_of_pose(pose) * joint.on_a.turn), {}, {}};
+    frames.a = {pose.to_world(joint.on_a.at), unit(rotation_of_pose(pose) * joint.on_a.rotation), {}, {}};
     if (anchors_[number].moves()) {
       frames.a.velocity = anchors_[number].displacement(frames.a.at, pose) * (1 / step_);
-      frames.a.spin = anchors_[number].turn() * (1 / step_);
+      frames.a.spin = anchors_[number].rotation() * (1 / step_);
     }
   } else {
     frames.a = anchor_of(*on_a, joint.on_a);
@@ -123,8 +123,8 @@ void Solver::bend(std::size_t number, Rows& rows, double end) {
   }
 }
 
-Turn Solver::rotation_of_pose(const Pose& pose) {
-  const double* m = pose.turn;
+Quaternion Solver::rotation_of_pose(const Pose& pose) {
+  const double* m = pose.rotation;
   const double w = std::sqrt(std::max(0.0, 1 + m[0] + m[4] + m[8])) / 2;
   const double x = std::sqrt(std::max(0.0, 1 + m[0] - m[4] - m[8])) / 2;
   const double y = std::sqrt(std::max(0.0, 1 - m[0] + m[4] - m[8])) / 2;
@@ -134,7 +134,7 @@ Turn Solver::rotation_of_pose(const Pose& pose) {
 }
 
 Anchor Solver::anchor_of(const State& s, const Frame& frame) {
-  return {s.at + rotate(s.turn, frame.at), s.turn * frame.turn, {}, {}};
+  return {s.at + rotate(s.rotation, frame.at), s.rotation * frame.rotation, {}, {}};
 }
 
 double Solver::correct(const Joint& joint, Rows& rows, bool pushing) {

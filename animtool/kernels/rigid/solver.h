@@ -163,7 +163,7 @@ class Solver {
     return dot(row.line, b.v - a.v) + dot(row.arm_b, b.w) - dot(row.arm_a, a.w) + row.bias_speed;
   }
 
-  static Turn rotation_of_pose(const Pose& pose);
+  static Quaternion rotation_of_pose(const Pose& pose);
   static Anchor anchor_of(const State& s, const Frame& frame);
 
   // Iterates velocity corrections until convergence, with or without position correction.

@@ -12,25 +12,25 @@
 #include <cstdint>
 
 #include "base/poses.h"
-#include "base/turns.h"
+#include "base/rotations.h"
 
 namespace animtool::rigid {
 
-using animtool::Turn;
+using animtool::Quaternion;
 using collide::Vec;
 using collide::length;
 
 enum class Method : std::int64_t { SPLITTING, RK4, SYMPLECTIC_EULER, EULER };
 
-inline Vec rotate(const Turn& q, Vec a) {
+inline Vec rotate(const Quaternion& q, Vec a) {
   const Vec u{q.x, q.y, q.z}, t = cross(u, a) * 2;
   return a + t * q.w + cross(u, t);
 }
 
-inline Vec unrotate(const Turn& q, Vec a) { return rotate(conjugate(q), a); }
+inline Vec unrotate(const Quaternion& q, Vec a) { return rotate(conjugate(q), a); }
 
 // The rotation of a rotation vector.
-inline Turn rotation_of(Vec v) {
+inline Quaternion rotation_of(Vec v) {
   const double angle = length(v);
   const double s = angle > 1e-8 ? std::sin(angle / 2) / angle : 0.5 - angle * angle / 48;
   return {v.x * s, v.y * s, v.z * s, std::cos(angle / 2)};
@@ -38,7 +38,7 @@ inline Turn rotation_of(Vec v) {
 
 // Attitude, and angular momentum in the frame of the principal axes.
 struct Spin {
-  Turn q;
+  Quaternion q;
   double p[3];
 };
 
@@ -60,7 +60,7 @@ inline void rotate_about(Spin& s, const Ease& ease, double h) {
   const double j = s.p[J], k = s.p[K];
   s.p[J] = cs * j + sn * k;
   s.p[K] = cs * k - sn * j;
-  Turn by;
+  Quaternion by;
   (AXIS == 0 ? by.x : AXIS == 1 ? by.y : by.z) = sine;
   by.w = cosine;
   s.q = s.q * by;
@@ -101,7 +101,7 @@ inline void split(Spin& s, const Ease& ease, double h) {
   const double spread = h * momentum * (most - least);
   if (spread == 0) {
     const Vec w = ease.spin(s.p);
-    const Turn by = rotation_of(w * h);
+    const Quaternion by = rotation_of(w * h);
     s.q = s.q * by;
     return;
   }
@@ -114,13 +114,13 @@ inline void split(Spin& s, const Ease& ease, double h) {
 
 // Rates of attitude and momentum, for classical methods.
 struct Rate {
-  Turn q;
+  Quaternion q;
   double p[3];
 };
 
 inline Rate rate_of(const Spin& s, const Ease& ease) {
   const Vec w = ease.spin(s.p), p{s.p[0], s.p[1], s.p[2]}, d = cross(p, w);
-  const Turn by = s.q * Turn{w.x / 2, w.y / 2, w.z / 2, 0};
+  const Quaternion by = s.q * Quaternion{w.x / 2, w.y / 2, w.z / 2, 0};
   return {by, {d.x, d.y, d.z}};
 }
 

@@ -50,7 +50,7 @@ struct Settings {
 // A body in the world, with spin and momentum in the world.
 struct State {
   Vec at, velocity, momentum;
-  Turn turn;
+  Quaternion rotation;
   double idle = 0;  // time it has been slow [s]; asleep from `rest` on
 };
 
@@ -115,14 +115,14 @@ struct Contact {
 inline Pose pose_of(const State& s) {
   Pose pose;
   pose.origin = s.at;
-  const double q[4] = {s.turn.x, s.turn.y, s.turn.z, s.turn.w};
-  ik::to_matrix(q, pose.turn);
+  const double q[4] = {s.rotation.x, s.rotation.y, s.rotation.z, s.rotation.w};
+  ik::to_matrix(q, pose.rotation);
   return pose;
 }
 
 inline Vec spin_of(const Body& body, const State& s) {
-  const Vec p = unrotate(s.turn, s.momentum);
-  return rotate(s.turn, {p.x * body.turning.of[0], p.y * body.turning.of[1],
+  const Vec p = unrotate(s.rotation, s.momentum);
+  return rotate(s.rotation, {p.x * body.turning.of[0], p.y * body.turning.of[1],
                          p.z * body.turning.of[2]});
 }
 

@@ -73,7 +73,7 @@ class Spacing:
             ToleranceError: Too many close pairs: a step would take minutes (SIM107).
         """
         most = max_pairs(len(x))
-        moved, overlap, looked = _kernels.flock_apart(
+        moved, overlap, looked = _kernels.flock_separate(
             x, self.distances, rounds, RELAXATION, CLEAR, self.period, most
         )
         self._check(len(x), looked, most)
