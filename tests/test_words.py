@@ -16,8 +16,9 @@ KERNELS = Path(__file__).parents[1] / "animtool" / "kernels"
 # Everyday words in whose place a name says what is meant. `turn` is one too, but for
 # agents of a crowd that turn.
 WORDS = """
-ahead alike anew apart beside found given held made moments odd own place places
-seen share still thing things told turn turns usual wanted way ways whole
+ahead alike anew apart aside beside blamed brought carried foreseen found given glance
+held lane lanes made meeting meetings moments newborn odd own parting patience place
+places seen share still thing things told turn turns usual wanted way ways whole woven
 """
 EVERYDAY = set(WORDS.split())
 # Names that keep such a word, and the use that the field has for it.
