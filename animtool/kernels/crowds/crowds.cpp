@@ -247,7 +247,7 @@ class Walker {
     const bool walks = speed > TINY && wide > 0;
     const Vec2 forward = desired * (walks ? 1 / speed : 0.0);
     const Vec2 near = forward * (1 / rules_.sight), fast = forward * (walks ? 1 / speed : 0.0);
-    const Vec2 aside = left_of(forward) * (walks ? 1 / wide : 0.0);
+    const Vec2 sideways = left_of(forward) * (walks ? 1 / wide : 0.0);
     for (; hit < end; ++hit) {
       const std::size_t which =
           static_cast<std::size_t>(agents_.grid.index()[static_cast<std::size_t>(*hit)]);
@@ -255,7 +255,7 @@ class Walker {
       const Vec2 off = vec2(agents_.points + 2 * which) - here;
       keep({off, off.dot(off), which});
       const double along = off.dot(near);
-      if (along > 0) weigh(off.dot(aside), 1 - along, which, fast);
+      if (along > 0) weigh(off.dot(sideways), 1 - along, which, fast);
     }
     met_ = std::min(met_, 1.0);
   }
@@ -280,9 +280,9 @@ class Walker {
 
   // Adds the cost of walking in the lanes of an agent ahead: higher the nearer, and the slower
   // along or the faster against.
-  void weigh(double aside, double near, std::size_t which, const Vec2& fast) {
+  void weigh(double sideways, double near, std::size_t which, const Vec2& fast) {
     // One extra lane on each side, so that both lanes an agent covers exist.
-    const double slot = aside + (LANES + 1);
+    const double slot = sideways + (LANES + 1);
     if (!(slot >= 0 && slot < 2 * LANES + 2)) return;
     const double likes = vec2(agents_.preferred + 2 * which).dot(fast);
     const double goes = 0.5 * (likes + vec2(agents_.velocities + 2 * which).dot(fast));

@@ -89,7 +89,7 @@ class Bodies {
   // Padded targets: the last one is repeated.
   GravityTargets targets(std::size_t first, std::size_t end, const double* middle) const {
     GravityTargets to;
-    for (std::size_t k = 0; k < GRAVITY_LANES; ++k) {
+    for (std::size_t k = 0; k < GRAVITY_WIDTH; ++k) {
       const std::size_t i = std::min(first + k, end - 1);
       to.x[k] = columns_[0][i], to.y[k] = columns_[1][i], to.z[k] = columns_[2][i];
       to.mass[k] = columns_[3][i];
@@ -106,7 +106,7 @@ class Bodies {
   void write(const GravitySums& sums, std::size_t first, std::size_t end,
              const std::int32_t* order, double constant) const {
     const double pull = constant * mass_ / length_ / length_;
-    for (std::size_t i = first; i < std::min(first + GRAVITY_LANES, end); ++i) {
+    for (std::size_t i = first; i < std::min(first + GRAVITY_WIDTH, end); ++i) {
       const std::size_t k = i - first, to = order ? static_cast<std::size_t>(order[i]) : i;
       acceleration[3 * to] = pull * sums.x[k];
       acceleration[3 * to + 1] = pull * sums.y[k];
@@ -307,7 +307,7 @@ void by_tree(Bodies& bodies, const double* points, const double* masses, double 
     const auto bounds = tree.bounds(group);
     const double least = std::pow(CELL_ERROR * accuracy * tree.strength(group), 0.4);
     tree.walk(bounds, least, far, near);
-    for (std::size_t first = group.begin; first < group.end; first += GRAVITY_LANES) {
+    for (std::size_t first = group.begin; first < group.end; first += GRAVITY_WIDTH) {
       const GravityTargets to = bodies.targets(first, group.end, bounds.middle);
       GravitySums sums{};
       loops.far(far.data(), far.size() / GRAVITY_FAR, soft, to, sums);
@@ -325,15 +325,15 @@ void directly(Bodies& bodies, const double* points, const double* masses, double
   bodies.fill(points, masses, nullptr);
   const double middle[3] = {0, 0, 0};
   const std::size_t count = bodies.size();
-  const std::size_t blocks = (count + GRAVITY_LANES - 1) / GRAVITY_LANES;
+  const std::size_t blocks = (count + GRAVITY_WIDTH - 1) / GRAVITY_WIDTH;
   const Block<GravitySums> sums = block<GravitySums>(blocks);
   std::fill_n(sums.get(), blocks, GravitySums{});
   for (std::size_t tile = 0; tile < count; tile += TILE)
     for (std::size_t i = 0; i < blocks; ++i)
       loops.exact(bodies.bodies(), {tile, std::min(count, tile + TILE)}, bodies.softened(),
-                  bodies.targets(i * GRAVITY_LANES, count, middle), sums[i]);
+                  bodies.targets(i * GRAVITY_WIDTH, count, middle), sums[i]);
   for (std::size_t i = 0; i < blocks; ++i)
-    bodies.write(sums[i], i * GRAVITY_LANES, count, nullptr, constant);
+    bodies.write(sums[i], i * GRAVITY_WIDTH, count, nullptr, constant);
 }
 
 }  // namespace

@@ -15,8 +15,8 @@ constexpr float MIN_SQUARED_DISTANCE = 1e-37f;
 
 template <class On>
 struct GravityLoops {
-  using F = Wide<float, GRAVITY_LANES, On>;
-  using D = Wide<double, GRAVITY_LANES, On>;
+  using F = Wide<float, GRAVITY_WIDTH, On>;
+  using D = Wide<double, GRAVITY_WIDTH, On>;
 
   static void add(const D& a, double* to) { (D::of(to) + a).store(to); }
   static void raise(const D& a, double* to) { most(D::of(to), a).store(to); }

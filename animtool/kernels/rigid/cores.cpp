@@ -171,10 +171,10 @@ Manifold meet_round(const Placed& a, const Placed& b, double reach) {
   const Vec d = p.to - p.from, e = q.to - q.from;
   const Vec crossed = cross(d, e);
   const double sized = dot(d, d) * dot(e, e);
-  Vec aside = direction(crossed, {0, 1, 0});
+  Vec sideways = direction(crossed, {0, 1, 0});
   if (!(dot(crossed, crossed) > PARALLEL * sized) && dot(d, d) > 0)
-    aside = collide::across(direction(d, {1, 0, 0}));
-  const Vec normal = length(off) > 0 ? off * (1 / length(off)) : aside;
+    sideways = collide::across(direction(d, {1, 0, 0}));
+  const Vec normal = length(off) > 0 ? off * (1 / length(off)) : sideways;
   const double ra = a.core->radius, rb = b.core->radius;
   Manifold manifold = of_points(on_a, on_b, normal, ra, rb);
   if (manifold.points[0].gap > reach) manifold.count = 0;

@@ -20,7 +20,7 @@ constexpr double SWING = 0.2, MOST_TIMES = 64, TOO_FAR = 0.5;
 // Likewise for drives whose motion exceeds their effective mass.
 constexpr double LOSES = 0.02;
 // Bodies penetrating by more than this fraction of their size stay awake.
-constexpr double PARTING = 0.02;
+constexpr double SEPARATING = 0.02;
 
 }  // namespace
 
@@ -82,9 +82,9 @@ void Solver::solve(Island& island) {
   for (int s = 0; s < parts_; ++s) small_step(island, s);
   for (const Patch& patch : patches_) {
     save(patch);
-    const double slack = PARTING * world_.bodies[patch.a].reach;
+    const double slack = SEPARATING * world_.bodies[patch.a].reach;
     for (std::size_t k = patch.begin; k < patch.end; ++k)
-      island.parting |= points_[k].now < -slack;
+      island.separating |= points_[k].now < -slack;
     count_supports(patch);
   }
   for (std::size_t k = 0; k < island.joints.size(); ++k) {
@@ -96,7 +96,7 @@ void Solver::solve(Island& island) {
       slots[static_cast<std::size_t>(row.slot)] = row.impulse / small_;
       const bool rotates = dot(row.line, row.line) == 0;
       const double off = row.kind == Row::LIMIT ? -row.error : std::fabs(row.error);
-      island.parting |= row.kind != Row::DRIVE && off > PARTING * (rotates ? 1 : reach);
+      island.separating |= row.kind != Row::DRIVE && off > SEPARATING * (rotates ? 1 : reach);
     }
   }
 }

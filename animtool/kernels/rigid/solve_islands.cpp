@@ -88,7 +88,7 @@ void Solver::keep() {
 void Solver::rest() {
   for (const auto& island : islands_) {
     double speed = 0, least = std::numeric_limits<double>::infinity();
-    bool supported_all = !island.parting;
+    bool supported_all = !island.separating;
     for (const std::size_t i : island.bodies) {
       const State& s = states_[i];
       const double turning = length(spin_of(world_.bodies[i], s)) * world_.bodies[i].reach;

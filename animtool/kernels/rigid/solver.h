@@ -36,7 +36,7 @@ class Solver {
   struct Island {
     std::vector<std::size_t> bodies, joints;
     std::vector<std::size_t> contacts;
-    bool parting = false;  // some penetration is still being resolved
+    bool separating = false;  // some penetration is still being resolved
   };
   void find();
 
