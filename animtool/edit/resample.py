@@ -30,6 +30,7 @@ from animtool.motion.passes import (
     PassContext,
     Scope,
 )
+from animtool.motion.plausible import rate_warning
 from animtool.motion.take import Take
 
 BLOCK_FRAMES = 512
@@ -200,22 +201,6 @@ def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
         f"after its last whole frame, {frame_label(last)}; that part is cut off"
     )
     return Fault("TAKE006", message, severity=Severity.NOTE)
-
-
-# Captures and displays are slower; a larger rate is rather a number of another meaning.
-MAX_PLAUSIBLE_RATE = 2000
-
-
-def rate_warning(fps: Fraction, name: str = "fps") -> list[Fault]:
-    """Return a warning about an implausible number of frames a second (TAKE009)."""
-    if 1 <= fps <= MAX_PLAUSIBLE_RATE:
-        return []
-    message = (
-        f"{argument(name, f'{float(fps):g}')} is implausible; film has 24 frames a "
-        "second, captures up to 1000"
-    )
-    hint = "use the number of frames in one second, not their total or a frame time"
-    return [Fault("TAKE009", message, hint=hint, severity=Severity.WARNING)]
 
 
 def sample(

@@ -117,13 +117,13 @@ def _largest(
         # Curvature at the frames before and after each position.
         low = int(np.clip(frames.min(), 1, count - 2))
         high = int(np.clip(frames.max() + 1, 1, count - 2))
-        bends = _bends(channel.values[low - 1 : high + 2][:, columns])
-        before, behind = (
-            bends[np.clip(one, low, high) - low] for one in (frames, frames + 1)
-        )
-        sizes = np.maximum(before, behind) * (fraction * (1 - fraction) / 2)[:, None]
-        i, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-        size = float(sizes[i, column])
+        bends = _bends(channel.values[low - 1 : high + 2], columns)
+        peaks, factor = bends.max(axis=1), fraction * (1 - fraction) / 2
+        around = [np.clip(one, low, high) - low for one in (frames, frames + 1)]
+        i = int(np.argmax(np.maximum(*(peaks[one] for one in around)) * factor))
+        sizes = np.maximum(*(bends[one[i]] for one in around)) * factor[i]
+        column = int(np.argmax(sizes))
+        size = float(sizes[column])
         if worst is None or size > worst[2]:
             worst = float(frames[i] + fraction[i]), int(columns[column]), size
     return worst
@@ -134,8 +134,10 @@ def _blocks(indices: IntArray) -> Iterator[IntArray]:
         yield indices[begin : begin + BLOCK_FRAMES]
 
 
-def _bends(values: FloatArray) -> FloatArray:
+def _bends(values: FloatArray, columns: IntArray) -> FloatArray:
     """Return the sizes of second differences of values ``(F, A, K)``, ``(F-2, A)``."""
+    if len(columns) < values.shape[1]:
+        values = values[:, columns]
     if values.shape[-1] == 4:
         return np.asarray(np.linalg.norm(np.diff(so3.steps(values), axis=0), axis=-1))
     return np.asarray(np.linalg.norm(np.diff(values, 2, axis=0), axis=-1))

@@ -66,10 +66,10 @@ def read_markers(
         with Archives() as archives:
             return _read(file, archives, path, array, unit, up, fps, subject)
     except ValueError as error:
-        raise file.error("MKR012", _without_name(str(error), path)) from error
+        raise file.error("MKR012", _message_of(str(error), path)) from error
 
 
-def _without_name(message: str, path: Path) -> str:
+def _message_of(message: str, path: Path) -> str:
     """Return an archive's message without the leading file name."""
     return message.removeprefix(path.name).lstrip("# ")
 

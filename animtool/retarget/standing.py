@@ -16,8 +16,8 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.edit.resample import rate_warning
 from animtool.motion.motion import Motion
+from animtool.motion.plausible import rate_warning
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward, rest_world
 from animtool.rig.skeleton import Rig
@@ -237,7 +237,7 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
 
 
 def lying_notice(
-    path: Path | None,
+    path: Path,
     rig: Rig,
     motion: Motion,
     severity: Severity = Severity.NOTE,
@@ -252,8 +252,7 @@ def lying_notice(
         return []
     message = f"the body stands along {axis}, but the up axis is {rig.up}"
     hint = f"read it with {argument('source.up', axis)}"
-    where = None if path is None else str(path)
-    return [Fault("MOT214", message, where, (), hint, severity)]
+    return [Fault("MOT214", message, str(path), (), hint, severity)]
 
 
 def with_source_warnings(
@@ -261,15 +260,17 @@ def with_source_warnings(
 ) -> TakeStream:
     """Return a stream with warnings about its rate and its up axis.
 
-    MOT214 follows from its first block: a warning if the user chose the axis ``up``,
-    and a note for a BVH, which states none. Other files state theirs.
+    MOT214 follows from its first block: a warning if the user chose the axis ``up`` or
+    markers were solved, and a note for a BVH, which states none. Other files state
+    theirs.
     """
     rate, known = stream.fps / stream.step, {one.code for one in stream.notices}
     wrong = [] if "BVH105" in known else rate_warning(rate, "source.fps")
     stream.notices.extend(replace(one, path=str(path)) for one in wrong)
-    if up is None and stream.details.get("format") != "BVH":
+    form = stream.details.get("format")
+    if up is None and form not in {"BVH", "markers"}:
         return stream
-    severity = Severity.NOTE if up is None else Severity.WARNING
+    severity = Severity.NOTE if up is None and form == "BVH" else Severity.WARNING
 
     def blocks() -> Iterator[Motion]:
         for i, block in enumerate(stream.blocks):

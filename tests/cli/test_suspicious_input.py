@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,11 @@ from support.cli import animtool
 from support.marked import FIGURE, TEMPLATE, captured, moving
 
 from animtool import open_source
-from animtool.capture.solve.run import (
-    MIN_MOVING_FRAMES,
-    solve_markers,
-    static_notices,
-)
+from animtool.capture.markers.plausible import implausible
+from animtool.capture.solve.run import MIN_MOVING_FRAMES, static_notices
 from animtool.capture.templates import MarkerTemplate, TemplateMarker
 from animtool.capture.templates.template import template_text
+from animtool.core.clock import Clock
 from animtool.core.units import UpAxis
 from animtool.edit import resampled, trim
 from animtool.formats.bvh.write import write_bvh
@@ -29,6 +28,7 @@ from animtool.motion.take import TakeStream
 from animtool.rig.write import rig_text
 
 SAMPLE = Path(__file__).parents[2] / "samples/retarget"
+SLOW = Clock(Fraction(1, 30), Fraction(1), Fraction(1), 60)
 WALK, CHILD = SAMPLE / "takes/walk.bvh", SAMPLE / "rigs/child.rig.yaml"
 
 
@@ -84,7 +84,7 @@ def test_an_up_axis_that_the_body_contradicts(
     assert "MOT214" not in "".join(warnings(*words, "--up", right, *again))
 
 
-def test_a_solve_whose_body_lies() -> None:
+def test_a_solve_whose_body_lies(tmp_path: Path) -> None:
     """A walk with Z up, in a file of markers that states Y."""
     take = open_source(WALK).collect()
     take = trim(take, None, float(take.clock.times[9]))
@@ -103,16 +103,15 @@ def test_a_solve_whose_body_lies() -> None:
     )
     names = tuple(marker.name for marker in template.markers)
     captured_walk = Markers(names, take.clock, points.reshape(len(points), -1, 3))
-    (notice,) = [
-        notice
-        for notice in solve_markers(captured_walk, take.rig, template).take().notices
-        if notice.code == "MOT214"
-    ]
-    assert notice.message == "the body stands along Z, but the up axis is Y"
-    assert notice.severity == "warning"
-    right = replace(captured_walk, up=UpAxis.Z)
-    codes = [n.code for n in solve_markers(right, take.rig, template).take().notices]
-    assert "MOT214" not in codes
+    (tmp_path / "w.rig.yaml").write_text(rig_text(take.rig), "utf-8")
+    text = template_text(template, "all", "w.rig.yaml")
+    (tmp_path / "w.markers.yaml").write_text(text, "utf-8")
+    write_marker_arrays(replace(captured_walk, up=UpAxis.Z), tmp_path / "w.npz")
+    command = ("mocap", "solve", "w.npz", "--template", "w.markers.yaml", "--up")
+    lines = warnings(*command, "y", cwd=tmp_path)
+    (line,) = [line for line in lines if "MOT214" in line]
+    assert "the body stands along Z, but the up axis is Y; read it with --up Z" in line
+    assert "MOT214" not in "".join(warnings(*command, "z", cwd=tmp_path))
 
 
 def test_a_rate_that_no_camera_has(tmp_path: Path) -> None:
@@ -136,6 +135,31 @@ def test_markers_that_never_move(tmp_path: Path) -> None:
     (line,) = warnings(*command, "still.npz", cwd=tmp_path)
     assert "SOL108 no marker moves by more than 2 mm in 60 frames" in line
     assert not warnings(*command, "take.npz", cwd=tmp_path)
+
+
+def test_markers_in_another_unit(tmp_path: Path) -> None:
+    markers = captured(moving(60, 100, 3)).markers
+    for scale, text in ((1e-3, "1000 times that"), (1e3, "1/1000 of that")):
+        scaled = replace(markers, positions=scale * markers.positions)
+        write_marker_arrays(scaled, tmp_path / "take.npz")
+        done = animtool("mocap", "fill", "take.npz", "-o", "b.npz", cwd=tmp_path)
+        (line,) = [line for line in done.stderr.splitlines() if "MKR117" in line]
+        assert text in line
+        assert line.endswith("set the unit of the file with --units")
+        for name in ("take.npz", "b.npz"):
+            (tmp_path / name).unlink()
+    clouds = [implausible(markers), implausible(replace(markers, clock=SLOW))]
+    assert [[one.code for one in found] for found in clouds] == [[], ["TAKE009"]]
+
+
+def test_gaps_that_an_option_leaves(tmp_path: Path) -> None:
+    markers = captured(moving(60, 100, 3)).markers
+    gone = markers.positions.copy()
+    gone[20:40, 3] = np.nan
+    write_marker_arrays(replace(markers, positions=gone), tmp_path / "take.npz")
+    command = ("mocap", "fill", "take.npz", "-o", "b.npz", "--longest", "0.05")
+    (line,) = warnings(*command, cwd=tmp_path)
+    assert line.endswith("longer gaps are left by --longest 0.05")
 
 
 def test_single_markers_that_never_move() -> None:

@@ -38,7 +38,6 @@ from animtool.motion.driving import driven_take
 from animtool.motion.markers import Markers
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
-from animtool.retarget.standing import lying_notice
 from animtool.rig.skeleton import Rig
 
 Progress = Callable[[float], None] | None
@@ -101,10 +100,6 @@ class MarkerSolve:
             last = coordinates[-BEHIND:]
             motion = self._motion(coordinates, rotations)
             rotations = motion.rotations.values[-1]
-            if first == 0:
-                self.notices += lying_notice(
-                    None, self.model.rig, motion, Severity.WARNING
-                )
             yield motion
             if progress is not None:
                 progress(end / count)

@@ -266,11 +266,11 @@ def _blocks(
     reaches[layout.slots] = farthest
     named = np.zeros(3 * len(moving), np.bool_)
     named[layout.slots] = True
-    faults = _without_length(rig, moving, reaches, named, str(source.path))
+    faults = _zero_length_warning(rig, moving, reaches, named, str(source.path))
     notices.extend(faults)
 
 
-def _without_length(
+def _zero_length_warning(
     rig: Rig, moving: IntArray, reaches: FloatArray, named: BoolArray, path: str
 ) -> list[Fault]:
     """Return a warning about joints whose zero position channels collapse bones.

@@ -250,7 +250,7 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     )
     layout = outcome.layout
     if layout is None:
-        raise _without_layout(file, outcome, len(data))
+        raise _layout_error(file, outcome, len(data))
     if layout.points == 0 or layout.frames == 0:
         what = "points" if layout.points == 0 else "frames"
         raise file.error("MKR013", f"has no {what}")
@@ -283,7 +283,7 @@ def _ends(sections: Sections, size: int) -> list[int]:
     return [end for end in [BLOCK * (block - 1)] if end < size]
 
 
-def _without_layout(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatError:
+def _layout_error(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatError:
     """Return the error of a file whose size fits no combination of counts."""
     if len(outcome.rivals) == 1:
         (alone,) = outcome.rivals

@@ -86,7 +86,7 @@ def build_rig(
         surfaces: Whether meshes and shapes are read too.
     """
     unit = scene.settings.meters if meters is None else meters
-    kept = [node for node in character.nodes if not _only_a_skin(scene, node)]
+    kept = [node for node in character.nodes if not _only_carries_skin(scene, node)]
     kept = kept or list(character.nodes)
     rows = rows_of(scene, kept)
     scales, even = even_rows(scene, rows)
@@ -123,7 +123,7 @@ def build_rig(
     scales = np.where(even[:, None], 1.0, scales)
     rig = Rig(name, tuple(joint_list), unit, scene.settings.up)
     fbx_rig = FbxRig(rig, rows, joints, folded, factors, even, scales, [], {}, notices)
-    _put_shapes_and_meshes(scene, character, fbx_rig, surfaces=surfaces)
+    _add_shapes_and_meshes(scene, character, fbx_rig, surfaces=surfaces)
     fbx_rig.notices += _moved_meshes(scene, character)
     return fbx_rig
 
@@ -157,7 +157,7 @@ def _moved_meshes(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
     return [Fault("FBX117", message, path, (), hint, Severity.WARNING)]
 
 
-def _only_a_skin(scene: FbxScene, node: int) -> bool:
+def _only_carries_skin(scene: FbxScene, node: int) -> bool:
     """Return whether a node only carries a skinned mesh."""
     entry = scene.nodes[node]
     if entry.skin < 0 or entry.children:
@@ -191,7 +191,7 @@ def _names(scene: FbxScene, rows: Sequence[Row]) -> tuple[list[str], list[Fault]
     return names, notices
 
 
-def _put_shapes_and_meshes(
+def _add_shapes_and_meshes(
     scene: FbxScene, character: CharacterNodes, fbx_rig: FbxRig, *, surfaces: bool
 ) -> None:
     shown = [node for node in character.nodes if node in scene.meshes]

@@ -71,7 +71,7 @@ def build_rig(
     kept = [
         node
         for node in character.nodes
-        if not (_only_a_skin(gltf, node) or _only_above(gltf, node))
+        if not (_only_carries_skin(gltf, node) or _is_added_root(gltf, node))
     ]
     kept = kept or list(character.nodes)
     joints = np.full(len(gltf.nodes), -1, np.int64)
@@ -128,7 +128,7 @@ def shape_keys(
     return tuple(keys), tuple(Shape(name) for name in names)
 
 
-def _only_a_skin(gltf: Gltf, node: int) -> bool:
+def _only_carries_skin(gltf: Gltf, node: int) -> bool:
     """Return whether a node only carries a skinned mesh."""
     entry = gltf.nodes[node]
     if entry.skin < 0 or entry.children or entry.mesh < 0:
@@ -138,7 +138,7 @@ def _only_a_skin(gltf: Gltf, node: int) -> bool:
     return skinned and not any(node in skin.joints for skin in gltf.skins)
 
 
-def _only_above(gltf: Gltf, node: int) -> bool:
+def _is_added_root(gltf: Gltf, node: int) -> bool:
     """Return whether a node is animtool's identity node above several roots."""
     entry = gltf.nodes[node]
     if not entry.above or entry.parent >= 0:

@@ -21,12 +21,12 @@ from animtool.edit.resample import (
     SampleTimes,
     dropped_notice,
     plan_samples,
-    rate_warning,
     sample,
 )
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import FramePositions
 from animtool.motion.motion import Motion
+from animtool.motion.plausible import rate_warning
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.first_frame import integer_frames, start_notice
