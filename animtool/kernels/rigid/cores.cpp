@@ -222,7 +222,7 @@ std::pair<Vec, Vec> nearest_of(const Placed& solid, const Placed& round) {
 
 Manifold meet_solid(const Placed& solid, const Placed& round, double reach) {
   const double skin = solid.core->radius + round.core->radius;
-  const Axis axis = parting_axis(solid, round, reach + skin);
+  const Axis axis = separating_axis(solid, round, reach + skin);
   if (axis.gap > reach + skin) return {};
   Vec normal = axis.normal;
   Vec on, off;
@@ -391,7 +391,7 @@ void Core::find_box() {
   box = true;
 }
 
-Axis parting_axis(const Placed& a, const Placed& b, double reach) {
+Axis separating_axis(const Placed& a, const Placed& b, double reach) {
   const double size = std::min(a.core->reach, b.core->reach);
   const double slack = PREFER * size;
   if (a.core->box && b.core->box) return parting_boxes(a, b, reach, slack);
@@ -453,7 +453,7 @@ Manifold meet(const Placed& a, const Placed& b, double reach) {
                                                : meet_round(a, b, reach);
   if (!b.core->faces()) return meet_solid(a, b, reach);
   const double skin = a.core->radius + b.core->radius;
-  const Axis axis = parting_axis(a, b, reach + skin);
+  const Axis axis = separating_axis(a, b, reach + skin);
   if (axis.gap > reach + skin) return {};
   if (axis.kind == Axis::FIRST) return of_face(a, b, axis.first, false, reach);
   if (axis.kind == Axis::SECOND) return of_face(b, a, axis.second, true, reach);

@@ -100,7 +100,7 @@ struct Axis {
   Vec edge_a[2], edge_b[2];                  // ends of edges
 };
 
-Axis parting_axis(const Placed& a, const Placed& b, double reach);
+Axis separating_axis(const Placed& a, const Placed& b, double reach);
 
 // The contact of two within a distance; no points beyond it.
 Manifold meet(const Placed& a, const Placed& b, double reach);

@@ -276,7 +276,7 @@ class Finder {
     const double spin = fixed ? motion->angle() : length(going_[b].spin) * step_;
     const double swing = length(going_[a].spin) * step_ * p.core->reach + spin * q.core->reach;
     const double most = length(displacement) + swing;
-    const Axis axis = parting_axis(p, q, most + skin + p.core->radius + q.core->radius);
+    const Axis axis = separating_axis(p, q, most + skin + p.core->radius + q.core->radius);
     const double gap = axis.gap - p.core->radius - q.core->radius;
     if (gap > most + skin) return;
     Contact contact;
@@ -324,7 +324,7 @@ class Finder {
       pose_b = motion ? motion->at(fraction) : going_[b].at(fraction * step_);
       moved_a_.set(*p.core, pose_a);
       moved_b_.set(*q.core, pose_b);
-      axis = parting_axis(moved_a_.get(), moved_b_.get(), collide::FAR);
+      axis = separating_axis(moved_a_.get(), moved_b_.get(), collide::FAR);
       gap = axis.gap - skin;
       if (gap <= near) break;
     }
