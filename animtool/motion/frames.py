@@ -109,7 +109,7 @@ class CharactersFrame:
         scales: Size of each over its rig, the same in every frame ``(N,)``.
         casts: The rigs, the same in every frame.
         counts: Number of characters with each rig ``(C,)``.
-        rotations: Local rotations of joints that move, by rig ``(n, M, 4)`` each.
+        joint_rotations: Local rotations of joints that move, by rig ``(n, M, 4)`` each.
         roots: Positions of the first joint of each ``(N, 3)`` [m].
         stands: Mask of standing feet ``(N, 2)``.
         near: Mask of feet that stand, are about to land or just lifted ``(N, 2)``.
@@ -125,7 +125,7 @@ class CharactersFrame:
     scales: FloatArray
     casts: tuple[Cast, ...]
     counts: IntArray
-    rotations: tuple[FloatArray, ...]
+    joint_rotations: tuple[FloatArray, ...]
     roots: FloatArray
     stands: BoolArray
     near: BoolArray

@@ -147,10 +147,8 @@ def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
     elif (np.diff(times) < 0).any():
         i = int(np.argmax(np.diff(times) < 0))
         message = f"times go backwards, from {times[i]:g} to {times[i + 1]:g} s"
-        hint = (
-            "systems that dissipate energy cannot be integrated backwards: start at "
-            "the beginning"
-        )
+        hint = "systems that dissipate energy cannot be integrated backwards: start at "
+        hint += "the beginning"
     elif checkpoint is not None and times[0] != checkpoint.time:
         message = f"the saved state is at {checkpoint.time:g} s, not {times[0]:g} s"
     if message:

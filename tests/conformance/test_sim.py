@@ -22,7 +22,7 @@ from animtool.sim import (
     find_integrator,
     integrate,
 )
-from animtool.sim.integrators.integrator import Control, Form
+from animtool.sim.integrators.integrator import Form, StepControl
 
 # Of the reference's accuracy: the data's own.
 NEAR = 10.0
@@ -80,7 +80,7 @@ def serves(integrator: Integrator, problem: Problem) -> bool:
     """Return whether a method can serve a problem at all."""
     if integrator.form is Form.ACCELERATIONS:
         return problem.states.ndim == 3 and problem.system.state.ndim == 3
-    stepped = integrator.control is Control.FIXED and not integrator.implicit
+    stepped = integrator.control is StepControl.FIXED and not integrator.implicit
     return not (stepped and problem.fastest is None)
 
 
@@ -96,7 +96,7 @@ def step_for(integrator: Integrator, problem: Problem) -> float:
 
 def trajectory(problem: Problem, name: str, **more: float) -> Trajectory:
     integrator = find_integrator(name)
-    if integrator.control is Control.FIXED:
+    if integrator.control is StepControl.FIXED:
         more = {"step": step_for(integrator, problem), **more}
     else:
         more = {"tolerance": TOLERANCE, **more}
@@ -133,10 +133,10 @@ def test_what_is_said_of_the_error_is_true(
         return
     bound = max(NEAR * problem.accuracy, ROUNDING)
     # Of a stiff system with steps far too long, no comparison tells.
-    seen = problem.fastest is not None or integrator.control is not Control.FIXED
+    seen = problem.fastest is not None or integrator.control is not StepControl.FIXED
     if seen and stats.error < WORTHLESS * problem.size:
         assert error <= max(HONEST * stats.error, bound)
-    if integrator.control is not Control.FIXED:
+    if integrator.control is not StepControl.FIXED:
         assert error <= CLOSE * problem.size
 
 

@@ -50,13 +50,13 @@ def test_two_that_overlap_are_moved_apart_alike(period: float) -> None:
     x = np.array([[9.5 if period else -0.5, 1.0, 0.0], [1.0, 1.0, 0.0]])
     least, around = np.array([1.0, 3.0]), np.zeros((2, 3))
     around[1, 0] = period
-    found, overlap, _ = _kernels.flock_apart(x, least, 1, 1.0, 0.01, around, 1e6)
+    found, overlap, _ = _kernels.flock_separate(x, least, 1, 1.0, 0.01, around, 1e6)
     assert_allclose(found - x, [[-0.26, 0, 0], [0.26, 0, 0]], atol=1e-12)
     assert overlap == 0
-    found, overlap, _ = _kernels.flock_apart(x, least, 1, 0.5, 0.0, around, 1e6)
+    found, overlap, _ = _kernels.flock_separate(x, least, 1, 0.5, 0.0, around, 1e6)
     assert_allclose(found - x, [[-0.125, 0, 0], [0.125, 0, 0]], atol=1e-12)
     assert overlap == pytest.approx(0.25)
-    found, overlap, _ = _kernels.flock_apart(x, least, 0, 1.0, 0.0, around, 1e6)
+    found, overlap, _ = _kernels.flock_separate(x, least, 0, 1.0, 0.0, around, 1e6)
     assert_allclose(found, x)
     assert overlap == pytest.approx(0.5)
 
@@ -71,7 +71,9 @@ def test_as_many_pairs_as_are_allowed_are_looked_at_and_one_more_is_told(
 
     def looked(points: np.ndarray, most: float) -> float:
         least = np.ones(len(points))
-        return float(_kernels.flock_apart(points, least, 0, 1.0, 0.1, period, most)[2])
+        return float(
+            _kernels.flock_separate(points, least, 0, 1.0, 0.1, period, most)[2]
+        )
 
     alone = looked(group, np.inf)
     both = np.concatenate([group, group + 40.0])

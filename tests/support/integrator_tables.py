@@ -22,7 +22,7 @@ from animtool.sim import (
     find_integrator,
     integrate,
 )
-from animtool.sim.integrators.integrator import Control, Form
+from animtool.sim.integrators.integrator import Form, StepControl
 from support.motions import Motion, kepler, pendulum, pendulum_period
 
 PAGE = Path(__file__).parents[2] / "animtool/docs/reference/integrators.md"
@@ -61,7 +61,7 @@ def measured(name: str, kind: str) -> Measured:
     """Return how a method does on a motion, the largest error of five times."""
     motion, period, count = MOTIONS[kind]()
     times = np.linspace(0, count * period, 6)
-    if find_integrator(name).control is Control.FIXED:
+    if find_integrator(name).control is StepControl.FIXED:
         options = IntegrateOptions(name, step=period / STEPS, growth=math.inf)
     else:
         options = IntegrateOptions(name, tolerance=TOLERANCE)
@@ -82,10 +82,12 @@ def _order(integrator: Integrator) -> str:
 
 
 def _kind(integrator: Integrator) -> str:
-    if integrator.control is Control.SCIPY:
+    if integrator.control is StepControl.SCIPY:
         kind = "scipy"
     else:
-        kind = "steps by error" if integrator.control is Control.ADAPTIVE else "fixed"
+        kind = (
+            "steps by error" if integrator.control is StepControl.ADAPTIVE else "fixed"
+        )
     words = [
         kind,
         "implicit" if integrator.implicit else "",

@@ -10,10 +10,10 @@ namespace animtool {
 
 struct SortedKeys {
   explicit SortedKeys(std::size_t room)
-      : keys(block<std::uint64_t>(room)), places(block<std::int32_t>(room)) {}
+      : keys(block<std::uint64_t>(room)), indices(block<std::int32_t>(room)) {}
 
   Block<std::uint64_t> keys;
-  Block<std::int32_t> places;
+  Block<std::int32_t> indices;
   std::size_t count = 0;
 };
 
@@ -32,10 +32,10 @@ struct SortedKeys {
     for (std::size_t i = 0; i < count; ++i) {
       const std::size_t to = starts[digit(sorted.keys[i])]++;
       other.keys[to] = sorted.keys[i];
-      other.places[to] = sorted.places[i];
+      other.indices[to] = sorted.indices[i];
     }
     std::swap(sorted.keys, other.keys);
-    std::swap(sorted.places, other.places);
+    std::swap(sorted.indices, other.indices);
   }
 }
 

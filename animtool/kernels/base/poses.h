@@ -28,17 +28,17 @@ inline Vec across(Vec a) {
 // A rigid transform world_from_local.
 struct Pose {
   Vec origin;
-  double turn[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  double rotation[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
 
   Vec rotated(Vec a) const {
-    return {turn[0] * a.x + turn[1] * a.y + turn[2] * a.z,
-            turn[3] * a.x + turn[4] * a.y + turn[5] * a.z,
-            turn[6] * a.x + turn[7] * a.y + turn[8] * a.z};
+    return {rotation[0] * a.x + rotation[1] * a.y + rotation[2] * a.z,
+            rotation[3] * a.x + rotation[4] * a.y + rotation[5] * a.z,
+            rotation[6] * a.x + rotation[7] * a.y + rotation[8] * a.z};
   }
   Vec unrotated(Vec a) const {
-    return {turn[0] * a.x + turn[3] * a.y + turn[6] * a.z,
-            turn[1] * a.x + turn[4] * a.y + turn[7] * a.z,
-            turn[2] * a.x + turn[5] * a.y + turn[8] * a.z};
+    return {rotation[0] * a.x + rotation[3] * a.y + rotation[6] * a.z,
+            rotation[1] * a.x + rotation[4] * a.y + rotation[7] * a.z,
+            rotation[2] * a.x + rotation[5] * a.y + rotation[8] * a.z};
   }
   Vec to_world(Vec local) const { return origin + rotated(local); }
   Vec to_local(Vec world) const { return unrotated(world - origin); }
@@ -51,26 +51,26 @@ class Motion {
 
   // Poses are an origin and a quaternion x y z w, of any length above 0.
   Motion(const double* start, const double* end) {
-    double first[4], last[4], inverse[4], between[4], turn[3];
+    double first[4], last[4], inverse[4], between[4], rotation[3];
     for (int i = 0; i < 4; ++i) first[i] = start[3 + i], last[i] = end[3 + i];
     ik::normalize(first);
     ik::normalize(last);
     for (int i = 0; i < 4; ++i) inverse[i] = i < 3 ? -first[i] : first[i];
     ik::product(last, inverse, between);
-    ik::logarithm(between, turn);
+    ik::logarithm(between, rotation);
     for (int i = 0; i < 4; ++i) first_[i] = first[i];
-    rotation_ = load(turn);
+    rotation_ = load(rotation);
     origin_ = load(start);
     travel_ = load(end) - origin_;
     rotates_ = length(rotation_) > 0;
-    ik::to_matrix(first, unrotated_.turn);
+    ik::to_matrix(first, unrotated_.rotation);
     unrotated_.origin = origin_;
     moves_ = rotates_ || length(travel_) > 0;
   }
 
   bool moves() const { return moves_; }
   Vec travel() const { return travel_; }
-  Vec turn() const { return rotation_; }
+  Vec rotation() const { return rotation_; }
   double angle() const { return length(rotation_); }
 
   // The pose at a fraction of the step from 0 to 1.
@@ -84,7 +84,7 @@ class Motion {
       ik::exponential(vector, step);
       ik::product(step, first_, full);
       ik::normalize(full);
-      ik::to_matrix(full, pose.turn);
+      ik::to_matrix(full, pose.rotation);
     }
     return pose;
   }

@@ -75,7 +75,7 @@ struct Registers<double, 4, Quads> {
     return _mm256_add_pd(_mm256_blend_pd(low, high, 0xC),
                          _mm256_permute2f128_pd(low, high, 0x21));
   }
-  static void turn(Row* rows) {
+  static void transpose(Row* rows) {
     const Row a = _mm256_unpacklo_pd(rows[0], rows[1]), b = _mm256_unpackhi_pd(rows[0], rows[1]);
     const Row c = _mm256_unpacklo_pd(rows[2], rows[3]), d = _mm256_unpackhi_pd(rows[2], rows[3]);
     rows[0] = _mm256_permute2f128_pd(a, c, 0x20);

@@ -103,7 +103,7 @@ struct Registers {
       return (of[0] + of[1]) + (of[2] + of[3]);
     });
   }
-  static void turn(Row* rows) {
+  static void transpose(Row* rows) {
     for (std::size_t k = 0; k < N; ++k)
       for (std::size_t l = 0; l < k; ++l) std::swap(rows[k].at[l], rows[l].at[k]);
   }
@@ -176,11 +176,11 @@ struct Wide {
   friend T smallest(const Wide& a) { return Of::smallest(a.row); }
 
   // A value of two ends by the square of their distance: 0 where they are at one place.
-  friend Wide where_apart(const Wide& square, const Wide& value) {
+  friend Wide if_distinct(const Wide& square, const Wide& value) {
     return kept(below(T(COINCIDENT), square), value);
   }
   // One over the square of a distance, 0 of ends at one place.
-  friend Wide inverse(const Wide& square) { return where_apart(square, T(1) / square); }
+  friend Wide inverse(const Wide& square) { return if_distinct(square, T(1) / square); }
 
   // The total of each of four.
   friend Wide totals(const Wide* rows) {
@@ -188,9 +188,9 @@ struct Wide {
     return Of::totals(of);
   }
   // Four rows to their columns.
-  friend void turn(const Wide* rows, Wide* columns) {
+  friend void transpose(const Wide* rows, Wide* columns) {
     typename Of::Row of[WIDE] = {rows[0].row, rows[1].row, rows[2].row, rows[3].row};
-    Of::turn(of);
+    Of::transpose(of);
     for (std::size_t k = 0; k < WIDE; ++k) columns[k] = of[k];
   }
   friend T total(const Wide& a) {
@@ -218,14 +218,14 @@ Four<On> dots(const Four<On>* a, const Four<On>* b) {
 template <class On>
 inline void gather(const double* from, const std::int32_t* rows, Four<On>* columns) {
   for (std::size_t k = 0; k < WIDE; ++k) columns[k] = Four<On>::of(from + 4 * rows[k]);
-  turn(columns, columns);
+  transpose(columns, columns);
 }
 
 // Takes columns away from rows in memory, one after the other.
 template <class On>
 inline void scatter(const Four<On>* columns, const std::int32_t* rows, double* to) {
   Four<On> parts[WIDE];
-  turn(columns, parts);
+  transpose(columns, parts);
   for (std::size_t k = 0; k < WIDE; ++k)
     (Four<On>::of(to + 4 * rows[k]) - parts[k]).store(to + 4 * rows[k]);
 }

@@ -22,7 +22,7 @@ constexpr double TINY = 1e-12;
 // Two half-planes whose normals are this parallel do not bound each other's line.
 constexpr double PARALLEL = 1e-9;
 // Agents walk in the same direction if the cosine of their preferred directions exceeds this.
-constexpr double ALIKE = 0.7;
+constexpr double SAME_DIRECTION = 0.7;
 // Fraction of its speed above which an agent counts as walking along with, against, or across
 // another.
 constexpr double ALONG = 0.5;
@@ -42,7 +42,7 @@ constexpr double SLANT = 0.44, MOST_SLANT = 0.7;
 // An agent blocked by oncoming ones turns its shoulders: fully if the gap to one of them is zero,
 // not at all above this, over its width; and, below this fraction of its preferred speed, the more
 // the slower it is.
-constexpr double TURNS_FROM = 0.6, HELD_UP = 0.7;
+constexpr double SHOULDER_GAP = 0.6, BLOCKED = 0.7;
 // Largest penetration of a lane into a wall, over the agent's width.
 constexpr double GRAZE = 0.23;
 
@@ -76,20 +76,20 @@ class Chooser {
   explicit Chooser(double most) : most_(most) {}
 
   // Returns the number of satisfied half-planes: all, or those before the first infeasible one.
-  std::size_t choose(const HalfPlane* planes, std::size_t count, const Vec2& wanted, bool way,
+  std::size_t choose(const HalfPlane* planes, std::size_t count, const Vec2& desired, bool direction,
                      Vec2& v) const {
-    v = wanted;
-    const double size = wanted.length();
-    if (way || size > most_) v = wanted * (size > TINY ? most_ / size : 0.0);
+    v = desired;
+    const double size = desired.length();
+    if (direction || size > most_) v = desired * (size > TINY ? most_ / size : 0.0);
     for (std::size_t i = 0; i < count; ++i) {
       if (planes[i].normal.dot(v) >= planes[i].limit) continue;
-      if (!on_line(planes, i, wanted, way, v)) return i;
+      if (!on_line(planes, i, desired, direction, v)) return i;
     }
     return count;
   }
 
  private:
-  bool on_line(const HalfPlane* planes, std::size_t i, const Vec2& wanted, bool way,
+  bool on_line(const HalfPlane* planes, std::size_t i, const Vec2& desired, bool direction,
                Vec2& v) const {
     const Vec2 normal = planes[i].normal, along{-normal.y, normal.x};
     const double room = most_ * most_ - planes[i].limit * planes[i].limit;
@@ -107,8 +107,8 @@ class Chooser {
       }
     }
     if (low > high) return false;
-    const double t = wanted.dot(along);
-    v = normal * planes[i].limit + along * (way ? (t > 0 ? high : low) : std::clamp(t, low, high));
+    const double t = desired.dot(along);
+    v = normal * planes[i].limit + along * (direction ? (t > 0 ? high : low) : std::clamp(t, low, high));
     return true;
   }
 
@@ -129,10 +129,10 @@ void least_outside(const Chooser& chooser, const std::vector<HalfPlane>& planes,
       if (size < PARALLEL) continue;
       between.push_back({normal * (1 / size), (planes[j].limit - planes[i].limit) / size});
     }
-    Vec2 found;
-    if (chooser.choose(between.data(), between.size(), planes[i].normal, true, found) ==
+    Vec2 relaxed;
+    if (chooser.choose(between.data(), between.size(), planes[i].normal, true, relaxed) ==
         between.size())
-      v = found;
+      v = relaxed;
     outside = planes[i].limit - planes[i].normal.dot(v);
   }
 }
@@ -152,11 +152,11 @@ struct Agents {
 
   // Distance from the middle of agent i to its outline along a unit vector: a disc, or an ellipse
   // of the same depth if its shoulders are turned.
-  double half(std::size_t i, const Vec2& way) const {
+  double half(std::size_t i, const Vec2& direction) const {
     const Vec2 line = vec2(shoulders + 2 * i);
     const double much = line.length();
     if (much < TINY) return radii[i];
-    const double along = line.dot(way) / much, square = std::min(along * along, 1.0);
+    const double along = line.dot(direction) / much, square = std::min(along * along, 1.0);
     return radii[i] * (1 - std::min(much, 1.0) * (1 - std::sqrt(square + depth * depth * (1 - square))));
   }
 
@@ -165,8 +165,8 @@ struct Agents {
   // Smallest distance of two agents, given the offset of the other.
   double wide(std::size_t i, std::size_t j, const Vec2& off, double squared) const {
     if ((!turned(i) && !turned(j)) || !(squared > 0)) return radii[i] + radii[j];
-    const Vec2 way = off * (1 / std::sqrt(squared));
-    return half(i, way) + half(j, way);
+    const Vec2 direction = off * (1 / std::sqrt(squared));
+    return half(i, direction) + half(j, direction);
   }
 };
 
@@ -182,21 +182,21 @@ class Walker {
       planes_.push_back({vec2(wall), wall[2]});
     }
     const std::size_t hard = planes_.size();
-    const Vec2 own = vec2(agents_.velocities + 2 * self);
+    const Vec2 velocity = vec2(agents_.velocities + 2 * self);
     // Blocked agents look less far ahead: all would stop if each avoided the others.
     const double likes = std::max(vec2(agents_.preferred + 2 * self).length(), TINY);
     const double least = between(1, SHORTEST);
-    horizon_ = std::max(rules_.horizon * std::clamp(own.length() / likes, least, 1.0), rules_.step);
-    for (const Seen& one : seen_) avoid(self, own, one);
+    horizon_ = std::max(rules_.horizon * std::clamp(velocity.length() / likes, least, 1.0), rules_.step);
+    for (const Neighbour& one : neighbours_) avoid(self, velocity, one);
     const Chooser chooser(agents_.most[self]);
     Vec2 v;
-    const Vec2 wanted = wish(self);
-    const std::size_t met = chooser.choose(planes_.data(), planes_.size(), wanted, false, v);
+    const Vec2 desired = wish(self);
+    const std::size_t met = chooser.choose(planes_.data(), planes_.size(), desired, false, v);
     if (met < planes_.size()) least_outside(chooser, planes_, hard, met, between_, v);
-    pressed_ = pressed(self, own);
+    pressed_ = pressed(self, velocity);
     const double speed = v.length();
-    const double most = between(STUCK, PRESSED) * wanted.length();
-    if (speed < most) v += (wanted - v) * (between(SHOVE, PRESSES) * (1 - speed / most));
+    const double most = between(STUCK, PRESSED) * desired.length();
+    if (speed < most) v += (desired - v) * (between(SHOVE, PRESSES) * (1 - speed / most));
     return v;
   }
 
@@ -204,7 +204,7 @@ class Walker {
   double pressed() const { return pressed_; }
 
  private:
-  struct Seen {
+  struct Neighbour {
     Vec2 off;
     double squared;
     std::size_t which;
@@ -212,23 +212,23 @@ class Walker {
 
   // The nearest oncoming or crossing agent decides; an agent as close as only turned shoulders
   // allow stays turned.
-  double pressed(std::size_t self, const Vec2& own) const {
-    const Vec2 wanted = vec2(agents_.preferred + 2 * self);
-    const double likes = wanted.length(), turn = vec2(agents_.shoulders + 2 * self).length();
-    if (likes < TINY && turn < TINY) return 0;
-    const Vec2 ahead = wanted * (likes > TINY ? 1 / likes : 0.0);
-    const double slow = 1 - own.dot(ahead) / (HELD_UP * std::max(likes, TINY));
-    const double held = likes > TINY ? std::clamp(slow, 0.0, 1.0) : 0.0;
+  double pressed(std::size_t self, const Vec2& velocity) const {
+    const Vec2 desired = vec2(agents_.preferred + 2 * self);
+    const double likes = desired.length(), yaw = vec2(agents_.shoulders + 2 * self).length();
+    if (likes < TINY && yaw < TINY) return 0;
+    const Vec2 forward = desired * (likes > TINY ? 1 / likes : 0.0);
+    const double slow = 1 - velocity.dot(forward) / (BLOCKED * std::max(likes, TINY));
+    const double blocked = likes > TINY ? std::clamp(slow, 0.0, 1.0) : 0.0;
     double most = 0, side = 1;
-    for (const Seen& one : seen_) {
+    for (const Neighbour& one : neighbours_) {
       const double wide = agents_.radii[self] + agents_.radii[one.which];
       const double gap = std::sqrt(one.squared) - wide;
       const Vec2 other = vec2(agents_.preferred + 2 * one.which);
-      const bool against = other.dot(ahead) < ALONG * other.length();
-      const double near = std::clamp(1 - gap / (TURNS_FROM * wide), 0.0, 1.0);
-      double much = against ? held * near : 0.0;
-      if (gap < 0) much = std::max(much, turn);
-      if (much > most) most = much, side = one.off.dot(left_of(ahead)) < 0 ? -1 : 1;
+      const bool against = other.dot(forward) < ALONG * other.length();
+      const double near = std::clamp(1 - gap / (SHOULDER_GAP * wide), 0.0, 1.0);
+      double much = against ? blocked * near : 0.0;
+      if (gap < 0) much = std::max(much, yaw);
+      if (much > most) most = much, side = one.off.dot(left_of(forward)) < 0 ? -1 : 1;
     }
     return side * most;
   }
@@ -237,17 +237,17 @@ class Walker {
   double between(double alone, double met) const { return alone + (met - alone) * met_; }
 
   void look(std::size_t self, const std::int32_t* hit, const std::int32_t* end) {
-    seen_.clear();
+    neighbours_.clear();
     costs_.fill(0);
     met_ = 0;
     const Vec2 here = vec2(agents_.points + 2 * self);
-    const Vec2 wanted = vec2(agents_.preferred + 2 * self);
-    const double speed = wanted.length(), wide = 2 * agents_.radii[self];
+    const Vec2 desired = vec2(agents_.preferred + 2 * self);
+    const double speed = desired.length(), wide = 2 * agents_.radii[self];
     // Along in ranges of sight, sideways in widths, and speed along.
     const bool walks = speed > TINY && wide > 0;
-    const Vec2 ahead = wanted * (walks ? 1 / speed : 0.0);
-    const Vec2 near = ahead * (1 / rules_.sight), fast = ahead * (walks ? 1 / speed : 0.0);
-    const Vec2 aside = left_of(ahead) * (walks ? 1 / wide : 0.0);
+    const Vec2 forward = desired * (walks ? 1 / speed : 0.0);
+    const Vec2 near = forward * (1 / rules_.sight), fast = forward * (walks ? 1 / speed : 0.0);
+    const Vec2 sideways = left_of(forward) * (walks ? 1 / wide : 0.0);
     for (; hit < end; ++hit) {
       const std::size_t which =
           static_cast<std::size_t>(agents_.grid.index()[static_cast<std::size_t>(*hit)]);
@@ -255,60 +255,60 @@ class Walker {
       const Vec2 off = vec2(agents_.points + 2 * which) - here;
       keep({off, off.dot(off), which});
       const double along = off.dot(near);
-      if (along > 0) weigh(off.dot(aside), 1 - along, which, fast);
+      if (along > 0) weigh(off.dot(sideways), 1 - along, which, fast);
     }
     met_ = std::min(met_, 1.0);
   }
 
   // Keeps the nearest in order; of two at equal distance, the first.
-  void keep(const Seen& one) {
-    const auto nearer = [](const Seen& a, const Seen& b) {
+  void keep(const Neighbour& one) {
+    const auto nearer = [](const Neighbour& a, const Neighbour& b) {
       return a.squared != b.squared ? a.squared < b.squared : a.which < b.which;
     };
-    if (seen_.size() < rules_.nearest) {
-      seen_.push_back(one);
-    } else if (seen_.empty() || !nearer(one, seen_.back())) {
+    if (neighbours_.size() < rules_.nearest) {
+      neighbours_.push_back(one);
+    } else if (neighbours_.empty() || !nearer(one, neighbours_.back())) {
       return;
     }
-    std::size_t at = seen_.size() - 1;
-    for (; at > 0 && nearer(one, seen_[at - 1]); --at) seen_[at] = seen_[at - 1];
-    seen_[at] = one;
+    std::size_t at = neighbours_.size() - 1;
+    for (; at > 0 && nearer(one, neighbours_[at - 1]); --at) neighbours_[at] = neighbours_[at - 1];
+    neighbours_[at] = one;
   }
 
   // To the left of z is x.
-  static Vec2 left_of(const Vec2& ahead) { return {ahead.y, -ahead.x}; }
+  static Vec2 left_of(const Vec2& forward) { return {forward.y, -forward.x}; }
 
   // Adds the cost of walking in the lanes of an agent ahead: higher the nearer, and the slower
   // along or the faster against.
-  void weigh(double aside, double near, std::size_t which, const Vec2& fast) {
+  void weigh(double sideways, double near, std::size_t which, const Vec2& fast) {
     // One extra lane on each side, so that both lanes an agent covers exist.
-    const double place = aside + (LANES + 1);
-    if (!(place >= 0 && place < 2 * LANES + 2)) return;
+    const double slot = sideways + (LANES + 1);
+    if (!(slot >= 0 && slot < 2 * LANES + 2)) return;
     const double likes = vec2(agents_.preferred + 2 * which).dot(fast);
     const double goes = 0.5 * (likes + vec2(agents_.velocities + 2 * which).dot(fast));
     const double cost = near * std::clamp(1 - goes, 0.0, 2.0);
     // A standing agent is no stream.
     if (likes < ALONG && vec2(agents_.preferred + 2 * which).length() > TINY) met_ += near;
-    const int lane = static_cast<int>(place);
-    const double second = cost * (place - lane);
+    const int lane = static_cast<int>(slot);
+    const double second = cost * (slot - lane);
     costs_[static_cast<std::size_t>(lane)] += cost - second;
     costs_[static_cast<std::size_t>(lane) + 1] += second;
   }
 
   // Offset to the left of the cheapest lane, in widths: not inside a wall, and by the preferred
   // side.
-  double lane(std::size_t self, const Vec2& ahead) const {
-    const Vec2 here = vec2(agents_.points + 2 * self), left = left_of(ahead);
+  double lane(std::size_t self, const Vec2& forward) const {
+    const Vec2 here = vec2(agents_.points + 2 * self), left = left_of(forward);
     const double wide = 2 * agents_.radii[self];
     double least = costs_[LANES + 1], best = 0;
-    for (const int way : {-1, 1}) {
+    for (const int direction : {-1, 1}) {
       double across = 0;
       for (int k = 1; k <= LANES; ++k) {
-        const double off = way * k, own = costs_[static_cast<std::size_t>(LANES + 1 + way * k)];
+        const double off = direction * k, lane_cost = costs_[static_cast<std::size_t>(LANES + 1 + direction * k)];
         if (!open(self, here + left * (off * wide))) break;
-        const double cost = own + STRAY * k + across - rules_.side * met_ * off;
+        const double cost = lane_cost + STRAY * k + across - rules_.side * met_ * off;
         if (cost < least - SAME_COST) least = cost, best = off;
-        across += ACROSS * own;
+        across += ACROSS * lane_cost;
       }
     }
     return best;
@@ -325,20 +325,20 @@ class Walker {
   // The preferred velocity: slower behind agents in the same direction, away from near ones, and
   // against oncoming ones in the cheapest lane.
   Vec2 wish(std::size_t self) const {
-    Vec2 wanted = vec2(agents_.preferred + 2 * self);
-    const double speed = wanted.length(), own = agents_.radii[self];
-    const Vec2 ahead = wanted * (speed > TINY ? 1 / speed : 0.0);
+    Vec2 desired = vec2(agents_.preferred + 2 * self);
+    const double speed = desired.length(), radius = agents_.radii[self];
+    const Vec2 forward = desired * (speed > TINY ? 1 / speed : 0.0);
     const double headway = rules_.headway * between(1, CLOSER);
     double most = speed;
     Vec2 away;
-    for (const Seen& one : seen_) {
-      const double far = std::sqrt(one.squared), wide = own + agents_.radii[one.which];
+    for (const Neighbour& one : neighbours_) {
+      const double far = std::sqrt(one.squared), wide = radius + agents_.radii[one.which];
       const double gap = std::max(far - wide, 0.0);
-      const double along = one.off.dot(ahead);
+      const double along = one.off.dot(forward);
       if (headway > 0 && along > 0 && one.squared - along * along < wide * wide) {
         const Vec2 other = vec2(agents_.preferred + 2 * one.which);
         // Not if the other sees this one ahead of it, too.
-        if (other.dot(ahead) > ALIKE * other.length() && one.off.dot(other) >= 0)
+        if (other.dot(forward) > SAME_DIRECTION * other.length() && one.off.dot(other) >= 0)
           most = std::min(most, gap / headway);
       }
       const bool together =
@@ -346,22 +346,22 @@ class Walker {
       if (gap < rules_.space && far > TINY && !together)
         away -= one.off * (rules_.push * (1 - gap / rules_.space) / far);
     }
-    if (met_ == 0) return ahead * most + away;
-    const double slant = std::clamp(SLANT * lane(self, ahead), -MOST_SLANT, MOST_SLANT);
-    return ahead * most + left_of(ahead) * (slant * speed) + away;
+    if (met_ == 0) return forward * most + away;
+    const double slant = std::clamp(SLANT * lane(self, forward), -MOST_SLANT, MOST_SLANT);
+    return forward * most + left_of(forward) * (slant * speed) + away;
   }
 
   // The half-plane of velocities of the reciprocal avoidance of two agents.
-  void avoid(std::size_t self, const Vec2& own, const Seen& one) {
+  void avoid(std::size_t self, const Vec2& velocity, const Neighbour& one) {
     const double wide = agents_.wide(self, one.which, one.off, one.squared);
-    const Vec2 relative = own - vec2(agents_.velocities + 2 * one.which);
-    const bool apart = one.squared > wide * wide;
-    const double time = apart ? horizon_ : rules_.step;
+    const Vec2 relative = velocity - vec2(agents_.velocities + 2 * one.which);
+    const bool distinct = one.squared > wide * wide;
+    const double time = distinct ? horizon_ : rules_.step;
     // From the centre of the disc that truncates the collision cone.
     const Vec2 off = relative - one.off * (1 / time);
-    const double ahead = off.dot(one.off), size = off.length();
+    const double forward = off.dot(one.off), size = off.length();
     Vec2 normal, change;
-    if (!apart || (ahead < 0 && ahead * ahead > wide * wide * size * size)) {
+    if (!distinct || (forward < 0 && forward * forward > wide * wide * size * size)) {
       if (size > TINY) {
         normal = off * (1 / size);
       } else {
@@ -373,19 +373,19 @@ class Walker {
     } else {
       const double leg = std::sqrt(one.squared - wide * wide), over = 1 / one.squared;
       const double cross = one.off.x * off.y - one.off.y * off.x;
-      const double turn = cross > 0 ? wide : -wide;
-      const Vec2 edge{(one.off.x * leg - one.off.y * turn) * over,
-                      (one.off.x * turn + one.off.y * leg) * over};
+      const double side = cross > 0 ? wide : -wide;
+      const Vec2 edge{(one.off.x * leg - one.off.y * side) * over,
+                      (one.off.x * side + one.off.y * leg) * over};
       normal = cross > 0 ? Vec2{-edge.y, edge.x} : Vec2{edge.y, -edge.x};
       change = edge * relative.dot(edge) - relative;
     }
-    const double share = agents_.does[one.which] == WALKS ? 0.5 : 1.0;
-    planes_.push_back({normal, normal.dot(own + change * share)});
+    const double fraction = agents_.does[one.which] == WALKS ? 0.5 : 1.0;
+    planes_.push_back({normal, normal.dot(velocity + change * fraction)});
   }
 
   const Rules& rules_;
   const Agents& agents_;
-  std::vector<Seen> seen_;
+  std::vector<Neighbour> neighbours_;
   std::array<double, 2 * LANES + 3> costs_;
   double met_ = 0;  // number of oncoming or crossing agents, weighted by distance: 1 at most
   double horizon_ = 0, pressed_ = 0;
@@ -416,9 +416,9 @@ double separate(const Agents& agents, Vec2* moved, const std::vector<Pair>& pair
       const double a = agents.gives[i] * (agents.does[i] == WALKS);
       const double b = agents.gives[j] * (agents.does[j] == WALKS);
       if (last || a + b == 0) continue;
-      const Vec2 way = far > TINY ? off * (1 / far) : Vec2{1, 0};
-      moved[i] -= way * (lack * a / (a + b));
-      moved[j] += way * (lack * b / (a + b));
+      const Vec2 direction = far > TINY ? off * (1 / far) : Vec2{1, 0};
+      moved[i] -= direction * (lack * a / (a + b));
+      moved[j] += direction * (lack * b / (a + b));
     }
     for (std::size_t i = 0; i < count; ++i)
       for (std::int32_t k = agents.starts[i]; k < agents.starts[i + 1]; ++k) {
@@ -435,10 +435,10 @@ double separate(const Agents& agents, Vec2* moved, const std::vector<Pair>& pair
 
 }  // namespace
 
-CrowdStepped crowd_step(const CrowdStep& given) {
+CrowdStepped crowd_step(const CrowdStep& options) {
   const auto& [points, velocities, preferred, radii, most, gives, shoulders, depth, groups, does,
                starts, walls,
-               sight, nearest, horizon, space, push, headway, side, step, rounds, enough] = given;
+               sight, nearest, horizon, space, push, headway, side, step, rounds, enough] = options;
   const std::size_t count = points.shape(0);
   check::at_most("points", count, check::MOST_ROWS);
   check::shape("points", points, {check::ANY, 2});
@@ -489,7 +489,7 @@ CrowdStepped crowd_step(const CrowdStep& given) {
                       radii.data(), most.data(), gives.data(), shoulders.data(), depth,
                       groups.data(), starts.data(), walls.data(), does.data()};
   Walker walker(rules, agents);
-  grid.visit_places<false>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
+  grid.visit_all<false>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
                                        const std::int32_t* end) {
     const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
     const bool walks = agents.does[which] == WALKS;
@@ -504,7 +504,7 @@ CrowdStepped crowd_step(const CrowdStep& given) {
   std::vector<Pair> pairs;
   if (near > 0) {
     const Neighbours close(flat.get(), nullptr, count, near, open, open);
-    close.visit_places<true>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
+    close.visit_all<true>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
                                          const std::int32_t* end) {
       const std::int32_t* index = close.index();
       if (does.data()[index[i]] == GONE) return;

@@ -27,7 +27,7 @@ struct CrowdStep {
 };
 // Points, velocities, overlap, shoulder yaws.
 using CrowdStepped = std::tuple<Out<double, 2>, Out<double, 2>, double, Out<double, 1>>;
-CrowdStepped crowd_step(const CrowdStep& given);
+CrowdStepped crowd_step(const CrowdStep& options);
 
 Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 1> seeds,
                                 In<double, 1> starts);
@@ -38,10 +38,10 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
     std::int64_t nearest, In<double, 1> attraction, In<double, 1> alignment,
     In<double, 1> repulsion, double softening, In<double, 2> period, double most);
 std::tuple<Out<double, 2>, double> flock_braking(In<double, 2> points, In<double, 2> velocities,
-                                                 In<double, 1> least, double seen, double room,
+                                                 In<double, 1> least, double sight, double room,
                                                  In<double, 2> period, double most);
-std::tuple<Out<double, 2>, double, double> flock_apart(In<double, 2> points, In<double, 1> least,
-                                                       std::int64_t rounds, double share,
+std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points, In<double, 1> least,
+                                                       std::int64_t rounds, double relaxation,
                                                        double clear, In<double, 2> period,
                                                        double most);
 

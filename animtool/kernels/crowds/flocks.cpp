@@ -41,35 +41,35 @@ double together(const Rule& rule, const Neighbours& grid, const Vec* velocities,
   };
   const Block<Sums> sums = block<Sums>(grid.size());
   std::fill_n(sums.get(), grid.size(), Sums());
-  const Block<std::int32_t> seen = block<std::int32_t>(grid.size());
-  std::fill_n(seen.get(), grid.size(), 0);
+  const Block<std::int32_t> sight_counts = block<std::int32_t>(grid.size());
+  std::fill_n(sight_counts.get(), grid.size(), 0);
   const double *x = grid.x(), *y = grid.y(), *z = grid.z();
-  const double looked = grid.visit_places<true>(
+  const double looked = grid.visit_all<true>(
       most, [&](std::size_t i, const double* at, const std::int32_t* hit, const std::int32_t* end) {
         const Vec here = load(at), velocity = velocities[i];
-        Sums own;
-        seen[i] += static_cast<std::int32_t>(end - hit);
+        Sums sum_i;
+        sight_counts[i] += static_cast<std::int32_t>(end - hit);
         for (; hit < end; ++hit) {
           const std::size_t j = static_cast<std::size_t>(*hit);
           const Vec off = Vec{x[j], y[j], z[j]} - here;
           Vec pull = off * rule.attraction.weight;
           pull += (velocities[j] - velocity) * rule.alignment.weight;
           const Vec away = shove(rule, off, dot(off, off));
-          own.pull += pull;
-          own.away += away;
+          sum_i.pull += pull;
+          sum_i.away += away;
           sums[j].pull -= pull;
           sums[j].away -= away;
-          ++seen[j];
+          ++sight_counts[j];
         }
-        sums[i].pull += own.pull;
-        sums[i].away += own.away;
+        sums[i].pull += sum_i.pull;
+        sums[i].away += sum_i.away;
       });
   for (std::size_t i = 0; i < grid.size(); ++i) {
     const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
-    Vec sum = sums[i].pull * (seen[i] ? 1.0 / seen[i] : 0.0);
+    Vec sum = sums[i].pull * (sight_counts[i] ? 1.0 / sight_counts[i] : 0.0);
     sum -= sums[i].away * rule.repulsion.weight;
     out[3 * which] = sum.x, out[3 * which + 1] = sum.y, out[3 * which + 2] = sum.z;
-    counts[which] = seen[i];
+    counts[which] = sight_counts[i];
   }
   return looked;
 }
@@ -87,7 +87,7 @@ class Seer {
     const double align = rule_.alignment.radius * rule_.alignment.radius;
     Vec centre, heading, away;
     double followed = 0, aligned = 0;
-    for (const Seen& one : seen_) {
+    for (const Neighbour& one : neighbours_) {
       if (one.squared <= follow) centre += one.off, followed += 1;
       if (one.squared <= align) heading += velocities_[one.at] - velocity, aligned += 1;
       away += shove(rule_, one.off, one.squared);
@@ -96,11 +96,11 @@ class Seer {
     sum += heading * (aligned > 0 ? rule_.alignment.weight / aligned : 0.0);
     sum -= away * rule_.repulsion.weight;
     out[0] = sum.x, out[1] = sum.y, out[2] = sum.z;
-    return seen_.size();
+    return neighbours_.size();
   }
 
  private:
-  struct Seen {
+  struct Neighbour {
     Vec off;
     double squared;
     std::size_t at;
@@ -110,30 +110,30 @@ class Seer {
             const std::int32_t* end) {
     const double behind = rule_.cosine * std::sqrt(dot(velocity, velocity));
     const std::int32_t* index = grid_.index();
-    seen_.clear();
+    neighbours_.clear();
     for (; hit < end; ++hit) {
       const std::size_t j = static_cast<std::size_t>(*hit);
       if (static_cast<std::size_t>(index[j]) == self) continue;
       const Vec off = Vec{grid_.x()[j], grid_.y()[j], grid_.z()[j]} - here;
       const double squared = dot(off, off);
       if (rule_.cosine > -1 && dot(off, velocity) < behind * std::sqrt(squared)) continue;
-      seen_.push_back({off, squared, j});
+      neighbours_.push_back({off, squared, j});
     }
-    if (!rule_.nearest || seen_.size() <= rule_.nearest) return;
+    if (!rule_.nearest || neighbours_.size() <= rule_.nearest) return;
     // Of two at equal distance the first is taken, whatever the order of the grid.
-    const auto nearer = [&](const Seen& a, const Seen& b) {
+    const auto nearer = [&](const Neighbour& a, const Neighbour& b) {
       return a.squared != b.squared ? a.squared < b.squared : index[a.at] < index[b.at];
     };
-    const auto last = seen_.begin() + static_cast<std::ptrdiff_t>(rule_.nearest);
-    std::nth_element(seen_.begin(), last - 1, seen_.end(), nearer);
-    seen_.erase(last, seen_.end());
-    std::sort(seen_.begin(), seen_.end(), nearer);
+    const auto last = neighbours_.begin() + static_cast<std::ptrdiff_t>(rule_.nearest);
+    std::nth_element(neighbours_.begin(), last - 1, neighbours_.end(), nearer);
+    neighbours_.erase(last, neighbours_.end());
+    std::sort(neighbours_.begin(), neighbours_.end(), nearer);
   }
 
   const Rule& rule_;
   const Neighbours& grid_;
   const Vec* velocities_;
-  std::vector<Seen> seen_;
+  std::vector<Neighbour> neighbours_;
 };
 
 Pull pull(const char* name, const In<double, 1>& pair) {
@@ -189,13 +189,13 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
   Seer seer(rule, grid, sorted.get());
   const auto add = [&](std::size_t number, std::size_t which, const Vec& at, const Vec& velocity,
                        const std::int32_t* hit, const std::int32_t* end) {
-    const std::size_t seen = seer.add(which, at, velocity, hit, end, result.get() + 3 * number);
-    counts.get()[number] = static_cast<std::int32_t>(seen);
+    const std::size_t count = seer.add(which, at, velocity, hit, end, result.get() + 3 * number);
+    counts.get()[number] = static_cast<std::int32_t>(count);
   };
   if (all && rule.mutual())
     looked = together(rule, grid, sorted.get(), most, result.get(), counts.get());
   else if (all)
-    looked = grid.visit_places<false>(most, [&](std::size_t i, const double* at,
+    looked = grid.visit_all<false>(most, [&](std::size_t i, const double* at,
                                                 const std::int32_t* hit,
                                                 const std::int32_t* end) {
       const std::size_t which = static_cast<std::size_t>(grid.index()[i]);

@@ -42,7 +42,7 @@ class Spaced {
       }
     };
     if (open_)
-      return grid.visit_places<true>(most, [&](std::size_t i, const double*,
+      return grid.visit_all<true>(most, [&](std::size_t i, const double*,
                                                const std::int32_t* hit, const std::int32_t* end) {
         all(static_cast<std::size_t>(grid.index()[i]), hit, end);
       });
@@ -52,21 +52,21 @@ class Spaced {
   }
 
   struct Gap {
-    double way[3], far, least;  // unit vector from one to the other
+    double direction[3], far, least;  // unit vector from one to the other
   };
 
   Gap gap(const double* points, std::size_t i, std::size_t j) const {
-    Gap made{{0, 0, 0}, 0, (least_[i] + least_[j]) / 2};
+    Gap gap{{0, 0, 0}, 0, (least_[i] + least_[j]) / 2};
     double squared = 0;
     for (std::size_t k = 0; k < 3; ++k) {
       double off = points[3 * j + k] - points[3 * i + k];
       if (period_[k] > 0) off -= period_[k] * std::nearbyint(off / period_[k]);
-      made.way[k] = off;
+      gap.direction[k] = off;
       squared += off * off;
     }
-    made.far = std::sqrt(squared);
-    for (double& way : made.way) way /= std::max(made.far, TINY);
-    return made;
+    gap.far = std::sqrt(squared);
+    for (double& direction : gap.direction) direction /= std::max(gap.far, TINY);
+    return gap;
   }
 
  private:
@@ -87,41 +87,41 @@ void check_spaced(const In<double, 1>& least, std::size_t count, const In<double
 
 void push(double* values, const Pair& pair, const Spaced::Gap& gap, double size) {
   for (std::size_t k = 0; k < 3; ++k) {
-    values[3 * pair.one + k] -= size * gap.way[k];
-    values[3 * pair.other + k] += size * gap.way[k];
+    values[3 * pair.one + k] -= size * gap.direction[k];
+    values[3 * pair.other + k] += size * gap.direction[k];
   }
 }
 
 }  // namespace
 
 std::tuple<Out<double, 2>, double> flock_braking(In<double, 2> points, In<double, 2> velocities,
-                                                 In<double, 1> least, double seen, double room,
+                                                 In<double, 1> least, double sight, double room,
                                                  In<double, 2> period, double most) {
   const std::size_t count = check::points("points", points);
   check::shape("velocities", velocities, {count, 3});
   check_spaced(least, count, period);
-  if (!(seen > 1)) check::refuse("seen", check::text(seen) + " is not above 1");
+  if (!(sight > 1)) check::refuse("seen", check::text(sight) + " is not above 1");
   check::positive("room", room);
   Out<double, 2> result(count, 3);
   double looked = 0;
   std::fill_n(result.get(), 3 * count, 0.0);
   const double *x = points.data(), *v = velocities.data();
   const Spaced spaced(least.data(), count, period.data(), period.data() + 3);
-  looked = spaced.each_pair(x, seen, most, [&](std::size_t i, std::size_t j) {
+  looked = spaced.each_pair(x, sight, most, [&](std::size_t i, std::size_t j) {
     const Spaced::Gap gap = spaced.gap(x, i, j);
     double closing = 0;
-    for (std::size_t k = 0; k < 3; ++k) closing -= (v[3 * j + k] - v[3 * i + k]) * gap.way[k];
+    for (std::size_t k = 0; k < 3; ++k) closing -= (v[3 * j + k] - v[3 * i + k]) * gap.direction[k];
     if (!(closing > 0)) return;
     const double left = std::max(gap.far - gap.least, room * gap.least);
-    const double near = 1 - (gap.far - gap.least) / ((seen - 1) * gap.least);
+    const double near = 1 - (gap.far - gap.least) / ((sight - 1) * gap.least);
     const double size = std::clamp(near, 0.0, 1.0) * closing * closing / (4 * left);
     push(result.get(), {i, j}, gap, size);
   });
   return {std::move(result), looked};
 }
 
-std::tuple<Out<double, 2>, double, double> flock_apart(In<double, 2> points, In<double, 1> least,
-                                                       std::int64_t rounds, double share,
+std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points, In<double, 1> least,
+                                                       std::int64_t rounds, double relaxation,
                                                        double clear, In<double, 2> period,
                                                        double most) {
   // Pairs are searched again after this many passes, within a multiple of the largest distance.
@@ -130,7 +130,7 @@ std::tuple<Out<double, 2>, double, double> flock_apart(In<double, 2> points, In<
   const std::size_t count = check::points("points", points);
   check_spaced(least, count, period);
   check::between("rounds", rounds, 0, std::numeric_limits<std::int32_t>::max());
-  check::positive("share", share);
+  check::positive("share", relaxation);
   check::not_negative("clear", clear);
   Out<double, 2> result(count, 3);
   double looked = 0, overlap = 0;
@@ -154,7 +154,7 @@ std::tuple<Out<double, 2>, double, double> flock_apart(In<double, 2> points, In<
       const double lack = gap.least - gap.far;
       if (!(lack > 0)) continue;
       overlap = std::max(overlap, lack);
-      push(moves.data(), pair, gap, share / 2 * (lack + clear * gap.least));
+      push(moves.data(), pair, gap, relaxation / 2 * (lack + clear * gap.least));
     }
     if (k == rounds || !(overlap > 0)) break;
     for (std::size_t i = 0; i < 3 * count; ++i) x[i] += moves[i];

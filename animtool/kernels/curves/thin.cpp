@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "base/checks.h"
-#include "base/turns.h"
+#include "base/rotations.h"
 #include "base/vector.h"
 #include "curves/curves.h"
 
@@ -14,7 +14,7 @@ namespace {
 
 double squared(const Vec& a) { return dot(a, a); }
 
-Vec turned(const Turn& q, const Vec& p) {
+Vec turned(const Quaternion& q, const Vec& p) {
   const double x = 2 * (q.y * p.z - q.z * p.y), y = 2 * (q.z * p.x - q.x * p.z),
                z = 2 * (q.x * p.y - q.y * p.x);
   return {p.x + q.w * x + q.y * z - q.z * y, p.y + q.w * y + q.z * x - q.x * z,
@@ -35,11 +35,11 @@ struct Chain {
   std::size_t count, moving;
   const std::int64_t *parents, *numbers;  // of each its place in a pose, -1 at rest
   const Vec* offsets;
-  const Turn *before, *rest;
+  const Quaternion *before, *rest;
 
-  void positions_of(const Turn* pose, Turn* world, Vec* out_points) const {
+  void positions_of(const Quaternion* pose, Quaternion* world, Vec* out_points) const {
     for (std::size_t j = 0; j < count; ++j) {
-      const Turn rotation = before[j] * (numbers[j] < 0 ? rest[j] : pose[numbers[j]]);
+      const Quaternion rotation = before[j] * (numbers[j] < 0 ? rest[j] : pose[numbers[j]]);
       if (parents[j] < 0) {
         world[j] = rotation, out_points[j] = offsets[j];
         continue;
@@ -54,7 +54,7 @@ struct Chain {
 // Evenly from one rotation to another.
 class Between {
  public:
-  void set(const Turn* a, const Turn* b, std::size_t count) {
+  void set(const Quaternion* a, const Quaternion* b, std::size_t count) {
     a_ = a, b_ = b, count_ = count;
     angles_.resize(count), sines_.resize(count);
     for (std::size_t m = 0; m < count; ++m) {
@@ -64,7 +64,7 @@ class Between {
     }
   }
 
-  void at(double fraction, Turn* out) const {
+  void at(double fraction, Quaternion* out) const {
     for (std::size_t m = 0; m < count_; ++m) {
       double p, q;
       if (angles_[m] < SMALL) {
@@ -79,7 +79,7 @@ class Between {
   }
 
  private:
-  const Turn *a_ = nullptr, *b_ = nullptr;
+  const Quaternion *a_ = nullptr, *b_ = nullptr;
   std::size_t count_ = 0;
   std::vector<double> angles_, sines_;
 };
@@ -114,10 +114,10 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
                     parents.data(),
                     numbers.data(),
                     reinterpret_cast<const Vec*>(offsets.data()),
-                    reinterpret_cast<const Turn*>(before.data()),
-                    reinterpret_cast<const Turn*>(rest.data())};
-  const Turn* poses = reinterpret_cast<const Turn*>(rotations.data());
-  std::vector<Turn> world(count), pose(moving);
+                    reinterpret_cast<const Quaternion*>(before.data()),
+                    reinterpret_cast<const Quaternion*>(rest.data())};
+  const Quaternion* poses = reinterpret_cast<const Quaternion*>(rotations.data());
+  std::vector<Quaternion> world(count), pose(moving);
   std::vector<Vec> exact(frames * count), out_points(count);
   for (std::size_t f = 0; f < frames; ++f)
     chain.positions_of(poses + f * moving, world.data(), exact.data() + f * count);

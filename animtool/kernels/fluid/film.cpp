@@ -38,7 +38,7 @@ std::size_t mixed(std::int64_t x, std::int64_t y, std::int64_t z) {
 }  // namespace
 
 Film::Film(double spacing)
-    : cell_(CELL * spacing), share_(1 / (CELL * CELL * CELL)), soft_(SOFT / spacing) {}
+    : cell_(CELL * spacing), inverse_volume_(1 / (CELL * CELL * CELL)), soft_(SOFT / spacing) {}
 
 std::int32_t Film::block_at(std::int64_t x, std::int64_t y, std::int64_t z) const {
   const std::size_t mask = table_.size() - 1;
@@ -152,7 +152,7 @@ double Film::measure(const double* rows, std::size_t count) {
     for (int x = 0; x < 4; ++x)
       for (int y = 0; y < 4; ++y) {
         row_of(spot.blocks, spot.node, x, y, at);
-        const double weight = share_ * spot.weights[0][x] * spot.weights[1][y];
+        const double weight = inverse_volume_ * spot.weights[0][x] * spot.weights[1][y];
         for (int z = 0; z < 4; ++z) colour_[at[z]] += weight * spot.weights[2][z];
       }
   }
@@ -232,7 +232,7 @@ Vec Film::slope_at(const Spot& spot) const {
 void Film::pull(const double* rows, std::size_t count, double scale, double* moved) {
   Spot spot;
   // The volume of a cell, by its size and by the contribution of a particle.
-  const double each = scale * cell_ * cell_ * share_;
+  const double each = scale * cell_ * cell_ * inverse_volume_;
   pulls_.assign(count, {}), drop_of_.assign(count, 0);
   for (std::size_t i = 0; i < count; ++i) {
     if (!find(rows + 4 * i, spot)) continue;
@@ -296,8 +296,8 @@ void Film::balance(const double* rows) {
     const double d = m[3], e = m[4], f = m[5];
     const double aa = b * c - f * f, bb = a * c - e * e, cc = a * b - d * d;
     const double ab = e * f - d * c, ac = d * f - e * b, bc = d * e - a * f;
-    const double whole = a * aa + d * ab + e * ac;
-    const Vec by = drop.moment * (whole > 0 ? 1 / whole : 0.0);
+    const double determinant = a * aa + d * ab + e * ac;
+    const Vec by = drop.moment * (determinant > 0 ? 1 / determinant : 0.0);
     drop.moment = {aa * by.x + ab * by.y + ac * by.z, ab * by.x + bb * by.y + bc * by.z,
                    ac * by.x + bc * by.y + cc * by.z};
   }

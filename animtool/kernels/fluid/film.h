@@ -58,7 +58,7 @@ class Film {
   void grow();
   double steepen(std::size_t block);
 
-  const double cell_, share_, soft_;
+  const double cell_, inverse_volume_, soft_;
   // Block 0 is outside and stays empty. Keys, and a hash table of blocks by key.
   std::vector<std::array<std::int64_t, 3>> blocks_;
   std::vector<std::int32_t> table_;

@@ -47,25 +47,25 @@ struct Body {
 };
 
 Pose shifted(const Pose& pose, const Body& body, Vec centre) {
-  Pose made = pose;
+  Pose shifted_pose = pose;
   const double angle = length(body.turned);
   if (angle > 0) {
     const double vector[3] = {body.turned.x, body.turned.y, body.turned.z};
     double quaternion[4];
-    Pose turn;
+    Pose change;
     ik::exponential(vector, quaternion);
     ik::normalize(quaternion);
-    ik::to_matrix(quaternion, turn.turn);
-    made.origin = centre + turn.rotated(pose.origin - centre);
+    ik::to_matrix(quaternion, change.rotation);
+    shifted_pose.origin = centre + change.rotated(pose.origin - centre);
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j) {
-        made.turn[3 * i + j] = 0;
+        shifted_pose.rotation[3 * i + j] = 0;
         for (int k = 0; k < 3; ++k)
-          made.turn[3 * i + j] += turn.turn[3 * i + k] * pose.turn[3 * k + j];
+          shifted_pose.rotation[3 * i + j] += change.rotation[3 * i + k] * pose.rotation[3 * k + j];
       }
   }
-  made.origin = made.origin + body.shift;
-  return made;
+  shifted_pose.origin = shifted_pose.origin + body.shift;
+  return shifted_pose;
 }
 
 struct Rule {
@@ -91,39 +91,39 @@ class Steps {
     count_ = count;
     const std::size_t rows = count + 1;
     order_.assign(rows, static_cast<std::int32_t>(count));
-    place_.assign(rows, {NOWHERE, NOWHERE, NOWHERE, 0});
-    before_ = place_;
+    point_.assign(rows, {NOWHERE, NOWHERE, NOWHERE, 0});
+    before_ = point_;
     velocity_.assign(rows, {}), pulled_.assign(rows, {}), pressure_.assign(rows, 0);
     for (std::size_t i = 0; i < count; ++i) {
       order_[i] = static_cast<std::int32_t>(i);
       const double *x = state + 3 * i, *v = state + 3 * (count + i), *a = accelerations + 3 * i;
-      place_[i] = {x[0], x[1], x[2], 0};
+      point_[i] = {x[0], x[1], x[2], 0};
       velocity_[i] = {v[0], v[1], v[2], 0};
       pulled_[i] = {a[0], a[1], a[2], 0};
     }
     poses_.resize(colliders_.size());
     old_poses_.resize(colliders_.size());
-    place_colliders(0, poses_);
+    pose_colliders(0, poses_);
   }
 
   // Takes the substeps one after the other.
   void run(std::size_t parts) {
     const double h = step_ / static_cast<double>(parts);
     // Short substeps are as stiff as long ones, up to the stability limit.
-    const double share = std::min(sound_ * h / rule_.spacing, 1.0);
-    relaxed_ = RELAXED * share * share;
+    const double fraction = std::min(sound_ * h / rule_.spacing, 1.0);
+    relaxed_ = RELAXED * fraction * fraction;
     for (std::size_t k = 0; k < parts; ++k) {
-      const double share = static_cast<double>(k + 1) / static_cast<double>(parts);
+      const double fraction = static_cast<double>(k + 1) / static_cast<double>(parts);
       predict(h);
       old_poses_ = poses_;
-      place_colliders(share, poses_);
+      pose_colliders(fraction, poses_);
       if (!listed_ || stale()) list();
       look();
       draw(h, k, parts);
       press(h);
       settle(h);
       slow(h, k, parts);
-      push_bodies(h, 1 - share);
+      push_bodies(h, 1 - fraction);
     }
     for (double& one : pressure_) one /= static_cast<double>(parts);
   }
@@ -131,7 +131,7 @@ class Steps {
   void store_state(double* state, double* pressure) const {
     for (std::size_t i = 0; i < count_; ++i) {
       const std::size_t to = static_cast<std::size_t>(order_[i]);
-      store(place_[i].vec(), state + 3 * to);
+      store(point_[i].vec(), state + 3 * to);
       store(velocity_[i].vec(), state + 3 * (count_ + to));
       pressure[to] = pressure_[i];
     }
@@ -139,7 +139,7 @@ class Steps {
 
   // Densities over that at rest, without motion.
   void densities(double* out) {
-    before_ = place_;
+    before_ = point_;
     list();
     look();
     for (std::size_t i = 0; i < count_; ++i) out[order_[i]] = 1 + dense_[i];
@@ -151,14 +151,14 @@ class Steps {
  private:
   struct Near {
     std::int32_t collider;
-    Beyond found;
+    Beyond contribution;
     Vec pushed = {};  // displacement, then the velocity change from it
     Vec point = {};
   };
 
   void predict(double h) {
     for (std::size_t i = 0; i < count_; ++i) {
-      Row& x = place_[i];
+      Row& x = point_[i];
       Row& v = velocity_[i];
       const Row& a = pulled_[i];
       before_[i] = x;
@@ -167,12 +167,12 @@ class Steps {
     }
   }
 
-  void place_colliders(double share, std::vector<Pose>& poses) const {
+  void pose_colliders(double fraction, std::vector<Pose>& poses) const {
     for (std::size_t c = 0; c < colliders_.size(); ++c) {
-      poses[c] = colliders_[c].motion.at(share);
+      poses[c] = colliders_[c].motion.at(fraction);
       if (owners_[c] < 0) continue;
       const Body& body = bodies_[static_cast<std::size_t>(owners_[c])];
-      poses[c] = shifted(poses[c], body, body.begin + (body.end - body.begin) * share);
+      poses[c] = shifted(poses[c], body, body.begin + (body.end - body.begin) * fraction);
     }
   }
 
@@ -180,8 +180,8 @@ class Steps {
   bool stale() const {
     double squared = 0;
     for (std::size_t i = 0; i < count_; ++i) {
-      const double x = place_[i].x - listed_at_[i].x, y = place_[i].y - listed_at_[i].y,
-                   z = place_[i].z - listed_at_[i].z;
+      const double x = point_[i].x - listed_at_[i].x, y = point_[i].y - listed_at_[i].y,
+                   z = point_[i].z - listed_at_[i].z;
       squared = std::max(squared, x * x + y * y + z * z);
     }
     const double room = SKIN * radius_, moved = std::sqrt(squared);
@@ -189,7 +189,7 @@ class Steps {
     for (std::size_t c = 0; c < colliders_.size(); ++c) {
       const Pose &was = listed_poses_[c], &is = poses_[c];
       double turned = 0;
-      for (int k = 0; k < 9; ++k) turned += std::fabs(is.turn[k] - was.turn[k]);
+      for (int k = 0; k < 9; ++k) turned += std::fabs(is.rotation[k] - was.rotation[k]);
       const double far = length(is.origin - middle_) + extent_;
       if (!(moved + length(is.origin - was.origin) + turned * far <= room)) return true;
     }
@@ -198,15 +198,15 @@ class Steps {
 
   template <class T>
   void reorder(std::vector<T>& values, const std::vector<std::int32_t>& by) {
-    std::vector<T> made(values.size());
-    for (std::size_t i = 0; i < by.size(); ++i) made[i] = values[static_cast<std::size_t>(by[i])];
-    values.swap(made);
+    std::vector<T> reordered(values.size());
+    for (std::size_t i = 0; i < by.size(); ++i) reordered[i] = values[static_cast<std::size_t>(by[i])];
+    values.swap(reordered);
   }
 
   // Sorts particles by grid cells, and lists neighbours until the list is stale.
   void list() {
     std::vector<double> points(3 * count_);
-    for (std::size_t i = 0; i < count_; ++i) store(place_[i].vec(), &points[3 * i]);
+    for (std::size_t i = 0; i < count_; ++i) store(point_[i].vec(), &points[3 * i]);
     const double none[3] = {0, 0, 0};
     const Neighbours grid(points.data(), nullptr, count_, radius_ * (1 + SKIN), none, none);
     std::vector<std::int32_t> by(grid.index(), grid.index() + grid.size());
@@ -218,31 +218,31 @@ class Steps {
         if (!there[i]) by.push_back(static_cast<std::int32_t>(i));
     }
     by.push_back(static_cast<std::int32_t>(count_));
-    reorder(order_, by), reorder(place_, by), reorder(before_, by), reorder(velocity_, by);
+    reorder(order_, by), reorder(point_, by), reorder(before_, by), reorder(velocity_, by);
     reorder(pulled_, by), reorder(pressure_, by);
     first_.assign(count_ + 1, 0);
-    seen_.clear();
-    grid.visit_places<true>(std::numeric_limits<double>::infinity(),
+    partners_.clear();
+    grid.visit_all<true>(std::numeric_limits<double>::infinity(),
                             [&](std::size_t i, const double*, const std::int32_t* hit,
                                 const std::int32_t* end) {
-                              seen_.insert(seen_.end(), hit, end);
-                              while (seen_.size() % WIDE) seen_.push_back(by.back());
-                              first_[i + 1] = seen_.size();
+                              partners_.insert(partners_.end(), hit, end);
+                              while (partners_.size() % WIDE) partners_.push_back(by.back());
+                              first_[i + 1] = partners_.size();
                             });
-    for (std::size_t i = grid.size(); i < count_; ++i) first_[i + 1] = seen_.size();
-    factor_.resize(seen_.size());
-    listed_at_ = place_;
+    for (std::size_t i = grid.size(); i < count_; ++i) first_[i + 1] = partners_.size();
+    factor_.resize(partners_.size());
+    listed_at_ = point_;
     listed_poses_ = poses_;
     listed_ = true;
     list_colliders();
-    if (rule_.tension > 0) film_.list(&place_.data()->x, count_);
+    if (rule_.tension > 0) film_.list(&point_.data()->x, count_);
     dense_.resize(count_), virial_.resize(count_);
   }
 
   void list_colliders() {
     Vec low{}, high{};
     for (std::size_t i = 0; i < count_; ++i) {
-      const Row& x = place_[i];
+      const Row& x = point_[i];
       if (!i) low = high = x.vec();
       low = {std::min(low.x, x.x), std::min(low.y, x.y), std::min(low.z, x.z)};
       high = {std::max(high.x, x.x), std::max(high.y, x.y), std::max(high.z, x.z)};
@@ -259,7 +259,7 @@ class Steps {
         close.push_back(c);
     for (std::size_t i = 0; i < count_; ++i) {
       for (const std::size_t c : close)
-        if (collide::sample(colliders_[c], poses_[c], place_[i].vec(), 0, reach).distance < reach)
+        if (collide::sample(colliders_[c], poses_[c], point_[i].vec(), 0, reach).distance < reach)
           near_.push_back({static_cast<std::int32_t>(c), {}});
       near_first_[i + 1] = near_.size();
     }
@@ -269,7 +269,7 @@ class Steps {
     const double inverse = 1 / radius_;
     // Second derivative factor of the weight, over the distance.
     const double steep = -3 * inverse * inverse / lattice_;
-    return {count_,          first_.data(),    seen_.data(),     &place_.data()->x,
+    return {count_,          first_.data(),    partners_.data(),     &point_.data()->x,
             &velocity_.data()->x, factor_.data(), &sums_.data()->x, &moved_.data()->x,
             squares_.data(), inverse,          steep,            0,
             0};
@@ -292,9 +292,9 @@ class Steps {
       sum += over;
       const double steepness =
           slope.x * slope.x + slope.y * slope.y + slope.z * slope.z + slope.w;
-      place_[i].w = over > 0 ? -relaxed_ * over / std::max(STEEP * steepness, steep) : 0.0;
+      point_[i].w = over > 0 ? -relaxed_ * over / std::max(STEEP * steepness, steep) : 0.0;
       // A wall presses as the lattice layers it replaces would.
-      virial_[i] = -per_wall * beyond * place_[i].w;
+      virial_[i] = -per_wall * beyond * point_[i].w;
     }
     compression_ = count_ ? sum / static_cast<double>(count_) : 0.0;
   }
@@ -307,8 +307,8 @@ class Steps {
     const std::size_t together = std::max<std::size_t>(static_cast<std::size_t>(longest), 1);
     if (part % together != 0) return;
     const double lasts = h * static_cast<double>(std::min(together, parts - part));
-    film_.measure(&place_.data()->x, count_);
-    film_.pull(&place_.data()->x, count_, -rule_.tension * h * lasts / rule_.mass(),
+    film_.measure(&point_.data()->x, count_);
+    film_.pull(&point_.data()->x, count_, -rule_.tension * h * lasts / rule_.mass(),
                &moved_.data()->x);
   }
 
@@ -331,9 +331,9 @@ class Steps {
                                      ? std::max<std::size_t>(static_cast<std::size_t>(longest), 1)
                                      : parts;
     if (!(rule_.viscosity > 0) || part % together != 0) return false;
-    FluidPairs given = pairs();
-    given.drag = -2 * rule_.viscosity * h * static_cast<double>(std::min(together, parts - part));
-    loops_.drag(given);
+    FluidPairs layout = pairs();
+    layout.drag = -2 * rule_.viscosity * h * static_cast<double>(std::min(together, parts - part));
+    loops_.drag(layout);
     return true;
   }
 
@@ -343,11 +343,11 @@ class Steps {
     if (rule_.tension > 0) return false;
     const double left = 1 - rule_.viscosity / (CALM_VISCOSITY * sound_ * rule_.spacing);
     if (part % CALMED != 0 || !(left > 0)) return false;
-    const double share = std::min(sound_ * h / rule_.spacing, 1.0);
-    FluidPairs given = pairs();
-    given.noise = NOISE * sound_;
-    given.drag = -CALM * left * share * static_cast<double>(std::min(CALMED, parts - part));
-    loops_.calm(given);
+    const double fraction = std::min(sound_ * h / rule_.spacing, 1.0);
+    FluidPairs layout = pairs();
+    layout.noise = NOISE * sound_;
+    layout.drag = -CALM * left * fraction * static_cast<double>(std::min(CALMED, parts - part));
+    loops_.calm(layout);
     return true;
   }
 
@@ -357,21 +357,21 @@ class Steps {
     double open = 1;
     for (std::size_t k = first; k < last; ++k) {
       const std::size_t c = static_cast<std::size_t>(near_[k].collider);
-      near_[k].found = beyond(colliders_[c], poses_[c], place_[i].vec(), radius_);
-      open *= 1 - near_[k].found.share;
+      near_[k].contribution = beyond(colliders_[c], poses_[c], point_[i].vec(), radius_);
+      open *= 1 - near_[k].contribution.fraction;
     }
-    const double whole = walls().whole() * scale;
+    const double full = walls().full() * scale;
     for (std::size_t k = first; k < last; ++k) {
-      double others = whole;
+      double others = full;
       for (std::size_t m = first; m < last; ++m)
-        if (m != k) others *= 1 - near_[m].found.share;
-      Vec& own = near_[k].found.slope;
-      own = own * others;
-      near_[k].found.push = near_[k].found.push * others;
-      slope.x += own.x, slope.y += own.y, slope.z += own.z;
-      slope.w += dot(own, own);
+        if (m != k) others *= 1 - near_[m].contribution.fraction;
+      Vec& gradient = near_[k].contribution.slope;
+      gradient = gradient * others;
+      near_[k].contribution.push = near_[k].contribution.push * others;
+      slope.x += gradient.x, slope.y += gradient.y, slope.z += gradient.z;
+      slope.w += dot(gradient, gradient);
     }
-    return whole * (1 - open);
+    return full * (1 - open);
   }
 
   // Moves dense particles apart.
@@ -380,14 +380,14 @@ class Steps {
     const double per = rule_.density / (h * h);
     for (std::size_t i = 0; i < count_; ++i) {
       pressure_[i] += (virial_[i] + moved_[i].w) * per;
-      Vec to = place_[i].vec() + moved_[i].vec();
+      Vec to = point_[i].vec() + moved_[i].vec();
       for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
         // The wall presses as the fluid in front of it does.
-        const Vec by = near_[k].found.push * place_[i].w;
+        const Vec by = near_[k].contribution.push * point_[i].w;
         near_[k].pushed = by;
         to = to + by;
       }
-      place_[i].x = to.x, place_[i].y = to.y, place_[i].z = to.z;
+      point_[i].x = to.x, point_[i].y = to.y, point_[i].z = to.z;
     }
   }
 
@@ -399,14 +399,14 @@ class Steps {
   static constexpr int WALLS = 3;
   // Between two colliders each pushes into the other: this many iterations, and no further than
   // this fraction of a spacing.
-  static constexpr int TURNS = 16;
+  static constexpr int ALTERNATIONS = 16;
   static constexpr double FITS = 1e-4;
 
   // Keeps particles out of colliders, and updates their velocities.
   void settle(double h) {
     const double rate = 1 / h, size = rule_.spacing / 2;
     for (std::size_t i = 0; i < count_; ++i) {
-      Vec x = place_[i].vec();
+      Vec x = point_[i].vec();
       Vec v = (x - before_[i].vec()) * rate;
       int touched = 0;
       for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
@@ -415,7 +415,7 @@ class Steps {
         touched += meet(near, before_[i].vec(), rate, length(impulse), x, v) > 0;
         near.pushed = impulse + (v - old);
       }
-      for (int turn = 0; turn < TURNS && touched > 1; ++turn) {
+      for (int round = 0; round < ALTERNATIONS && touched > 1; ++round) {
         double deepest = 0;
         for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
           const Vec old = v;
@@ -424,7 +424,7 @@ class Steps {
         }
         if (deepest <= FITS * size) break;
       }
-      place_[i].x = x.x, place_[i].y = x.y, place_[i].z = x.z;
+      point_[i].x = x.x, point_[i].y = x.y, point_[i].z = x.z;
       velocity_[i] = {v.x, v.y, v.z, 0};
     }
   }
@@ -438,23 +438,23 @@ class Steps {
     // The walls of a container's corner collide one after another.
     for (int wall = 0; wall < WALLS; ++wall) {
       const Vec from = poses_[c].to_local(before);
-      const Sample found = collide::sample_since(collider, from, poses_[c], x, size, size);
-      if (!wall) near.point = x - found.normal * (found.distance + size);
-      const bool touches = found.distance < 0;
+      const Sample sample = collide::sample_since(collider, from, poses_[c], x, size, size);
+      if (!wall) near.point = x - sample.normal * (sample.distance + size);
+      const bool touches = sample.distance < 0;
       if (!touches && (wall || !(collider.friction > 0 && pressed > 0))) break;
-      deepest = std::max(deepest, -found.distance);
+      deepest = std::max(deepest, -sample.distance);
       const Vec surface = carried(c, x) * rate;
-      const double into = dot(v - surface, found.normal);
+      const double into = dot(v - surface, sample.normal);
       if (touches) {
-        x = x - found.normal * found.distance;
+        x = x - sample.normal * sample.distance;
         if (into < 0) {
-          v = v - found.normal * ((1 + collider.restitution) * into);
+          v = v - sample.normal * ((1 + collider.restitution) * into);
           pressed -= into;
         }
       }
       if (collider.friction > 0 && pressed > 0) {
         const Vec relative = v - surface;
-        const Vec along = relative - found.normal * dot(relative, found.normal);
+        const Vec along = relative - sample.normal * dot(relative, sample.normal);
         const double speed = length(along), taken = collider.friction * pressed;
         v = v - along * (speed > taken ? taken / speed : 1.0);
         pressed = 0;
@@ -467,8 +467,8 @@ class Steps {
   // Bodies take the opposite impulses of particles.
   void push_bodies(double h, double left) {
     if (bodies_.empty()) return;
-    const double share = 1 - left;
-    std::vector<Vec> impulses(bodies_.size()), moments(bodies_.size());
+    const double fraction = 1 - left;
+    std::vector<Vec> impulses(bodies_.size()), twists(bodies_.size());
     const double mass = rule_.mass();
     for (const Near& near : near_) {
       const std::int32_t owner = owners_[static_cast<std::size_t>(near.collider)];
@@ -476,17 +476,17 @@ class Steps {
       const std::size_t b = static_cast<std::size_t>(owner);
       const Vec impulse = near.pushed * -mass;
       impulses[b] = impulses[b] + impulse;
-      moments[b] = moments[b] + cross(near.point, impulse);
+      twists[b] = twists[b] + cross(near.point, impulse);
     }
     for (std::size_t b = 0; b < bodies_.size(); ++b) {
       Body& body = bodies_[b];
       const double all[6] = {impulses[b].x, impulses[b].y, impulses[b].z,
-                             moments[b].x,  moments[b].y,  moments[b].z};
+                             twists[b].x,  twists[b].y,  twists[b].z};
       for (int k = 0; k < 6; ++k)
         body.now[k] += all[k], body.moved[k] += all[k] * left * step_;
-      const Vec centre = body.begin + (body.end - body.begin) * share + body.shift;
+      const Vec centre = body.begin + (body.end - body.begin) * fraction + body.shift;
       body.velocity = body.velocity + impulses[b] * body.ease;
-      body.spin = body.spin + body.turned_by(moments[b] - cross(centre, impulses[b]));
+      body.spin = body.spin + body.turned_by(twists[b] - cross(centre, impulses[b]));
       body.shift = body.shift + body.velocity * h;
       body.turned = body.turned + body.spin * h;
     }
@@ -514,10 +514,10 @@ class Steps {
   Film film_{rule_.spacing};
   Vec middle_;
   // All in grid order; `order_` maps to the original order.
-  std::vector<std::int32_t> order_, seen_;
+  std::vector<std::int32_t> order_, partners_;
   std::vector<std::size_t> first_, near_first_;
   std::vector<double> factor_, squares_, dense_, pressure_, virial_;
-  std::vector<Row> place_, before_, velocity_, pulled_, moved_, sums_, listed_at_;
+  std::vector<Row> point_, before_, velocity_, pulled_, moved_, sums_, listed_at_;
   std::vector<Near> near_;
   std::vector<Pose> poses_, old_poses_, listed_poses_;
 };
@@ -544,8 +544,8 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
                          double viscosity, double tension, double sound, double step,
                          std::int64_t parts) {
   const std::size_t count = state.shape(1), pushed = bodies.shape(0);
-  std::vector<collide::Collider> made = read_colliders(colliders);
-  check::shape("owners", owners, {made.size()});
+  std::vector<collide::Collider> shapes = read_colliders(colliders);
+  check::shape("owners", owners, {shapes.size()});
   check::shape("bodies", bodies, {pushed, 13});
   check::indices("owners", owners, -1, static_cast<std::int64_t>(pushed));
   check::finite("bodies", bodies);
@@ -566,7 +566,7 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
   Out<double, 3> result(2, count, 3), wrenches(2, pushed, 6);
   Out<double, 1> pressures(count);
   double compression = 0;
-  fluid::Steps steps(rule, std::move(made), {owners.data(), owners.data() + owners.size()},
+  fluid::Steps steps(rule, std::move(shapes), {owners.data(), owners.data() + owners.size()},
                      std::move(moved), step, sound);
   steps.begin(state.data(), accelerations.data(), count);
   steps.run(static_cast<std::size_t>(parts));
@@ -581,13 +581,13 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
 
 Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, double spacing) {
   const std::size_t count = points.shape(0);
-  std::vector<collide::Collider> made = read_colliders(colliders);
+  std::vector<collide::Collider> shapes = read_colliders(colliders);
   check::shape("points", points, {check::ANY, 3});
   check::at_most("points", count, check::MOST_ROWS);
   const fluid::Rule rule = rule_of(spacing, 1, 0, 0);
   Out<double, 1> result(count);
-  const std::vector<std::int32_t> owners(made.size(), -1);
-  fluid::Steps steps(rule, std::move(made), owners, {}, 1, 1);
+  const std::vector<std::int32_t> owners(shapes.size(), -1);
+  fluid::Steps steps(rule, std::move(shapes), owners, {}, 1, 1);
   std::vector<double> state(6 * count, 0.0), none(3 * count, 0.0);
   std::copy_n(points.data(), 3 * count, state.data());
   steps.begin(state.data(), none.data(), count);

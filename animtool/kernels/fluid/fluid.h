@@ -59,7 +59,7 @@ class Walls {
 
   // Fraction of a particle's ball beyond a surface of a curvature (1 over the radius of a ball, 0
   // for a plane) at a distance, both in radii, and its derivative over the distance.
-  void share(double distance, double curvature, double& value, double& slope) const;
+  void fraction(double distance, double curvature, double& value, double& slope) const;
 
   // Sum of squared density gradients of a lattice, in radii.
   static double steepness();
@@ -69,7 +69,7 @@ class Walls {
   static double virial();
 
   // Contribution of the full half-space, in sums of weights.
-  double whole() const { return whole_; }
+  double full() const { return full_; }
 
  private:
   static constexpr int SHELLS = 16, KNOTS = 257;
@@ -77,7 +77,7 @@ class Walls {
 
   double radii_[SHELLS], weights_[SHELLS];
   double scale_ = 1;  // of distances
-  double whole_ = 1;
+  double full_ = 1;
   double flat_[KNOTS][2];
 };
 
@@ -85,7 +85,7 @@ const Walls& walls();
 
 // Contribution of a collider to the density of a particle, as a fraction of the full one.
 struct Beyond {
-  double share = 0, distance = 0;
+  double fraction = 0, distance = 0;
   Vec slope;   // gradient of the fraction, in the world [1/m]
   Vec push;    // pressing part of it: see `beyond_box`
   Vec normal;  // outward direction of the collider

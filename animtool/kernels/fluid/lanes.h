@@ -13,7 +13,7 @@ struct FluidPairs {
   std::size_t count;
   const std::size_t* starts;
   const std::int32_t* partners;
-  const double *places, *velocities;  // positions with multipliers
+  const double *points, *velocities;  // positions with multipliers
   double* factors;        // of each pair: kernel derivative over the distance
   double *sums, *moved;   // slopes and weights; displacements and virials
   double* squares;        // of slopes
@@ -39,12 +39,12 @@ struct FluidLoops {
   template <class Do>
   static void each(const FluidPairs& pairs, double* out, Do act) {
     for (std::size_t i = 0; i < pairs.count; ++i) {
-      const double* at = pairs.places + 4 * i;
+      const double* at = pairs.points + 4 * i;
       const D here[4] = {at[0], at[1], at[2], at[3]};
       D sum[4] = {0.0, 0.0, 0.0, 0.0};
       for (std::size_t k = pairs.starts[i]; k < pairs.starts[i + 1]; k += WIDE) {
         D off[4], parts[4];
-        gather(pairs.places, pairs.partners + k, off);
+        gather(pairs.points, pairs.partners + k, off);
         for (std::size_t c = 0; c < 3; ++c) off[c] = here[c] - off[c];
         off[3] = here[3] + off[3];
         act(i, k, off, parts);

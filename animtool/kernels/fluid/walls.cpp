@@ -33,7 +33,7 @@ void gauss(double* at, double* weight) {
 
 // Visits each point of a lattice around one, with its distance in radii.
 template <class Act>
-void each_place(Act act) {
+void each_point(Act act) {
   const int far = static_cast<int>(std::ceil(REACH));
   for (int x = -far; x <= far; ++x)
     for (int y = -far; y <= far; ++y)
@@ -44,7 +44,7 @@ void each_place(Act act) {
 // Sum of weights over lattice points whose first coordinates are negative.
 double lattice_beyond(int coordinates) {
   double sum = 0;
-  each_place([&](int x, int y, double q) {
+  each_point([&](int x, int y, double q) {
     const int below = coordinates > 1 ? std::max(x, y) : coordinates > 0 ? x : -1;
     if (q < 1 && below < 0) sum += Weight::at(q);
   });
@@ -57,7 +57,7 @@ double Walls::lattice() { return lattice_beyond(0); }
 
 double Walls::steepness() {
   double sum = 0;
-  each_place([&](int, int, double q) {
+  each_point([&](int, int, double q) {
     const double slope = q < 1 ? Weight::slope(q) : 0.0;
     sum += slope * slope;
   });
@@ -66,7 +66,7 @@ double Walls::steepness() {
 
 double Walls::virial() {
   double sum = 0;
-  each_place([&](int x, int, double q) {
+  each_point([&](int x, int, double q) {
     if (x < 0 && q < 1) sum -= Weight::slope(q) * q / 3;
   });
   return sum / lattice_beyond(1);
@@ -76,13 +76,13 @@ Walls::Walls() {
   gauss<SHELLS>(radii_, weights_);
   const double wall = lattice_beyond(1), edge = lattice_beyond(2);
   // At an edge both walls overlap in the same corner: their product counts once.
-  whole_ = wall * wall / edge;
+  full_ = wall * wall / edge;
   // A lattice wall contributes what the replaced layers would.
   double least = 0.5, most = 2, value, slope;
   for (int round = 0; round < 60; ++round) {
     scale_ = (least + most) / 2;
     integral(0.5 / REACH, 0, value, slope);
-    (value > wall / whole_ ? least : most) = scale_;
+    (value > wall / full_ ? least : most) = scale_;
   }
   for (int i = 0; i < KNOTS; ++i)
     integral(2.0 * i / (KNOTS - 1) - 1, 0, flat_[i][0], flat_[i][1]);
@@ -113,7 +113,7 @@ void Walls::integral(double distance, double curved, double& value, double& slop
   slope *= scale_;
 }
 
-void Walls::share(double distance, double curvature, double& value, double& slope) const {
+void Walls::fraction(double distance, double curvature, double& value, double& slope) const {
   if (distance >= 1) {
     value = slope = 0;
     return;
@@ -127,8 +127,8 @@ void Walls::share(double distance, double curvature, double& value, double& slop
 }
 
 const Walls& walls() {
-  static const Walls made;
-  return made;
+  static const Walls walls_table;
+  return walls_table;
 }
 
 namespace {
@@ -156,15 +156,15 @@ void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, B
     const double half = std::max(
         c.size[k] + (nearer(c) * radius - c.margin) * (c.container ? 1 : -1), 0.0);
     double high, low, falls, rises;
-    walls().share((half - at[k]) / radius, 0, high, falls);
-    walls().share((half + at[k]) / radius, 0, low, rises);
+    walls().fraction((half - at[k]) / radius, 0, high, falls);
+    walls().fraction((half + at[k]) / radius, 0, low, rises);
     inside[k] = std::max(1 - high - low, 0.0);
     slopes[k] = (falls - rises) / radius;
   }
   const Vec slope{slopes[0] * inside[1] * inside[2], inside[0] * slopes[1] * inside[2],
                   inside[0] * inside[1] * slopes[2]};
   const double product = inside[0] * inside[1] * inside[2];
-  out.share = c.container ? 1 - product : product;
+  out.fraction = c.container ? 1 - product : product;
   out.slope = pose.rotated(c.container ? -slope : slope);
   const auto before = [&](int k) { return std::fabs(at[k]) > c.size[k] ? 1.0 : 0.0; };
   const Vec push{slope.x * before(0), slope.y * before(1), slope.z * before(2)};
@@ -174,17 +174,17 @@ void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, B
 }  // namespace
 
 Beyond beyond(const Collider& c, const Pose& pose, Vec point, double radius) {
-  const Sample found = collide::sample(c, pose, point, 0, radius);
+  const Sample sample = collide::sample(c, pose, point, 0, radius);
   Beyond out;
-  out.distance = found.distance, out.normal = found.normal;
-  if (!(found.distance < radius)) return out;
+  out.distance = sample.distance, out.normal = sample.normal;
+  if (!(sample.distance < radius)) return out;
   if (c.shape == Shape::BOX) {
     beyond_box(c, pose, point, radius, out);
     return out;
   }
   double slope;
-  walls().share(found.distance / radius + nearer(c), curvature(c) * radius, out.share, slope);
-  out.slope = out.push = found.normal * (slope / radius);
+  walls().fraction(sample.distance / radius + nearer(c), curvature(c) * radius, out.fraction, slope);
+  out.slope = out.push = sample.normal * (slope / radius);
   return out;
 }
 

@@ -28,7 +28,7 @@ constexpr unsigned LEVELS = 21;
 constexpr double COARSE = 1.4;
 // Error budget of one cell: hundreds of errors partly cancel, and bounds are rarely reached.
 // Calibrated on discs, spheres and pairs of both.
-constexpr double SHARE = 0.3;
+constexpr double CELL_ERROR = 0.3;
 
 struct Cell {
   double centre[3];
@@ -68,7 +68,7 @@ class Bodies {
     for (auto& column : columns_) column = block<double>(count);
   }
 
-  void place(const double* points, const double* masses, const std::int32_t* order) {
+  void fill(const double* points, const double* masses, const std::int32_t* order) {
     for (std::size_t i = 0; i < count_; ++i) {
       const std::size_t from = order ? static_cast<std::size_t>(order[i]) : i;
       for (std::size_t k = 0; k < 3; ++k) columns_[k][i] = within(points + 3 * from, k);
@@ -89,7 +89,7 @@ class Bodies {
   // Padded targets: the last one is repeated.
   GravityTargets targets(std::size_t first, std::size_t end, const double* middle) const {
     GravityTargets to;
-    for (std::size_t k = 0; k < GRAVITY_LANES; ++k) {
+    for (std::size_t k = 0; k < GRAVITY_WIDTH; ++k) {
       const std::size_t i = std::min(first + k, end - 1);
       to.x[k] = columns_[0][i], to.y[k] = columns_[1][i], to.z[k] = columns_[2][i];
       to.mass[k] = columns_[3][i];
@@ -106,7 +106,7 @@ class Bodies {
   void write(const GravitySums& sums, std::size_t first, std::size_t end,
              const std::int32_t* order, double constant) const {
     const double pull = constant * mass_ / length_ / length_;
-    for (std::size_t i = first; i < std::min(first + GRAVITY_LANES, end); ++i) {
+    for (std::size_t i = first; i < std::min(first + GRAVITY_WIDTH, end); ++i) {
       const std::size_t k = i - first, to = order ? static_cast<std::size_t>(order[i]) : i;
       acceleration[3 * to] = pull * sums.x[k];
       acceleration[3 * to + 1] = pull * sums.y[k];
@@ -135,15 +135,15 @@ class Tree {
         key |= spaced(static_cast<std::uint64_t>(std::clamp(cell, 0.0, CELLS - 1))) << k;
       }
       sorted_.keys[i] = key;
-      sorted_.places[i] = static_cast<std::int32_t>(i);
+      sorted_.indices[i] = static_cast<std::int32_t>(i);
     }
     sort_keys(sorted_, count);
-    bodies.place(points, masses, sorted_.places.get());
+    bodies.fill(points, masses, sorted_.indices.get());
     cells_.reserve(count / 4 + 64);
     build(0, count, 0);
   }
 
-  const std::int32_t* order() const { return sorted_.places.get(); }
+  const std::int32_t* order() const { return sorted_.indices.get(); }
 
   template <class Function>
   void each_group(Function function) const {
@@ -169,14 +169,14 @@ class Tree {
     }
   };
   Bounds bounds(const Cell& group) const {
-    Bounds found;
+    Bounds bounds;
     for (std::size_t k = 0; k < 3; ++k) {
       const double* at = bodies_.column(k);
       const auto [low, high] = std::minmax_element(at + group.begin, at + group.end);
-      found.low[k] = *low, found.high[k] = *high;
-      found.middle[k] = (*low + *high) / 2;
+      bounds.low[k] = *low, bounds.high[k] = *high;
+      bounds.middle[k] = (*low + *high) / 2;
     }
-    return found;
+    return bounds;
   }
 
   // Estimates the accelerations of a group by a coarse sum at its centre of mass.
@@ -190,12 +190,12 @@ class Tree {
         off[k] = cell.centre[k] - group.centre[k];
         squared += off[k] * off[k];
       }
-      const bool own = cell.begin >= group.begin && cell.end <= group.end;
-      if (!own && !cell.leaf && squared <= COARSE * COARSE * cell.radius) {
+      const bool inside = cell.begin >= group.begin && cell.end <= group.end;
+      if (!inside && !cell.leaf && squared <= COARSE * COARSE * cell.radius) {
         ++i;
         continue;
       }
-      if (!own && squared > 0) {
+      if (!inside && squared > 0) {
         const double reach = squared + soft, pull = cell.mass / (reach * std::sqrt(reach));
         for (std::size_t k = 0; k < 3; ++k) sum[k] += pull * off[k];
       }
@@ -244,10 +244,10 @@ class Tree {
   }
 
   void build(std::size_t begin, std::size_t end, unsigned level) {
-    const std::size_t own = cells_.size();
+    const std::size_t number = cells_.size();
     cells_.push_back(summed(begin, end));
-    cells_[own].leaf = end - begin <= LEAF || level == LEVELS;
-    if (!cells_[own].leaf) {
+    cells_[number].leaf = end - begin <= LEAF || level == LEVELS;
+    if (!cells_[number].leaf) {
       const unsigned shift = 3 * (LEVELS - 1 - level);
       const std::uint64_t* keys = sorted_.keys.get();
       for (std::size_t first = begin; first < end;) {
@@ -258,7 +258,7 @@ class Tree {
         first = next;
       }
     }
-    cells_[own].next = cells_.size();
+    cells_[number].next = cells_.size();
   }
 
   Cell summed(std::size_t begin, std::size_t end) const {
@@ -305,9 +305,9 @@ void by_tree(Bodies& bodies, const double* points, const double* masses, double 
   const float soft = static_cast<float>(bodies.softened());
   tree.each_group([&](const Cell& group) {
     const auto bounds = tree.bounds(group);
-    const double least = std::pow(SHARE * accuracy * tree.strength(group), 0.4);
+    const double least = std::pow(CELL_ERROR * accuracy * tree.strength(group), 0.4);
     tree.walk(bounds, least, far, near);
-    for (std::size_t first = group.begin; first < group.end; first += GRAVITY_LANES) {
+    for (std::size_t first = group.begin; first < group.end; first += GRAVITY_WIDTH) {
       const GravityTargets to = bodies.targets(first, group.end, bounds.middle);
       GravitySums sums{};
       loops.far(far.data(), far.size() / GRAVITY_FAR, soft, to, sums);
@@ -322,18 +322,18 @@ void directly(Bodies& bodies, const double* points, const double* masses, double
               const GravityFunctions& loops) {
   // Blocks of sources that stay in the cache for all targets.
   constexpr std::size_t TILE = 1024;
-  bodies.place(points, masses, nullptr);
+  bodies.fill(points, masses, nullptr);
   const double middle[3] = {0, 0, 0};
   const std::size_t count = bodies.size();
-  const std::size_t blocks = (count + GRAVITY_LANES - 1) / GRAVITY_LANES;
+  const std::size_t blocks = (count + GRAVITY_WIDTH - 1) / GRAVITY_WIDTH;
   const Block<GravitySums> sums = block<GravitySums>(blocks);
   std::fill_n(sums.get(), blocks, GravitySums{});
   for (std::size_t tile = 0; tile < count; tile += TILE)
     for (std::size_t i = 0; i < blocks; ++i)
       loops.exact(bodies.bodies(), {tile, std::min(count, tile + TILE)}, bodies.softened(),
-                  bodies.targets(i * GRAVITY_LANES, count, middle), sums[i]);
+                  bodies.targets(i * GRAVITY_WIDTH, count, middle), sums[i]);
   for (std::size_t i = 0; i < blocks; ++i)
-    bodies.write(sums[i], i * GRAVITY_LANES, count, nullptr, constant);
+    bodies.write(sums[i], i * GRAVITY_WIDTH, count, nullptr, constant);
 }
 
 }  // namespace

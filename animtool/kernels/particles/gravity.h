@@ -6,19 +6,19 @@
 namespace animtool {
 
 // Targets summed at once.
-constexpr std::size_t GRAVITY_LANES = 8;
+constexpr std::size_t GRAVITY_WIDTH = 8;
 // Numbers of a distant cell: centre of mass relative to the group, mass, and second moments about
 // the centre: xx, xy, xz, yy, yz, zz.
 constexpr std::size_t GRAVITY_FAR = 10;
 
 struct GravityTargets {
-  double x[GRAVITY_LANES], y[GRAVITY_LANES], z[GRAVITY_LANES], mass[GRAVITY_LANES];
-  float from_middle[3][GRAVITY_LANES];
+  double x[GRAVITY_WIDTH], y[GRAVITY_WIDTH], z[GRAVITY_WIDTH], mass[GRAVITY_WIDTH];
+  float from_middle[3][GRAVITY_WIDTH];
 };
 // Accelerations, potentials without their sign, and the largest squared frequency of a pair.
 struct GravitySums {
-  double x[GRAVITY_LANES], y[GRAVITY_LANES], z[GRAVITY_LANES], potential[GRAVITY_LANES];
-  double rate[GRAVITY_LANES];
+  double x[GRAVITY_WIDTH], y[GRAVITY_WIDTH], z[GRAVITY_WIDTH], potential[GRAVITY_WIDTH];
+  double rate[GRAVITY_WIDTH];
 };
 struct GravityBodies {
   const double *x, *y, *z, *mass;

@@ -11,19 +11,19 @@ namespace animtool {
 // Sources between two additions of float32 sums to float64.
 constexpr std::size_t GRAVITY_BLOCK = 64;
 // Bodies at a smaller squared distance are coincident and do not interact.
-constexpr float GRAVITY_APART = 1e-37f;
+constexpr float MIN_SQUARED_DISTANCE = 1e-37f;
 
 template <class On>
 struct GravityLoops {
-  using F = Wide<float, GRAVITY_LANES, On>;
-  using D = Wide<double, GRAVITY_LANES, On>;
+  using F = Wide<float, GRAVITY_WIDTH, On>;
+  using D = Wide<double, GRAVITY_WIDTH, On>;
 
   static void add(const D& a, double* to) { (D::of(to) + a).store(to); }
   static void raise(const D& a, double* to) { most(D::of(to), a).store(to); }
   static F inverse_root(const F& a) { return 1.0f / root(a); }
   // A value if two bodies are distinct, else 0.
-  static F where_apart(const F& squared, const F& value) {
-    return kept(below(GRAVITY_APART, squared), value);
+  static F if_distinct(const F& squared, const F& value) {
+    return kept(below(MIN_SQUARED_DISTANCE, squared), value);
   }
 
   // Pair interactions, in either precision.
@@ -31,13 +31,13 @@ struct GravityLoops {
   struct Partial {
     T x = 0.0f, y = x, z = x, potential = x, rate = x;
 
-    void pull(const T (&off)[3], const T& mass, const T& own, const T& inverse) {
+    void pull(const T (&off)[3], const T& mass, const T& target_mass, const T& inverse) {
       const T cubed = inverse * inverse * inverse, pull = mass * cubed;
       x = x + pull * off[0];
       y = y + pull * off[1];
       z = z + pull * off[2];
       potential = potential + mass * inverse;
-      rate = most(rate, (mass + own) * cubed);
+      rate = most(rate, (mass + target_mass) * cubed);
     }
     void into(GravitySums& sums) const {
       add(D(x), sums.x);
@@ -50,17 +50,17 @@ struct GravityLoops {
 
   static void exact(const GravityBodies& from, GravityRun run, double softened,
                     const GravityTargets& to, GravitySums& sums) {
-    const D here[3] = {D::of(to.x), D::of(to.y), D::of(to.z)}, own = D::of(to.mass), soft = softened;
+    const D here[3] = {D::of(to.x), D::of(to.y), D::of(to.z)}, target_mass = D::of(to.mass), soft = softened;
     Partial<D> part;
     for (std::size_t j = run.begin; j < run.end; ++j) {
       const D off[3] = {D(from.x[j]) - here[0], D(from.y[j]) - here[1], D(from.z[j]) - here[2]};
       const D squared = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
       const D reach = squared + soft;
       const F first = inverse_root(F(reach));
-      const D root = D(where_apart(F(squared), first));
+      const D root = D(if_distinct(F(squared), first));
       // Halley's third-order step: from seven digits to full precision.
       const D rest = 1.0 - reach * root * root;
-      part.pull(off, from.mass[j], own, root + root * rest * (0.5 + 0.375 * rest));
+      part.pull(off, from.mass[j], target_mass, root + root * rest * (0.5 + 0.375 * rest));
     }
     part.into(sums);
   }
@@ -68,7 +68,7 @@ struct GravityLoops {
   static void near(const GravityBodies& from, GravityRun run, double softened,
                    const GravityTargets& to, GravitySums& sums) {
     const D here[3] = {D::of(to.x), D::of(to.y), D::of(to.z)};
-    const F own = F(D::of(to.mass)), soft = static_cast<float>(softened);
+    const F target_mass = F(D::of(to.mass)), soft = static_cast<float>(softened);
     for (std::size_t first = run.begin; first < run.end; first += GRAVITY_BLOCK) {
       Partial<F> part;
       for (std::size_t j = first; j < std::min(run.end, first + GRAVITY_BLOCK); ++j) {
@@ -76,8 +76,8 @@ struct GravityLoops {
                           F(D(from.z[j]) - here[2])};
         const F squared = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
         const F inverse = inverse_root(squared + soft);
-        part.pull(off, static_cast<float>(from.mass[j]), own,
-                  where_apart(squared, inverse));
+        part.pull(off, static_cast<float>(from.mass[j]), target_mass,
+                  if_distinct(squared, inverse));
       }
       part.into(sums);
     }

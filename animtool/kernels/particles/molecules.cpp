@@ -34,7 +34,7 @@ std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> mol
   check_box(box, reach);
   Out<std::int32_t, 1> order(count);
   Out<std::int64_t, 1> starts(count + 1);
-  std::vector<std::int32_t> found;
+  std::vector<std::int32_t> listed;
   const double low[3] = {0, 0, 0};
   const Neighbours grid(points.data(), nullptr, count, reach, low, box.data());
   // In grid order, neighbours are near in memory too.
@@ -47,24 +47,24 @@ std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> mol
   };
   grid.visit(points.data(), nullptr, count, HUGE_VAL, ranked);
   const std::int32_t nobody = static_cast<std::int32_t>(count);
-  std::size_t own = 0;
+  std::size_t row = 0;
   bool fits = true;
   starts.get()[0] = 0;
   grid.visit(points.data(), nullptr, count, HUGE_VAL,
              [&](std::size_t, std::size_t, const double*, const std::int32_t* hit,
                  const std::int32_t* end) {
-               const std::int32_t self = static_cast<std::int32_t>(own);
-               fits = fits && found.size() <= static_cast<std::size_t>(most);
+               const std::int32_t self = static_cast<std::int32_t>(row);
+               fits = fits && listed.size() <= static_cast<std::size_t>(most);
                for (; hit < end && fits; ++hit) {
                  const std::int32_t other = ranks[grid.index()[*hit]];
-                 if (other > self) found.push_back(other);
+                 if (other > self) listed.push_back(other);
                }
-               while (found.size() % WIDE) found.push_back(nobody);
-               starts.get()[++own] = static_cast<std::int64_t>(found.size());
+               while (listed.size() % WIDE) listed.push_back(nobody);
+               starts.get()[++row] = static_cast<std::int64_t>(listed.size());
              });
   if (!fits) check::refuse("most", "there are more pairs than " + check::text(most));
-  Out<std::int32_t, 1> partners(found.size());
-  std::copy(found.begin(), found.end(), partners.get());
+  Out<std::int32_t, 1> partners(listed.size());
+  std::copy(listed.begin(), listed.end(), partners.get());
   return {std::move(order), std::move(starts), std::move(partners)};
 }
 

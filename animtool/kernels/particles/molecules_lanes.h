@@ -63,8 +63,8 @@ struct MoleculeLoops {
         gather(system.rows, j, off);
         D squared = 0.0;
         for (std::size_t k = 0; k < 3; ++k) {
-          const D way = here[k] - off[k];
-          off[k] = way - law.box[k] * ((way * law.over[k] + round) - round);
+          const D displacement = here[k] - off[k];
+          off[k] = displacement - law.box[k] * ((displacement * law.over[k] + round) - round);
           squared = squared + off[k] * off[k];
         }
         const D within = below(squared, law.cutoff);
@@ -83,10 +83,10 @@ struct MoleculeLoops {
         D force = 6.0 * inverse * (repels + energy);
         if constexpr (switched) {
           const D far = most(squared, law.from), left = law.cutoff - far;
-          const D share = left * left * (law.cutoff + 2.0 * far - 3.0 * law.from) * law.width;
+          const D blend = left * left * (law.cutoff + 2.0 * far - 3.0 * law.from) * law.width;
           const D bend = 12.0 * left * (far - law.from) * law.width;
-          force = share * force + bend * energy;
-          energy = share * energy;
+          force = blend * force + bend * energy;
+          energy = blend * energy;
         }
         if constexpr (charged) {
           double squares[WIDE], energies[WIDE], pulls[WIDE];

@@ -11,14 +11,14 @@ bool finite(const double* point) {
   return std::isfinite(point[0]) && std::isfinite(point[1]) && std::isfinite(point[2]);
 }
 
-std::int32_t* near_one(const NearPlaces& places, const NearRun* run, const NearRun* last,
+std::int32_t* near_one(const NearPoints& points, const NearRun* run, const NearRun* last,
                        const double* at, std::int32_t* next) {
   // Each is written, and kept if near: a branch would be unpredictable.
   for (; run < last; ++run)
     for (std::size_t i = run->begin; i < run->end; ++i) {
-      const double x = places.x[i] - at[0], y = places.y[i] - at[1], z = places.z[i] - at[2];
+      const double x = points.x[i] - at[0], y = points.y[i] - at[1], z = points.z[i] - at[2];
       *next = static_cast<std::int32_t>(i);
-      next += x * x + y * y + z * z <= places.most;
+      next += x * x + y * y + z * z <= points.most;
     }
   return next;
 }
@@ -61,46 +61,46 @@ Neighbours::Neighbours(const double* points, const std::int32_t* chosen, std::si
   SortedKeys sorted(total);
   for (std::size_t i = 0; i < total; ++i) {
     sorted.keys[i] = key(at(i));
-    sorted.places[i] = static_cast<std::int32_t>(i);
+    sorted.indices[i] = static_cast<std::int32_t>(i);
   }
   sort_keys(sorted, total);
   cells_ = cells_of(sorted.keys.get(), total);
   sorted.keys.reset();
   const std::size_t stride = total + NEAR_SPARE;
-  places_ = block<double>(3 * stride);
+  grid_points_ = block<double>(3 * stride);
   for (std::size_t i = 0; i < total; ++i) {
-    const double* from = at(static_cast<std::size_t>(sorted.places[i]));
-    for (std::size_t k = 0; k < 3; ++k) places_[k * stride + i] = from[k];
+    const double* from = at(static_cast<std::size_t>(sorted.indices[i]));
+    for (std::size_t k = 0; k < 3; ++k) grid_points_[k * stride + i] = from[k];
   }
-  double* places = places_.get();
-  near_places_ = {places, places + stride, places + 2 * stride, radius_ * radius_};
-  for (std::size_t k = 0; k < 3; ++k) std::fill_n(places + k * stride + total, NEAR_SPARE, 0.0);
+  double* grid_points = grid_points_.get();
+  near_points_ = {grid_points, grid_points + stride, grid_points + 2 * stride, radius_ * radius_};
+  for (std::size_t k = 0; k < 3; ++k) std::fill_n(grid_points + k * stride + total, NEAR_SPARE, 0.0);
   std::vector<std::int32_t> index(total);
   for (std::size_t i = 0; i < total; ++i)
-    index[i] = index_[static_cast<std::size_t>(sorted.places[i])];
+    index[i] = index_[static_cast<std::size_t>(sorted.indices[i])];
   index_ = std::move(index);
 }
 
 // Wraps points into the periods; points near an end are repeated beyond the other, axis by axis,
 // with an index for each image.
 std::vector<double> Neighbours::images(const double* points) {
-  std::vector<double> places(3 * index_.size());
+  std::vector<double> positions(3 * index_.size());
   for (std::size_t i = 0; i < index_.size(); ++i)
-    wrapped(points + 3 * static_cast<std::size_t>(index_[i]), &places[3 * i]);
+    wrapped(points + 3 * static_cast<std::size_t>(index_[i]), &positions[3 * i]);
   for (std::size_t k = 0; k < 3; ++k) {
     if (!(period_[k] > 0)) continue;
-    for (std::size_t i = 0, own = index_.size(); i < own; ++i)
-      for (const double way : {1.0, -1.0}) {
-        const double from = places[3 * i + k] - low_[k];
-        if ((way > 0 ? from : period_[k] - from) > radius_) continue;
+    for (std::size_t i = 0, count = index_.size(); i < count; ++i)
+      for (const double side : {1.0, -1.0}) {
+        const double from = positions[3 * i + k] - low_[k];
+        if ((side > 0 ? from : period_[k] - from) > radius_) continue;
         double image[3];
-        std::copy_n(&places[3 * i], 3, image);
-        image[k] += way * period_[k];
-        places.insert(places.end(), image, image + 3);
+        std::copy_n(&positions[3 * i], 3, image);
+        image[k] += side * period_[k];
+        positions.insert(positions.end(), image, image + 3);
         index_.push_back(index_[i]);
       }
   }
-  return places;
+  return positions;
 }
 
 void Neighbours::wrapped(const double* point, double* out) const {
@@ -136,7 +136,7 @@ SortedKeys Neighbours::seekers(const double* points, const std::int32_t* chosen,
     wrapped(points + 3 * (chosen ? static_cast<std::size_t>(chosen[i]) : i), at);
     if (!inside(at)) continue;
     sorted.keys[sorted.count] = key(at);
-    sorted.places[sorted.count++] = static_cast<std::int32_t>(i);
+    sorted.indices[sorted.count++] = static_cast<std::int32_t>(i);
   }
   sort_keys(sorted, sorted.count);
   return sorted;

@@ -17,7 +17,7 @@ namespace animtool {
 
 // Grid positions, in the layout of loops built for several processors: up to NEAR_SPARE are read
 // past the end, and written past the last match.
-struct NearPlaces {
+struct NearPoints {
   const double *x, *y, *z;
   double most;  // squared radius
 };
@@ -26,7 +26,7 @@ struct NearRun {
 };
 constexpr std::size_t NEAR_SPARE = 4;
 // Appends the grid indices of runs within the radius of a point.
-using NearFunction = std::int32_t* (*)(const NearPlaces& places, const NearRun* run,
+using NearFunction = std::int32_t* (*)(const NearPoints& points, const NearRun* run,
                                        const NearRun* last, const double* at,
                                        std::int32_t* next);
 NearFunction near_in_quads();  // null where the processor has no such registers
@@ -40,9 +40,9 @@ class Neighbours {
 
   // Number of grid positions, in grid order.
   std::size_t size() const { return index_.size(); }
-  const double* x() const { return near_places_.x; }
-  const double* y() const { return near_places_.y; }
-  const double* z() const { return near_places_.z; }
+  const double* x() const { return near_points_.x; }
+  const double* y() const { return near_points_.y; }
+  const double* z() const { return near_points_.z; }
   const std::int32_t* index() const { return index_.data(); }  // of `points`
 
   // Visits some points, null for all: the number among them, the index in `points`, the wrapped
@@ -54,7 +54,7 @@ class Neighbours {
 
   // The same for each grid position; with `once`, only with later ones.
   template <bool once, class Function>
-  double visit_places(double most, Function function) const;
+  double visit_all(double most, Function function) const;
 
  private:
   struct Cell {
@@ -72,7 +72,7 @@ class Neighbours {
 
   // Rows of adjacent cells: each row is one run. The middle one contains the cell itself; of later
   // ones in grid order, the first.
-  static constexpr std::size_t RUNS = 9, OWN = 4;
+  static constexpr std::size_t RUNS = 9, CENTRE = 4;
   // Empty cells on each side, so that neighbours of any query cell have keys.
   static constexpr double PAD = 2;
   // Wider than the radius by the rounding of cell numbers.
@@ -84,8 +84,8 @@ class Neighbours {
   double last_[3] = {0, 0, 0};  // cells of each axis, less one
   std::uint64_t row_ = 0, layer_ = 0;
   std::vector<Cell> cells_;  // non-empty cells, and a sentinel
-  Block<double> places_;  // positions along x, then y, then z
-  NearPlaces near_places_{};
+  Block<double> grid_points_;  // positions along x, then y, then z
+  NearPoints near_points_{};
   NearFunction near_;
   std::vector<std::int32_t> index_;
 };
@@ -122,13 +122,13 @@ double Neighbours::visit(const double* points, const std::int32_t* chosen, std::
               looked += static_cast<double>(last - first) * static_cast<double>(room);
               if (hits.size() < room + NEAR_SPARE) hits.resize(2 * room + NEAR_SPARE);
               for (std::size_t i = first; i < last && looked <= most; ++i) {
-                const std::size_t number = static_cast<std::size_t>(sorted.places[i]);
+                const std::size_t number = static_cast<std::size_t>(sorted.indices[i]);
                 const std::size_t which =
                     chosen ? static_cast<std::size_t>(chosen[number]) : number;
                 double at[3];
                 wrapped(points + 3 * which, at);
                 function(number, which, at, hits.data(),
-                         near_(near_places_, runs, runs + RUNS, at, hits.data()));
+                         near_(near_points_, runs, runs + RUNS, at, hits.data()));
               }
               return looked <= most;
             });
@@ -136,7 +136,7 @@ double Neighbours::visit(const double* points, const std::int32_t* chosen, std::
 }
 
 template <bool once, class Function>
-double Neighbours::visit_places(double most, Function function) const {
+double Neighbours::visit_all(double most, Function function) const {
   std::vector<std::int32_t> hits;
   double looked = 0;
   each_cell(cells_,
@@ -147,9 +147,9 @@ double Neighbours::visit_places(double most, Function function) const {
                 const double at[3] = {x()[i], y()[i], z()[i]};
                 NearRun behind[RUNS];
                 std::copy(runs, runs + RUNS, behind);
-                if (once) behind[OWN].begin = i + 1;
+                if (once) behind[CENTRE].begin = i + 1;
                 function(i, at, hits.data(),
-                         near_(near_places_, behind + (once ? OWN : 0), behind + RUNS, at,
+                         near_(near_points_, behind + (once ? CENTRE : 0), behind + RUNS, at,
                                hits.data()));
               }
               return looked <= most;

@@ -31,7 +31,7 @@ inline Fade fade(double x) {
 
 // Adds the curl of one time slice of the lattice.
 void add_swirls(const std::int64_t* cell, const double* inside, const Fade* fades,
-                std::int64_t slice, std::uint64_t seed, double share, double* out) {
+                std::int64_t slice, std::uint64_t seed, double amount, double* out) {
   for (int corner = 0; corner < 8; ++corner) {
     double off[3], weight[3], lean[3];
     std::uint64_t key = seed;
@@ -43,7 +43,7 @@ void add_swirls(const std::int64_t* cell, const double* inside, const Fade* fade
       key = mixed(key ^ static_cast<std::uint64_t>(cell[i] + picked));
     }
     key = mixed(key ^ static_cast<std::uint64_t>(slice));
-    const double whole = weight[0] * weight[1] * weight[2];
+    const double product = weight[0] * weight[1] * weight[2];
     const double slope[3] = {lean[0] * weight[1] * weight[2], weight[0] * lean[1] * weight[2],
                              weight[0] * weight[1] * lean[2]};
     double tilt[3][3];
@@ -51,11 +51,11 @@ void add_swirls(const std::int64_t* cell, const double* inside, const Fade* fade
       const std::uint64_t bits = mixed(key + field);
       const double g[3] = {part(bits), part(bits >> 21), part(bits >> 42)};
       const double ramp = g[0] * off[0] + g[1] * off[1] + g[2] * off[2];
-      for (int axis = 0; axis < 3; ++axis) tilt[field][axis] = whole * g[axis] + slope[axis] * ramp;
+      for (int axis = 0; axis < 3; ++axis) tilt[field][axis] = product * g[axis] + slope[axis] * ramp;
     }
-    out[0] += share * (tilt[2][1] - tilt[1][2]);
-    out[1] += share * (tilt[0][2] - tilt[2][0]);
-    out[2] += share * (tilt[1][0] - tilt[0][1]);
+    out[0] += amount * (tilt[2][1] - tilt[1][2]);
+    out[1] += amount * (tilt[0][2] - tilt[2][0]);
+    out[2] += amount * (tilt[1][0] - tilt[0][1]);
   }
 }
 
@@ -79,13 +79,13 @@ Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64
     }
     const double when = times.data()[n], now = std::floor(when);
     const std::int64_t slice = std::fabs(now) < 1e15 ? static_cast<std::int64_t>(now) : 0;
-    const double share = fade(when - now).weight;
+    const double fraction = fade(when - now).weight;
     // The mean of two different fields would be weaker than either.
-    const double size = std::sqrt(share * share + (1 - share) * (1 - share));
+    const double size = std::sqrt(fraction * fraction + (1 - fraction) * (1 - fraction));
     double* out = result.get() + 3 * n;
     out[0] = out[1] = out[2] = 0;
-    add_swirls(cell, inside, fades, slice, seed, (1 - share) / size, out);
-    if (share > 0) add_swirls(cell, inside, fades, slice + 1, seed, share / size, out);
+    add_swirls(cell, inside, fades, slice, seed, (1 - fraction) / size, out);
+    if (fraction > 0) add_swirls(cell, inside, fades, slice + 1, seed, fraction / size, out);
   }
   return result;
 }

@@ -12,14 +12,14 @@ namespace {
 
 using collide::load;
 using collide::store;
-using rigid::Turn;
+using rigid::Quaternion;
 using rigid::Vec;
 
 constexpr std::size_t STATE = 14, JOINT = 27, CONTACT = 6, POSE = 7;
 
-Turn turn(const double* p) { return unit(Turn{p[0], p[1], p[2], p[3]}); }
+Quaternion rotation(const double* p) { return unit(Quaternion{p[0], p[1], p[2], p[3]}); }
 
-void check_turn(const char* name, const double* p) {
+void check_rotation(const char* name, const double* p) {
   if (!(p[0] * p[0] + p[1] * p[1] + p[2] * p[2] + p[3] * p[3] > 1e-20))
     check::refuse(name, "a rotation has no direction");
 }
@@ -42,7 +42,7 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
                          In<std::int64_t, 1> point_starts, In<std::int64_t, 1> face_starts,
                          In<std::int64_t, 1> corner_starts, In<std::int64_t, 1> corners,
                          In<std::int64_t, 2> joints, In<double, 2> joint_numbers,
-                         In<std::int64_t, 2> apart) {
+                         In<std::int64_t, 2> excluded) {
   const std::size_t count = inertias.shape(0), shapes = bodies.shape(0);
   check::numbers("inertias", inertias, {check::ANY, 4});
   check::at_most("inertias", count, check::MOST_ROWS);
@@ -93,16 +93,16 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
     body.reach = std::max(body.reach, shape.core.reach);
   }
   read_joints(joints, joint_numbers);
-  check::shape("apart", apart, {check::ANY, 2});
-  check::at_most("apart", apart.shape(0), check::MOST_ROWS);
-  for (std::size_t k = 0; k < apart.shape(0); ++k) {
-    check::between("apart", apart.data()[2 * k], 0, static_cast<std::int64_t>(count) - 1);
-    check::between("apart", apart.data()[2 * k + 1], 0,
+  check::shape("apart", excluded, {check::ANY, 2});
+  check::at_most("apart", excluded.shape(0), check::MOST_ROWS);
+  for (std::size_t k = 0; k < excluded.shape(0); ++k) {
+    check::between("apart", excluded.data()[2 * k], 0, static_cast<std::int64_t>(count) - 1);
+    check::between("apart", excluded.data()[2 * k + 1], 0,
                    static_cast<std::int64_t>(count + check::MOST_ROWS));
   }
-  for (std::size_t k = 0; k < apart.shape(0); ++k)
-    keep_apart(apart.data()[2 * k], apart.data()[2 * k + 1]);
-  std::sort(world_.apart.begin(), world_.apart.end());
+  for (std::size_t k = 0; k < excluded.shape(0); ++k)
+    exclude(excluded.data()[2 * k], excluded.data()[2 * k + 1]);
+  std::sort(world_.excluded.begin(), world_.excluded.end());
 }
 
 void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double, 2>& numbers) {
@@ -117,13 +117,13 @@ void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double
     check::between("joints", in[1], -1, bodies - 1);
     check::between("joints", in[2], 0, bodies - 1);
     if (in[1] == in[2]) check::refuse("joints", "a body is joined to itself");
-    for (const int at : {3, 10, 19}) check_turn("joint_numbers", n + at);
+    for (const int at : {3, 10, 19}) check_rotation("joint_numbers", n + at);
     rigid::Joint joint;
     joint.kind = static_cast<rigid::Joined>(in[0]);
     joint.a = in[1], joint.b = static_cast<std::size_t>(in[2]);
-    joint.on_a = {load(n), turn(n + 3)}, joint.on_b = {load(n + 7), turn(n + 10)};
+    joint.on_a = {load(n), rotation(n + 3)}, joint.on_b = {load(n + 7), rotation(n + 10)};
     joint.low = n[14], joint.high = n[15], joint.swing[0] = n[16], joint.swing[1] = n[17];
-    joint.target = n[18], joint.goal = turn(n + 19);
+    joint.target = n[18], joint.goal = rotation(n + 19);
     check::not_negative("joint_numbers", n[23]);
     check::not_negative("joint_numbers", n[24]);
     joint.stiffness = n[23], joint.damping = n[24], joint.most = n[25];
@@ -132,13 +132,13 @@ void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double
   }
 }
 
-void RigidBodies::keep_apart(std::int64_t one, std::int64_t other) {
+void RigidBodies::exclude(std::int64_t one, std::int64_t other) {
   const auto a = static_cast<std::uint64_t>(one), b = static_cast<std::uint64_t>(other);
-  world_.apart.push_back(std::min(a, b) << 32 | std::max(a, b));
+  world_.excluded.push_back(std::min(a, b) << 32 | std::max(a, b));
 }
 
 RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::int64_t, 2> pairs,
-                        In<double, 2> contacts, In<double, 2> held, In<double, 2> forces,
+                        In<double, 2> contacts, In<double, 2> kept_impulses, In<double, 2> forces,
                         ColliderArrays colliders, In<double, 3> anchors, double step,
                         std::int64_t method, std::int64_t substeps, std::int64_t rounds,
                         double tolerance, double drowsy, double rest) {
@@ -148,7 +148,7 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
   check::numbers("state", state, {count, STATE});
   check::shape("pairs", pairs, {check::ANY, 2});
   check::numbers("contacts", contacts, {kept_count, CONTACT});
-  check::numbers("held", held, {joints, rigid::ROWS});
+  check::numbers("held", kept_impulses, {joints, rigid::ROWS});
   check::numbers("forces", forces, {count, 6});
   check::numbers("anchors", anchors, {joints, 2, POSE});
   check::positive("step", step);
@@ -163,8 +163,8 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
   std::vector<rigid::State> states(count);
   for (std::size_t i = 0; i < count; ++i) {
     const double* in = state.data() + STATE * i;
-    check_turn("state", in + 3);
-    states[i] = {load(in), load(in + 7), load(in + 10), turn(in + 3), in[13]};
+    check_rotation("state", in + 3);
+    states[i] = {load(in), load(in + 7), load(in + 10), rotation(in + 3), in[13]};
   }
   std::vector<rigid::Kept> kept(kept_count);
   for (std::size_t i = 0; i < kept_count; ++i) {
@@ -180,9 +180,9 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
   std::vector<std::array<double, rigid::ROWS>> impulses(joints);
   std::vector<collide::Motion> frames(joints);
   for (std::size_t k = 0; k < joints; ++k) {
-    std::copy_n(held.data() + rigid::ROWS * k, rigid::ROWS, impulses[k].begin());
+    std::copy_n(kept_impulses.data() + rigid::ROWS * k, rigid::ROWS, impulses[k].begin());
     const double* pose = anchors.data() + 2 * POSE * k;
-    check_turn("anchors", pose + 3), check_turn("anchors", pose + POSE + 3);
+    check_rotation("anchors", pose + 3), check_rotation("anchors", pose + POSE + 3);
     frames[k] = collide::Motion(pose, pose + POSE);
   }
   rigid::Report report;
@@ -200,7 +200,7 @@ RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::
     double* to = moved.get() + STATE * i;
     const rigid::State& s = states[i];
     store(s.at, to), store(s.velocity, to + 7), store(s.momentum, to + 10);
-    to[3] = s.turn.x, to[4] = s.turn.y, to[5] = s.turn.z, to[6] = s.turn.w, to[13] = s.idle;
+    to[3] = s.rotation.x, to[4] = s.rotation.y, to[5] = s.rotation.z, to[6] = s.rotation.w, to[13] = s.idle;
   }
   for (std::size_t i = 0; i < kept.size(); ++i) {
     touched.get()[2 * i] = kept[i].first, touched.get()[2 * i + 1] = kept[i].second;

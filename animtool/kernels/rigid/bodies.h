@@ -13,14 +13,14 @@ class RigidBodies {
               In<double, 2> points, In<std::int64_t, 1> point_starts,
               In<std::int64_t, 1> face_starts, In<std::int64_t, 1> corner_starts,
               In<std::int64_t, 1> corners, In<std::int64_t, 2> joints,
-              In<double, 2> joint_numbers, In<std::int64_t, 2> apart);
+              In<double, 2> joint_numbers, In<std::int64_t, 2> excluded);
 
   const rigid::World& world() const { return world_; }
 
  private:
   void read_joints(const In<std::int64_t, 2>& joints, const In<double, 2>& numbers);
 
-  void keep_apart(std::int64_t one, std::int64_t other);
+  void exclude(std::int64_t one, std::int64_t other);
 
   rigid::World world_;
 };
@@ -31,7 +31,7 @@ using RigidStepped =
                std::int64_t, double, std::int64_t>;
 
 RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::int64_t, 2> pairs,
-                        In<double, 2> contacts, In<double, 2> held, In<double, 2> forces,
+                        In<double, 2> contacts, In<double, 2> kept_impulses, In<double, 2> forces,
                         ColliderArrays colliders, In<double, 3> anchors, double step,
                         std::int64_t method, std::int64_t substeps, std::int64_t rounds,
                         double tolerance, double drowsy, double rest);

@@ -36,8 +36,8 @@ std::pair<Vec, Vec> nearest(const Segment& p, const Segment& q) {
   const double a = dot(d, d), b = dot(e, e), f = dot(e, r);
   double s = 0, t = 0;
   if (a > 0 && b > 0) {
-    const double c = dot(d, r), m = dot(d, e), whole = a * b - m * m;
-    s = whole > PARALLEL * a * b ? std::clamp((m * f - c * b) / whole, 0.0, 1.0) : 0.0;
+    const double c = dot(d, r), m = dot(d, e), determinant = a * b - m * m;
+    s = determinant > PARALLEL * a * b ? std::clamp((m * f - c * b) / determinant, 0.0, 1.0) : 0.0;
     t = (m * s + f) / b;
     if (t < 0 || t > 1) {
       t = std::clamp(t, 0.0, 1.0);
@@ -72,8 +72,8 @@ Vec nearest_on_face(const Placed& p, std::size_t face, Vec at) {
     const Vec a = corner(p, face, k), b = corner(p, face, (k + 1) % count), side = b - a;
     if (dot(cross(side, at - a), n) >= 0) continue;
     within = false;
-    const double share = std::clamp(dot(at - a, side) / dot(side, side), 0.0, 1.0);
-    const Vec on = a + side * share;
+    const double fraction = std::clamp(dot(at - a, side) / dot(side, side), 0.0, 1.0);
+    const Vec on = a + side * fraction;
     const double squared = dot(at - on, at - on);
     if (squared < least) least = squared, best = on;
   }
@@ -100,13 +100,13 @@ void clip(const Placed& ref, std::size_t face, std::vector<Vec>& loop, std::vect
 
 // Contact points of a reference face with the clipped face. The normal is the reference's.
 void face_points(const Placed& ref, std::size_t face, const std::vector<Vec>& loop, double skin,
-                 double ref_radius, double reach, std::vector<Touching>& found) {
+                 double ref_radius, double reach, std::vector<Touching>& contact_points) {
   const Vec n = ref.normals[face];
   const double offset = ref.offset(face);
   for (Vec p : loop) {
     const double height = dot(n, p) - offset, gap = height - skin;
     if (gap > reach) continue;
-    found.push_back({p - n * (height - ref_radius - gap / 2), gap});
+    contact_points.push_back({p - n * (height - ref_radius - gap / 2), gap});
   }
 }
 
@@ -122,7 +122,7 @@ int facing(const Placed& p, Vec n) {
 
 struct Scratch {
   std::vector<Vec> loop, spare;
-  std::vector<Touching> found;
+  std::vector<Touching> contact_points;
 };
 
 Scratch& scratch() {
@@ -132,7 +132,7 @@ Scratch& scratch() {
 
 Manifold of_face(const Placed& ref, const Placed& other, int face, bool turned, double reach) {
   Scratch& room = scratch();
-  room.loop.clear(), room.found.clear();
+  room.loop.clear(), room.contact_points.clear();
   const Vec n = ref.normals[static_cast<std::size_t>(face)];
   const Core& core = *other.core;
   if (core.faces()) {
@@ -144,20 +144,20 @@ Manifold of_face(const Placed& ref, const Placed& other, int face, bool turned, 
   clip(ref, static_cast<std::size_t>(face), room.loop, room.spare);
   const double skin = ref.core->radius + core.radius;
   face_points(ref, static_cast<std::size_t>(face), room.loop, skin, ref.core->radius, reach,
-              room.found);
-  Manifold made;
-  made.normal = turned ? -n : n;
-  keep_four(room.found, n, made);
-  return made;
+              room.contact_points);
+  Manifold manifold;
+  manifold.normal = turned ? -n : n;
+  keep_four(room.contact_points, n, manifold);
+  return manifold;
 }
 
 Manifold of_points(Vec a, Vec b, Vec normal, double radius_a, double radius_b) {
-  Manifold made;
-  made.normal = normal;
+  Manifold manifold;
+  manifold.normal = normal;
   const double gap = dot(b - a, normal) - radius_a - radius_b;
-  made.points[0] = {a + normal * (radius_a + gap / 2), gap};
-  made.count = 1;
-  return made;
+  manifold.points[0] = {a + normal * (radius_a + gap / 2), gap};
+  manifold.count = 1;
+  return manifold;
 }
 
 // Two without faces: spheres and capsules.
@@ -171,30 +171,30 @@ Manifold meet_round(const Placed& a, const Placed& b, double reach) {
   const Vec d = p.to - p.from, e = q.to - q.from;
   const Vec crossed = cross(d, e);
   const double sized = dot(d, d) * dot(e, e);
-  Vec aside = direction(crossed, {0, 1, 0});
+  Vec sideways = direction(crossed, {0, 1, 0});
   if (!(dot(crossed, crossed) > PARALLEL * sized) && dot(d, d) > 0)
-    aside = collide::across(direction(d, {1, 0, 0}));
-  const Vec normal = length(off) > 0 ? off * (1 / length(off)) : aside;
+    sideways = collide::across(direction(d, {1, 0, 0}));
+  const Vec normal = length(off) > 0 ? off * (1 / length(off)) : sideways;
   const double ra = a.core->radius, rb = b.core->radius;
-  Manifold made = of_points(on_a, on_b, normal, ra, rb);
-  if (made.points[0].gap > reach) made.count = 0;
+  Manifold manifold = of_points(on_a, on_b, normal, ra, rb);
+  if (manifold.points[0].gap > reach) manifold.count = 0;
   // Two parallel ones touch along a line.
-  if (!made.count || !(sized > 0) || dot(crossed, crossed) > LIES * LIES * sized) return made;
+  if (!manifold.count || !(sized > 0) || dot(crossed, crossed) > LIES * LIES * sized) return manifold;
   const double size = dot(d, d);
   double low = dot(q.from - p.from, d) / size, high = dot(q.to - p.from, d) / size;
   if (low > high) std::swap(low, high);
   low = std::max(low, 0.0), high = std::min(high, 1.0);
-  if (!(low < high)) return made;
+  if (!(low < high)) return manifold;
   Scratch& room = scratch();
-  room.found.clear();
+  room.contact_points.clear();
   for (const double s : {low, high}) {
     const Vec at = p.from + d * s;
     const double t = std::clamp(dot(at - q.from, e) / dot(e, e), 0.0, 1.0);
     const double gap = dot(q.from + e * t - at, normal) - ra - rb;
-    if (gap <= reach) room.found.push_back({at + normal * (ra + gap / 2), gap});
+    if (gap <= reach) room.contact_points.push_back({at + normal * (ra + gap / 2), gap});
   }
-  keep_four(room.found, normal, made);
-  return made;
+  keep_four(room.contact_points, normal, manifold);
+  return manifold;
 }
 
 // The nearest points of a core with faces and a round one, if they do not overlap.
@@ -222,7 +222,7 @@ std::pair<Vec, Vec> nearest_of(const Placed& solid, const Placed& round) {
 
 Manifold meet_solid(const Placed& solid, const Placed& round, double reach) {
   const double skin = solid.core->radius + round.core->radius;
-  const Axis axis = parting_axis(solid, round, reach + skin);
+  const Axis axis = separating_axis(solid, round, reach + skin);
   if (axis.gap > reach + skin) return {};
   Vec normal = axis.normal;
   Vec on, off;
@@ -237,8 +237,8 @@ Manifold meet_solid(const Placed& solid, const Placed& round, double reach) {
     const Vec d = round.points[1] - round.points[0];
     const double tilt = dot(d, solid.normals[face]);
     if (tilt * tilt <= LIES * dot(d, d)) {
-      const Manifold made = of_face(solid, round, face, false, reach);
-      if (made.count > 1) return made;
+      const Manifold manifold = of_face(solid, round, face, false, reach);
+      if (manifold.count > 1) return manifold;
     }
   }
   if (axis.gap > 0) return of_points(on, off, normal, solid.core->radius, round.core->radius);
@@ -254,9 +254,9 @@ Manifold meet_solid(const Placed& solid, const Placed& round, double reach) {
   return of_points(below, deepest, normal, solid.core->radius, round.core->radius);
 }
 
-Manifold turned(Manifold made) {
-  made.normal = -made.normal;
-  return made;
+Manifold turned(Manifold manifold) {
+  manifold.normal = -manifold.normal;
+  return manifold;
 }
 
 // Whether two edges form a face of the Minkowski difference.
@@ -283,13 +283,13 @@ void look_at_faces(const Placed& a, const Placed& b, bool first, double slack, d
 // The separating axis of two boxes, of 15 candidates, from their half extents.
 Axis parting_boxes(const Placed& a, const Placed& b, double reach, double slack) {
   const Vec off = b.centre - a.centre;
-  Vec own[3], far[3];
-  double half[3], other[3], turn[3][3], size[3][3], at[3], seen[3];
+  Vec axes_a[3], far[3];
+  double half[3], other[3], cosines[3][3], size[3][3], at[3], along_b[3];
   for (int i = 0; i < 3; ++i) {
     const auto face = static_cast<std::size_t>(2 * i);
-    own[i] = a.normals[face], far[i] = b.normals[face];
+    axes_a[i] = a.normals[face], far[i] = b.normals[face];
     half[i] = a.core->half[i], other[i] = b.core->half[i];
-    at[i] = dot(off, own[i]), seen[i] = dot(off, far[i]);
+    at[i] = dot(off, axes_a[i]), along_b[i] = dot(off, far[i]);
   }
   Axis best;
   const auto try_face = [&](double gap, double along, Vec n, bool first, int i) {
@@ -302,32 +302,32 @@ Axis parting_boxes(const Placed& a, const Placed& b, double reach, double slack)
   for (int i = 0; i < 3; ++i) {
     double wide = half[i];
     for (int j = 0; j < 3; ++j) {
-      turn[i][j] = dot(own[i], far[j]);
-      size[i][j] = std::fabs(turn[i][j]);
+      cosines[i][j] = dot(axes_a[i], far[j]);
+      size[i][j] = std::fabs(cosines[i][j]);
       wide += other[j] * size[i][j];
     }
-    try_face(std::fabs(at[i]) - wide, at[i], own[i], true, i);
+    try_face(std::fabs(at[i]) - wide, at[i], axes_a[i], true, i);
     if (best.gap > reach) return best;
   }
   for (int j = 0; j < 3; ++j) {
     const double wide = other[j] + half[0] * size[0][j] + half[1] * size[1][j] + half[2] * size[2][j];
-    try_face(std::fabs(seen[j]) - wide, seen[j], far[j], false, j);
+    try_face(std::fabs(along_b[j]) - wide, along_b[j], far[j], false, j);
     if (best.gap > reach) return best;
   }
   int edge_i = -1, edge_j = -1;
   for (int i = 0; i < 3; ++i) {
     const int i1 = (i + 1) % 3, i2 = (i + 2) % 3;
     for (int j = 0; j < 3; ++j) {
-      const double squared = 1 - turn[i][j] * turn[i][j];
+      const double squared = 1 - cosines[i][j] * cosines[i][j];
       if (squared <= PARALLEL) continue;
       const int j1 = (j + 1) % 3, j2 = (j + 2) % 3;
       const double wide = half[i1] * size[i2][j] + half[i2] * size[i1][j] +
                           other[j1] * size[i][j2] + other[j2] * size[i][j1];
-      const double along = at[i2] * turn[i1][j] - at[i1] * turn[i2][j];
+      const double along = at[i2] * cosines[i1][j] - at[i1] * cosines[i2][j];
       const double gap = (std::fabs(along) - wide) / std::sqrt(squared);
       if (gap <= best.gap + slack + PREFER_DEEP * std::max(-best.gap, 0.0)) continue;
       best.gap = gap, best.kind = Axis::EDGES, edge_i = i, edge_j = j;
-      const Vec n = direction(cross(own[i], far[j]), {0, 1, 0});
+      const Vec n = direction(cross(axes_a[i], far[j]), {0, 1, 0});
       best.normal = dot(n, off) < 0 ? -n : n;
       if (gap > reach) return best;
     }
@@ -335,10 +335,10 @@ Axis parting_boxes(const Placed& a, const Placed& b, double reach, double slack)
   if (best.kind != Axis::EDGES) return best;
   Vec p = a.centre, q = b.centre;
   for (int k = 0; k < 3; ++k) {
-    if (k != edge_i) p = p + own[k] * std::copysign(half[k], dot(own[k], best.normal));
+    if (k != edge_i) p = p + axes_a[k] * std::copysign(half[k], dot(axes_a[k], best.normal));
     if (k != edge_j) q = q - far[k] * std::copysign(other[k], dot(far[k], best.normal));
   }
-  const Vec u = own[edge_i] * half[edge_i], v = far[edge_j] * other[edge_j];
+  const Vec u = axes_a[edge_i] * half[edge_i], v = far[edge_j] * other[edge_j];
   best.edge_a[0] = p - u, best.edge_a[1] = p + u;
   best.edge_b[0] = q - v, best.edge_b[1] = q + v;
   return best;
@@ -391,7 +391,7 @@ void Core::find_box() {
   box = true;
 }
 
-Axis parting_axis(const Placed& a, const Placed& b, double reach) {
+Axis separating_axis(const Placed& a, const Placed& b, double reach) {
   const double size = std::min(a.core->reach, b.core->reach);
   const double slack = PREFER * size;
   if (a.core->box && b.core->box) return parting_boxes(a, b, reach, slack);
@@ -400,12 +400,12 @@ Axis parting_axis(const Placed& a, const Placed& b, double reach) {
   if (best.gap > reach) return best;
   look_at_faces(b, a, false, best.kind == Axis::NONE ? 0 : slack, reach, best);
   if (best.gap > reach) return best;
-  const bool whole = a.core->faces() > 2 && b.core->faces() > 2;
+  const bool solid = a.core->faces() > 2 && b.core->faces() > 2;
   const auto try_edges = [&](Vec normal, double gap, Vec a0, Vec a1, Vec b0, Vec b1) {
     if (gap > best.gap + slack + PREFER_DEEP * std::max(-best.gap, 0.0))
       best = {gap, normal, Axis::EDGES, -1, -1, {a0, a1}, {b0, b1}};
   };
-  if (whole) {
+  if (solid) {
     for (std::size_t i = 0; i < a.core->edges.size(); ++i) {
       const Edge& e = a.core->edges[i];
       const Vec na = a.normals[e.left], nb = a.normals[e.right], u = along(a, e);
@@ -453,7 +453,7 @@ Manifold meet(const Placed& a, const Placed& b, double reach) {
                                                : meet_round(a, b, reach);
   if (!b.core->faces()) return meet_solid(a, b, reach);
   const double skin = a.core->radius + b.core->radius;
-  const Axis axis = parting_axis(a, b, reach + skin);
+  const Axis axis = separating_axis(a, b, reach + skin);
   if (axis.gap > reach + skin) return {};
   if (axis.kind == Axis::FIRST) return of_face(a, b, axis.first, false, reach);
   if (axis.kind == Axis::SECOND) return of_face(b, a, axis.second, true, reach);
@@ -474,10 +474,10 @@ void keep_four(std::vector<Touching>& points, Vec normal, Manifold& into) {
       const double s = score(points[i]);
       if (s > most) most = s, best = i;
     }
-    const Touching found = points[best];
+    const Touching point = points[best];
     points.erase(points.begin() + static_cast<std::ptrdiff_t>(best));
-    into.points[static_cast<std::size_t>(into.count++)] = found;
-    return found.at;
+    into.points[static_cast<std::size_t>(into.count++)] = point;
+    return point.at;
   };
   const Vec a = take([](const Touching& p) { return -p.gap; });
   const Vec b = take([&](const Touching& p) { return dot(p.at - a, p.at - a); });

@@ -61,7 +61,7 @@ struct Placed {
 // A core placed by a pose, with its buffers.
 class Placing {
  public:
-  void place(const Core& core, const Pose& pose) {
+  void set(const Core& core, const Pose& pose) {
     const std::size_t points = core.points.size(), faces = core.faces();
     room_.resize(points + faces);
     for (std::size_t i = 0; i < points; ++i) room_[i] = pose.to_world(core.points[i]);
@@ -100,7 +100,7 @@ struct Axis {
   Vec edge_a[2], edge_b[2];                  // ends of edges
 };
 
-Axis parting_axis(const Placed& a, const Placed& b, double reach);
+Axis separating_axis(const Placed& a, const Placed& b, double reach);
 
 // The contact of two within a distance; no points beyond it.
 Manifold meet(const Placed& a, const Placed& b, double reach);

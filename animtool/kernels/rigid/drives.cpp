@@ -18,10 +18,10 @@ constexpr double DECAYED = 20;
 constexpr std::size_t TOGETHER = 96, NEAR = 48;
 // Relative mass below which an equation is redundant; fully constrained bodies are this much
 // heavier.
-constexpr double IMPLIED = 1e-9, HELD = 1e6;
+constexpr double IMPLIED = 1e-9, FIXED_MASS = 1e6;
 // Equations with less independent mass than the first converge slowly by iteration; below the
 // second, a drive does not feel the mass behind it.
-constexpr double APART = 0.02, KNOWN = 1e-3;
+constexpr double INDEPENDENT = 0.02, KNOWN = 1e-3;
 
 // Response of x'' = pull - stiffness x - damping x' after time 1, from rest at 0 or with a speed.
 struct Response {
@@ -33,7 +33,7 @@ struct Response {
 };
 
 Response response_of(double stiffness, double damping) {
-  Response found{};
+  Response response{};
   if (stiffness + damping <= 1) {
     // A power series, which keeps small differences exact.
     double before = 0, term = 0.5, rest = 0, lag = 0, by_speed = 1, decay = 1;
@@ -43,27 +43,27 @@ Response response_of(double stiffness, double damping) {
       rest += 2 * next, lag -= (n - 1) * next;
       before = term, term = next;
     }
-    found = {1 + rest, by_speed, decay, -rest / (1 + rest), lag / (1 + rest)};
-    return found;
+    response = {1 + rest, by_speed, decay, -rest / (1 + rest), lag / (1 + rest)};
+    return response;
   }
   const double z = damping / 2, square = stiffness - z * z;
   if (square < -0.09) {
     const double r = std::sqrt(-square), fast = z + r, slow = stiffness / fast;
     const double far = std::exp(-slow), near = std::exp(-fast);
     const double mean = slow > 1e-8 ? -std::expm1(-slow) / slow : 1 - slow / 2;
-    found.by_pull = (mean + std::expm1(-fast) / fast) / r;
-    found.by_speed = (far - near) / (2 * r);
-    found.decay = (fast * near - slow * far) / (2 * r);
+    response.by_pull = (mean + std::expm1(-fast) / fast) / r;
+    response.by_speed = (far - near) / (2 * r);
+    response.decay = (fast * near - slow * far) / (2 * r);
   } else {
     const double e = std::exp(-z), r = std::sqrt(std::fabs(square));
     const bool swings = square > 0;
     const double sine = r < 1e-4 ? 1 - square / 6 : (swings ? std::sin(r) : std::sinh(r)) / r;
-    found.by_speed = e * sine;
-    found.decay = e * (swings ? std::cos(r) : std::cosh(r)) - z * found.by_speed;
-    found.by_pull = 2 * (1 - found.decay - damping * found.by_speed) / stiffness;
+    response.by_speed = e * sine;
+    response.decay = e * (swings ? std::cos(r) : std::cosh(r)) - z * response.by_speed;
+    response.by_pull = 2 * (1 - response.decay - damping * response.by_speed) / stiffness;
   }
-  found.extra = 1 / found.by_pull - 1, found.lag = 1 - found.by_speed / found.by_pull;
-  return found;
+  response.extra = 1 / response.by_pull - 1, response.lag = 1 - response.by_speed / response.by_pull;
+  return response;
 }
 
 // Angular frequency of a damped spring on a mass [1/s].
@@ -85,22 +85,22 @@ class Masses {
   // one.
   double add(const Joint& joint, const Row& row) {
     std::vector<double> line = coupled(joint, row);
-    const double own = over(joint, row, joint, row);
-    double left = own;
+    const double alone = over(joint, row, joint, row);
+    double left = alone;
     for (const double value : line) left -= value * value;
-    if (!(left > IMPLIED * own)) return IMPLIED;
-    const double share = left / own;
+    if (!(left > IMPLIED * alone)) return IMPLIED;
+    const double independence = left / alone;
     line.push_back(std::sqrt(left));
     lines_.push_back(std::move(line)), rows_.push_back({&joint, &row});
-    return share;
+    return independence;
   }
 
   // Speed change of a row by a unit impulse, with all equations constrained.
   double ease(const Joint& joint, const Row& row) const {
-    const double own = over(joint, row, joint, row);
-    double left = own;
+    const double alone = over(joint, row, joint, row);
+    double left = alone;
     for (const double value : coupled(joint, row)) left -= value * value;
-    return std::max(left, own / HELD);
+    return std::max(left, alone / FIXED_MASS);
   }
 
  private:
@@ -143,8 +143,8 @@ struct Condition {
   double least = 1;      // smallest of the independent ones
   bool implied = false;  // whether some are redundant
 
-  void add(double share) {
-    if (share > IMPLIED) least = std::min(least, share);
+  void add(double independence) {
+    if (independence > IMPLIED) least = std::min(least, independence);
     else implied = true;
   }
 };
@@ -154,7 +154,7 @@ void add_locks(Masses& to, Condition& condition, const Joint& joint, const Rows&
     if (rows.of[r].kind == Row::LOCK) condition.add(to.add(joint, rows.of[r]));
 }
 
-bool share_body(const Joint& p, const Joint& q) {
+bool have_common_body(const Joint& p, const Joint& q) {
   const auto has = [&](std::ptrdiff_t body) {
     return body >= 0 && (body == q.a || body == static_cast<std::ptrdiff_t>(q.b));
   };
@@ -165,22 +165,22 @@ bool share_body(const Joint& p, const Joint& q) {
 std::vector<std::size_t> near(const std::vector<Joint>& joints,
                               const std::vector<std::size_t>& island,
                               const std::vector<Rows>& rows, std::size_t begin) {
-  std::vector<std::size_t> found{begin};
+  std::vector<std::size_t> nearest{begin};
   std::vector<char> known(island.size(), 0);
   known[begin] = 1;
   std::size_t count = rows[begin].count;
-  for (std::size_t i = 0; i < found.size(); ++i)
+  for (std::size_t i = 0; i < nearest.size(); ++i)
     for (std::size_t k = 0; k < island.size() && count < NEAR; ++k) {
-      if (known[k] || !share_body(joints[island[found[i]]], joints[island[k]])) continue;
+      if (known[k] || !have_common_body(joints[island[nearest[i]]], joints[island[k]])) continue;
       known[k] = 1, count += rows[k].count;
-      found.push_back(k);
+      nearest.push_back(k);
     }
-  return found;
+  return nearest;
 }
 
 // Fully constrained bodies are not pushed harder than a hard joint would.
 void bound(const Drive& drive, Row& row) {
-  const double most = drive.mass < row.mass * HELD / 2 ? row.give : row.mass;
+  const double most = drive.mass < row.mass * FIXED_MASS / 2 ? row.give : row.mass;
   if (row.give > most) row.push *= most / row.give, row.give = most;
 }
 
@@ -226,29 +226,29 @@ bool find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t
                  const std::vector<Rows>& rows, const std::vector<Speed>& speeds,
                  std::vector<Drives>& drives) {
   std::size_t count = 0;
-  for (const Rows& own : rows) count += own.count;
-  const bool whole = count <= TOGETHER;
+  for (const Rows& each : rows) count += each.count;
+  const bool complete = count <= TOGETHER;
   Masses all(speeds);
   Condition condition;
-  for (std::size_t k = 0; whole && k < island.size(); ++k)
+  for (std::size_t k = 0; complete && k < island.size(); ++k)
     add_locks(all, condition, joints[island[k]], rows[k]);
   for (std::size_t k = 0; k < island.size(); ++k) {
     const Joint& joint = joints[island[k]];
     if (!driven(joint)) continue;
     Masses some(speeds);
-    Condition own = condition;
-    if (!whole)
+    Condition around = condition;
+    if (!complete)
       for (const std::size_t i : near(joints, island, rows, k))
-        add_locks(some, own, joints[island[i]], rows[i]);
+        add_locks(some, around, joints[island[i]], rows[i]);
     for (std::size_t r = 0; r < rows[k].count; ++r) {
       const Row& row = rows[k].of[r];
       if (row.kind != Row::DRIVE) continue;
       Drive& drive = drives[k][static_cast<std::size_t>(row.slot - SLOT_DRIVE)];
-      drive.mass = 1 / (whole ? all : some).ease(joint, row);
-      drive.known = own.least > KNOWN;
+      drive.mass = 1 / (complete ? all : some).ease(joint, row);
+      drive.known = around.least > KNOWN;
     }
   }
-  return whole && !condition.implied && condition.least > APART;
+  return complete && !condition.implied && condition.least > INDEPENDENT;
 }
 
 }  // namespace animtool::rigid

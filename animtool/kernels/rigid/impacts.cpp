@@ -104,9 +104,9 @@ void Impacts::gather(const Patch& patch, double rest) {
       pull.a = patch.a, pull.b = patch.b;
       pull.line = d ? patch.tangents[d - 1] : patch.normal;
       pull.arm_a = p.arms_a[d], pull.arm_b = p.arms_b[d];
-      pull.turn_a = p.turns_a[d], pull.turn_b = p.turns_b[d];
+      pull.response_a = p.responses_a[d], pull.response_b = p.responses_b[d];
       pull.mass = d ? p.masses[d - 1] : p.mass;
-      pull.given = d ? dot(pull.line, p.slide) : p.given;
+      pull.bias_speed = d ? dot(pull.line, p.slide) : p.bias_speed;
       pull.across = d, pull.friction = patch.friction;
       pull.one_sided = d == 0;
       const double into = d ? 0.0 : -speed_of(pull);
@@ -138,8 +138,8 @@ void Impacts::gather_joints() {
         Pull pull;
         pull.a = a, pull.b = joint.b, pull.line = row.line;
         pull.arm_a = row.arm_a, pull.arm_b = row.arm_b;
-        pull.turn_a = speeds_[a].turned(row.arm_a), pull.turn_b = speeds_[joint.b].turned(row.arm_b);
-        pull.mass = row.mass, pull.given = row.given;
+        pull.response_a = speeds_[a].turned(row.arm_a), pull.response_b = speeds_[joint.b].turned(row.arm_b);
+        pull.mass = row.mass, pull.bias_speed = row.bias_speed;
         pull.one_sided = row.kind == Row::LIMIT, pull.joint = true;
         pulls_.push_back(pull);
       }
@@ -151,12 +151,12 @@ void Impacts::gather_joints() {
 
 double Impacts::speed_of(const Pull& pull) const {
   const Speed &a = speeds_[pull.a], &b = speeds_[pull.b];
-  return dot(pull.line, b.v - a.v) + dot(pull.arm_b, b.w) - dot(pull.arm_a, a.w) + pull.given;
+  return dot(pull.line, b.v - a.v) + dot(pull.arm_b, b.w) - dot(pull.arm_a, a.w) + pull.bias_speed;
 }
 
 void Impacts::add(Pull& pull, double impulse) {
   pull.impulse += impulse;
-  apply(speeds_, pull.a, pull.b, pull.line, pull.turn_a, pull.turn_b, impulse);
+  apply(speeds_, pull.a, pull.b, pull.line, pull.response_a, pull.response_b, impulse);
 }
 
 void Impacts::solve(double speed) {
@@ -179,8 +179,8 @@ void Impacts::solve(double speed) {
         const double to[2] = {pull.impulse - pull.mass * speed_of(pull),
                               other.impulse - other.mass * speed_of(other)};
         const double size = std::sqrt(to[0] * to[0] + to[1] * to[1]);
-        const double share = size > limit ? limit / size : 1;
-        const double by[2] = {to[0] * share - pull.impulse, to[1] * share - other.impulse};
+        const double scale = size > limit ? limit / size : 1;
+        const double by[2] = {to[0] * scale - pull.impulse, to[1] * scale - other.impulse};
         if (by[0] != 0) add(pull, by[0]), change = std::max(change, std::fabs(by[0]) / pull.mass);
         if (by[1] != 0) add(other, by[1]), change = std::max(change, std::fabs(by[1]) / other.mass);
       }
@@ -192,13 +192,13 @@ void Impacts::solve(double speed) {
 // Scales an impact so that energy does not grow, except for what colliders and the animation add:
 // along the impulses it is a parabola.
 void Impacts::bound_energy() {
-  double slope = 0, size = 0, whole = 0;
+  double slope = 0, size = 0, energy = 0;
   for (std::size_t i = 0; i < bodies_.size(); ++i) {
     const Body& body = world_.bodies[bodies_[i]];
     const Speed &old = before_[i], &now = speeds_[bodies_[i]];
-    const Vec way = now.v - old.v;
-    slope += dot(old.v, way) / body.ease, size += dot(way, way) / body.ease / 2;
-    whole += dot(old.v, old.v) / body.ease / 2;
+    const Vec change = now.v - old.v;
+    slope += dot(old.v, change) / body.ease, size += dot(change, change) / body.ease / 2;
+    energy += dot(old.v, old.v) / body.ease / 2;
   }
   // Rotational work from the impulses themselves: w I dw is w times the twist.
   for (const Pull& pull : pulls_) {
@@ -214,14 +214,14 @@ void Impacts::bound_energy() {
       const Speed &old = before_[static_cast<std::size_t>(at(pull.b))], &now = speeds_[pull.b];
       spin += dot(pull.arm_b, old.w), turned += dot(pull.arm_b, now.w - old.w);
     }
-    slope += pull.impulse * (spin + pull.given), size += pull.impulse * turned / 2;
+    slope += pull.impulse * (spin + pull.bias_speed), size += pull.impulse * turned / 2;
   }
-  if (!(slope + size > EXACT * (whole + size)) || !(size > 0)) return;
-  const double share = std::clamp(-slope / size, 0.0, 1.0);
+  if (!(slope + size > EXACT * (energy + size)) || !(size > 0)) return;
+  const double scale = std::clamp(-slope / size, 0.0, 1.0);
   for (std::size_t i = 0; i < bodies_.size(); ++i) {
     Speed& now = speeds_[bodies_[i]];
-    now.v = before_[i].v + (now.v - before_[i].v) * share;
-    now.w = before_[i].w + (now.w - before_[i].w) * share;
+    now.v = before_[i].v + (now.v - before_[i].v) * scale;
+    now.w = before_[i].w + (now.w - before_[i].w) * scale;
   }
 }
 

@@ -29,8 +29,8 @@ class Impacts {
  private:
   struct Pull {  // one equation of an impact
     std::size_t a, b;
-    Vec line, arm_a, arm_b, turn_a, turn_b;
-    double mass, given;
+    Vec line, arm_a, arm_b, response_a, response_b;
+    double mass, bias_speed;
     double target = 0;      // speed after the impact
     double impulse = 0;
     bool one_sided = false, joint = false;

@@ -13,7 +13,7 @@ namespace {
 constexpr double ANY = std::numeric_limits<double>::infinity();
 
 // The rotation vector of a rotation, the short way.
-Vec vector_of(Turn q) {
+Vec vector_of(Quaternion q) {
   if (q.w < 0) q = {-q.x, -q.y, -q.z, -q.w};
   const Vec v{q.x, q.y, q.z};
   const double n = length(v);
@@ -24,15 +24,15 @@ class Writing {
  public:
   Writing(const Speed& a, const Speed& b, double h) : a_(a), b_(b), h_(h) {}
 
-  Row& along(Vec line, Vec arm_a, Vec arm_b, double error, double given, int slot) {
+  Row& along(Vec line, Vec arm_a, Vec arm_b, double error, double bias_speed, int slot) {
     Row row;
     row.line = line, row.arm_a = cross(arm_a, line), row.arm_b = cross(arm_b, line);
-    return add(row, error, given, slot);
+    return add(row, error, bias_speed, slot);
   }
-  Row& about(Vec axis, double error, double given, int slot) {
+  Row& about(Vec axis, double error, double bias_speed, int slot) {
     Row row;
     row.arm_a = row.arm_b = axis;
-    return add(row, error, given, slot);
+    return add(row, error, bias_speed, slot);
   }
 
   static void limit(Row& row) {
@@ -49,10 +49,10 @@ class Writing {
 
  private:
   // Axes without inertia, such as a rod's, have no equation.
-  Row& add(Row row, double error, double given, int slot) {
+  Row& add(Row row, double error, double bias_speed, int slot) {
     const double k = dot(row.line, row.line) * (a_.ease + b_.ease) +
                      dot(row.arm_a, a_.turned(row.arm_a)) + dot(row.arm_b, b_.turned(row.arm_b));
-    row.error = error, row.given = given, row.slot = slot;
+    row.error = error, row.bias_speed = bias_speed, row.slot = slot;
     row.mass = k > 0 ? 1 / k : 0;
     row.most = ANY, row.least = -ANY;
     return (k > 0 ? rows.of[rows.count++] : unmoved_) = row;
@@ -68,9 +68,9 @@ class Writing {
 Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Vec arm_b,
              const Speed& on_a, const Speed& on_b, double h) {
   Writing to(on_a, on_b, h);
-  const Vec x = rotate(a.turn, {1, 0, 0}), y = rotate(a.turn, {0, 1, 0});
-  const Vec z = rotate(a.turn, {0, 0, 1}), off = b.at - a.at;
-  const Turn between = conjugate(a.turn) * b.turn;
+  const Vec x = rotate(a.rotation, {1, 0, 0}), y = rotate(a.rotation, {0, 1, 0});
+  const Vec z = rotate(a.rotation, {0, 0, 1}), off = b.at - a.at;
+  const Quaternion between = conjugate(a.rotation) * b.rotation;
   const bool slides = joint.kind == Joined::PRISMATIC;
   const Vec axes[3] = {x, y, z};
   // On a slide the arm of the first body reaches to the anchor of the second.
@@ -79,23 +79,23 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
   for (int i = slides ? 1 : 0; i < 3; ++i)
     to.along(axes[i], reach_a, arm_b, dot(axes[i], off), -dot(axes[i], going), SLOT_LINE + i);
   if (joint.kind == Joined::FIXED || slides) {
-    const Vec error = rotate(a.turn, vector_of(between));
+    const Vec error = rotate(a.rotation, vector_of(between));
     for (int i = 0; i < 3; ++i)
-      to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_TURN + i);
+      to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_ROTATION + i);
   } else if (joint.kind == Joined::PIN) {
-    const Vec error = cross(x, rotate(b.turn, {1, 0, 0}));
+    const Vec error = cross(x, rotate(b.rotation, {1, 0, 0}));
     for (int i = 1; i < 3; ++i)
-      to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_TURN + i);
+      to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_ROTATION + i);
   }
   const bool limited = joint.low <= joint.high;
   if (slides) {
-    const double slide = dot(x, off), given = -dot(x, going);
+    const double slide = dot(x, off), bias_speed = -dot(x, going);
     if (limited) {
-      to.limit(to.along(x, reach_a, arm_b, slide - joint.low, given, SLOT_LOW));
-      to.limit(to.along(-x, reach_a, arm_b, joint.high - slide, -given, SLOT_HIGH));
+      to.limit(to.along(x, reach_a, arm_b, slide - joint.low, bias_speed, SLOT_LOW));
+      to.limit(to.along(-x, reach_a, arm_b, joint.high - slide, -bias_speed, SLOT_HIGH));
     }
     if (driven(joint))
-      to.drive(to.along(x, reach_a, arm_b, slide - joint.target, given, SLOT_DRIVE), joint);
+      to.drive(to.along(x, reach_a, arm_b, slide - joint.target, bias_speed, SLOT_DRIVE), joint);
     return to.rows;
   }
   if (joint.kind == Joined::FIXED) return to.rows;
@@ -104,22 +104,22 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
   if (!ball) {
     // Of angles that differ by full rotations, the nearest to the allowed or target ones.
     const double about = limited ? (joint.low + joint.high) / 2 : joint.target;
-    twist -= TURN * std::round((twist - about) / TURN);
+    twist -= FULL_CIRCLE * std::round((twist - about) / FULL_CIRCLE);
   }
-  const Vec far = rotate(b.turn, {1, 0, 0});
+  const Vec far = rotate(b.rotation, {1, 0, 0});
   const double lean = 1 + dot(x, far);
   // Rate of the twist of a ball, if it is not bent back.
   const Vec axis = ball && lean > 1e-6 ? (x + far) * (1 / lean) : x;
   if (limited) {
-    const double given = -dot(axis, a.spin);
-    to.limit(to.about(axis, twist - joint.low, given, SLOT_LOW));
-    to.limit(to.about(-axis, joint.high - twist, -given, SLOT_HIGH));
+    const double bias_speed = -dot(axis, a.spin);
+    to.limit(to.about(axis, twist - joint.low, bias_speed, SLOT_LOW));
+    to.limit(to.about(-axis, joint.high - twist, -bias_speed, SLOT_HIGH));
   }
   if (ball && joint.swing[0] >= 0) {
     const Vec bend = cross(x, far);
     const double sine = length(bend), angle = std::atan2(sine, lean - 1);
     if (sine > 1e-9) {
-      const Vec about = bend * (1 / sine), local = unrotate(a.turn, about);
+      const Vec about = bend * (1 / sine), local = unrotate(a.rotation, about);
       const double u = local.y * joint.swing[1], v = local.z * joint.swing[0];
       const double size = std::sqrt(u * u + v * v);
       const double most = size > 0 ? joint.swing[0] * joint.swing[1] / size : 0;
@@ -131,7 +131,7 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
     to.drive(to.about(x, twist - joint.target, -dot(x, a.spin), SLOT_DRIVE), joint);
     return to.rows;
   }
-  const Vec error = rotate(a.turn, vector_of(between * conjugate(joint.goal)));
+  const Vec error = rotate(a.rotation, vector_of(between * conjugate(joint.goal)));
   for (int i = 0; i < 3; ++i)
     to.drive(to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_DRIVE + i), joint);
   return to.rows;
@@ -140,7 +140,7 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
 double stretch_of(const Joint& joint, const Anchor& a, const Anchor& b) {
   Vec off = b.at - a.at;
   if (joint.kind == Joined::PRISMATIC) {
-    const Vec x = rotate(a.turn, {1, 0, 0});
+    const Vec x = rotate(a.rotation, {1, 0, 0});
     off = off - x * dot(x, off);
   }
   return length(off);

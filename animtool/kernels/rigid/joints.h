@@ -17,7 +17,7 @@ enum class Joined : std::int64_t { FIXED, PIN, BALL, PRISMATIC };
 // ball.
 struct Frame {
   Vec at;
-  Turn turn;
+  Quaternion rotation;
 };
 
 struct Joint {
@@ -28,7 +28,7 @@ struct Joint {
   double low = 1, high = 0;       // of angle, slide or twist; none if low is above high
   double swing[2] = {-1, -1};     // half-angles about y and z; none if negative
   double target = 0;              // of the drive: angle or slide
-  Turn goal;                      // target of a ball's drive: b relative to a
+  Quaternion goal;                      // target of a ball's drive: b relative to a
   double stiffness = 0, damping = 0;  // of the drive: N/m, N s/m, or per rad
   double speed = 0;               // target speed of the drive's damping
   double most = -1;               // largest force or torque of the drive; unlimited if negative
@@ -64,7 +64,7 @@ struct Softness {
 struct Row {
   Vec line;           // 0 for rotation rows
   Vec arm_a, arm_b;   // moment arms of both bodies
-  double given = 0;   // speed added by the animation
+  double bias_speed = 0;   // speed added by the animation
   double error = 0;   // constraint error: should be 0, or not below it
   double bend = 0;    // additional error in a substep from curvature, over its time
   double mass = 0, impulse = 0, half = 0;
@@ -75,14 +75,14 @@ struct Row {
 };
 
 // Slots of a joint's rows in the impulses kept between steps.
-enum { SLOT_LINE = 0, SLOT_TURN = 3, SLOT_LOW = 6, SLOT_HIGH = 7, SLOT_SWING = 8, SLOT_DRIVE = 9 };
+enum { SLOT_LINE = 0, SLOT_ROTATION = 3, SLOT_LOW = 6, SLOT_HIGH = 7, SLOT_SWING = 8, SLOT_DRIVE = 9 };
 constexpr std::size_t ROWS = 12;
-constexpr double TURN = 2 * 3.14159265358979323846;  // [rad]
+constexpr double FULL_CIRCLE = 2 * 3.14159265358979323846;  // [rad]
 
 // A frame in the world, and its animated motion.
 struct Anchor {
   Vec at;
-  Turn turn;
+  Quaternion rotation;
   Vec velocity, spin;
 };
 

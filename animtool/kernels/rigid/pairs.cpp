@@ -37,13 +37,13 @@ bool overlap(const Box& a, const Box& b) {
          b.low.y <= a.high.y && a.low.z <= b.high.z && b.low.z <= a.high.z;
 }
 
-Box box_of(const Placed& p, Vec way, double slack) {
+Box box_of(const Placed& p, Vec displacement, double slack) {
   Box box{p.points[0], p.points[0]};
   for (std::size_t i = 1; i < p.core->points.size(); ++i)
     box = joined(box, {p.points[i], p.points[i]});
   const double r = p.core->radius + slack;
   box.low = box.low - Vec{r, r, r}, box.high = box.high + Vec{r, r, r};
-  return joined(box, {box.low + way, box.high + way});
+  return joined(box, {box.low + displacement, box.high + displacement});
 }
 
 std::uint32_t spread(std::uint32_t v) {
@@ -62,9 +62,9 @@ class Tree {
     for (std::size_t i = 1; i < boxes.size(); ++i) all = joined(all, {mid(i), mid(i)});
     const Vec size = all.high - all.low;
     std::vector<std::uint64_t> keys(boxes.size());
-    const auto cell = [](double at, double whole) {
-      const double share = whole > 0 ? at / whole * 1023 : 0;
-      return static_cast<std::uint32_t>(share > 0 ? std::min(share, 1023.0) : 0);
+    const auto cell = [](double at, double extent) {
+      const double fraction = extent > 0 ? at / extent * 1023 : 0;
+      return static_cast<std::uint32_t>(fraction > 0 ? std::min(fraction, 1023.0) : 0);
     };
     for (std::size_t i = 0; i < boxes.size(); ++i) {
       const Vec at = mid(i) - all.low;
@@ -159,7 +159,7 @@ struct Going {
   Pose at(double t) const {
     State s = begin;
     s.at = s.at + velocity * t;
-    s.turn = unit(turn_of(spin * t) * s.turn);
+    s.rotation = unit(rotation_of(spin * t) * s.rotation);
     return pose_of(s);
   }
 };
@@ -175,7 +175,7 @@ class Finder {
   }
 
   std::vector<Contact> find() {
-    place();
+    pose_shapes();
     const Tree tree(boxes_);
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
     tree.pairs([&](std::size_t i, std::size_t j) {
@@ -187,7 +187,7 @@ class Finder {
     for (std::size_t s = 0; s < world_.shapes.size(); ++s) {
       for (std::size_t c = 0; c < colliders_.size(); ++c) {
         if (convex(colliders_[c]) || (sleeps(s) && !colliders_[c].motion.moves())) continue;
-        if (apart_from(s, c)) continue;
+        if (excludes(s, c)) continue;
         if (colliders_[c].shape == Shape::MESH) {
           meet_mesh(s, c);
         } else {
@@ -195,10 +195,10 @@ class Finder {
         }
       }
     }
-    std::stable_sort(found_.begin(), found_.end(), [](const Contact& a, const Contact& b) {
+    std::stable_sort(contacts_.begin(), contacts_.end(), [](const Contact& a, const Contact& b) {
       return a.first != b.first ? a.first < b.first : a.second < b.second;
     });
-    return std::move(found_);
+    return std::move(contacts_);
   }
 
  private:
@@ -208,7 +208,7 @@ class Finder {
 
   std::size_t shapes() const { return world_.shapes.size(); }
 
-  void place() {
+  void pose_shapes() {
     const std::size_t count = shapes();
     poses_.resize(going_.size());
     for (std::size_t i = 0; i < going_.size(); ++i) poses_[i] = pose_of(going_[i].begin);
@@ -217,7 +217,7 @@ class Finder {
     placings_.resize(count);
     for (std::size_t s = 0; s < count; ++s) {
       const auto& shape = world_.shapes[s];
-      placings_[s].place(shape.core, poses_[shape.body]);
+      placings_[s].set(shape.core, poses_[shape.body]);
       const Going& g = going_[shape.body];
       const double swept = length(g.spin) * step_ * world_.bodies[shape.body].reach;
       boxes_.push_back(box_of(placings_[s].get(), g.velocity * step_,
@@ -229,7 +229,7 @@ class Finder {
       const collide::Motion& m = colliders_[c].motion;
       cores_.push_back(std::make_unique<Core>(core_of(colliders_[c])));
       placings_.emplace_back();
-      placings_.back().place(*cores_.back(), m.at(0));
+      placings_.back().set(*cores_.back(), m.at(0));
       const double swept = m.angle() * cores_.back()->reach;
       boxes_.push_back(box_of(placings_.back().get(), m.travel(), swept));
       owners_.push_back(count + c);
@@ -237,14 +237,14 @@ class Finder {
   }
 
   // Of two bodies, or of a body and a collider; colliders are numbered after the bodies.
-  bool apart(std::size_t a, std::size_t b) const {
-    if (world_.apart.empty()) return false;
+  bool excluded(std::size_t a, std::size_t b) const {
+    if (world_.excluded.empty()) return false;
     const std::uint64_t key = static_cast<std::uint64_t>(std::min(a, b)) << 32 | std::max(a, b);
-    return std::binary_search(world_.apart.begin(), world_.apart.end(), key);
+    return std::binary_search(world_.excluded.begin(), world_.excluded.end(), key);
   }
 
-  bool apart_from(std::size_t s, std::size_t c) const {
-    return apart(world_.shapes[s].body, world_.bodies.size() + c);
+  bool excludes(std::size_t s, std::size_t c) const {
+    return excluded(world_.shapes[s].body, world_.bodies.size() + c);
   }
 
   // Shapes come before colliders.
@@ -252,15 +252,15 @@ class Finder {
     if (i >= shapes()) return false;
     if (j >= shapes()) {
       const Collider& c = colliders_[owners_[j] - shapes()];
-      return (!sleeps(i) || c.motion.moves()) && !apart_from(i, owners_[j] - shapes());
+      return (!sleeps(i) || c.motion.moves()) && !excludes(i, owners_[j] - shapes());
     }
     const std::size_t a = world_.shapes[i].body, b = world_.shapes[j].body;
-    return a != b && !(sleeps(i) && sleeps(j)) && !apart(a, b);
+    return a != b && !(sleeps(i) && sleeps(j)) && !excluded(a, b);
   }
 
   // Upper bound of the approach speed of two along a direction.
-  static double closing(Vec way, double swing, Vec normal) {
-    return std::max(-dot(way, normal), 0.0) + swing;
+  static double closing(Vec displacement, double swing, Vec normal) {
+    return std::max(-dot(displacement, normal), 0.0) + swing;
   }
 
   void meet_pair(std::size_t i, std::size_t j) {
@@ -272,35 +272,35 @@ class Finder {
     const double size = std::min(p.core->reach, q.core->reach), skin = SKIN * size;
     const collide::Motion* motion = fixed ? &colliders_[owners_[j] - shapes()].motion : nullptr;
     const Vec other = fixed ? motion->travel() * (1 / step_) : going_[b].velocity;
-    const Vec way = (other - going_[a].velocity) * step_;
+    const Vec displacement = (other - going_[a].velocity) * step_;
     const double spin = fixed ? motion->angle() : length(going_[b].spin) * step_;
     const double swing = length(going_[a].spin) * step_ * p.core->reach + spin * q.core->reach;
-    const double most = length(way) + swing;
-    const Axis axis = parting_axis(p, q, most + skin + p.core->radius + q.core->radius);
+    const double most = length(displacement) + swing;
+    const Axis axis = separating_axis(p, q, most + skin + p.core->radius + q.core->radius);
     const double gap = axis.gap - p.core->radius - q.core->radius;
     if (gap > most + skin) return;
-    Contact made;
-    made.motion = motion;
-    made.radius = p.core->radius, made.other_radius = q.core->radius;
+    Contact contact;
+    contact.motion = motion;
+    contact.radius = p.core->radius, contact.other_radius = q.core->radius;
     // Near or slow pairs are tested at the start; far and fast ones at their arrival.
     if (gap <= skin + std::min(most, size * NEAR)) {
       const Manifold manifold = meet(p, q, skin + most);
-      made.take(manifold, poses_[a], fixed ? motion->at(0) : poses_[b]);
+      contact.take(manifold, poses_[a], fixed ? motion->at(0) : poses_[b]);
     } else {
-      arrive(p, q, a, b, motion, made, gap, axis, way, swing, size, most);
+      arrive(p, q, a, b, motion, contact, gap, axis, displacement, swing, size, most);
     }
-    if (!made.count) return;
-    made.first = i, made.second = static_cast<std::int64_t>(owners_[j]);
-    made.a = a, made.b = fixed ? -1 : static_cast<std::ptrdiff_t>(b);
+    if (!contact.count) return;
+    contact.first = i, contact.second = static_cast<std::int64_t>(owners_[j]);
+    contact.a = a, contact.b = fixed ? -1 : static_cast<std::ptrdiff_t>(b);
     Material other_material;
     if (fixed) {
       const Collider& c = colliders_[owners_[j] - shapes()];
-      other_material = {c.restitution, c.friction}, made.depenetration = c.depenetration;
+      other_material = {c.restitution, c.friction}, contact.depenetration = c.depenetration;
     } else {
       other_material = world_.shapes[j].material;
     }
-    made.material = mixed(world_.shapes[i].material, other_material);
-    found_.push_back(made);
+    contact.material = mixed(world_.shapes[i].material, other_material);
+    contacts_.push_back(contact);
   }
 
   static Material mixed(const Material& a, const Material& b) {
@@ -310,39 +310,39 @@ class Finder {
   // Conservative advancement to the time of impact (Mirtich 1996, "Impulse-based dynamic
   // simulation"), and the contact there.
   void arrive(const Placed& p, const Placed& q, std::size_t a, std::size_t b,
-              const collide::Motion* motion, Contact& made, double gap, Axis axis, Vec way,
+              const collide::Motion* motion, Contact& contact, double gap, Axis axis, Vec displacement,
               double swing, double size, double most) {
     const double near = NEAR * size, skin = p.core->radius + q.core->radius;
     Pose pose_a, pose_b;
-    double share = 0;
+    double fraction = 0;
     for (int look = 0; look < LOOKS; ++look) {
-      const double speed = closing(way, swing, axis.normal);
+      const double speed = closing(displacement, swing, axis.normal);
       if (!(speed > 0)) return;
-      share += std::max(gap - near / 2, near / 2) / speed;
-      if (share > 1) return;
-      pose_a = going_[a].at(share * step_);
-      pose_b = motion ? motion->at(share) : going_[b].at(share * step_);
-      moved_a_.place(*p.core, pose_a);
-      moved_b_.place(*q.core, pose_b);
-      axis = parting_axis(moved_a_.get(), moved_b_.get(), collide::FAR);
+      fraction += std::max(gap - near / 2, near / 2) / speed;
+      if (fraction > 1) return;
+      pose_a = going_[a].at(fraction * step_);
+      pose_b = motion ? motion->at(fraction) : going_[b].at(fraction * step_);
+      moved_a_.set(*p.core, pose_a);
+      moved_b_.set(*q.core, pose_b);
+      axis = separating_axis(moved_a_.get(), moved_b_.get(), collide::FAR);
       gap = axis.gap - skin;
       if (gap <= near) break;
     }
-    const double reach = std::max(gap, 0.0) + SKIN * size + most * (1 - share);
-    made.take(meet(moved_a_.get(), moved_b_.get(), reach), pose_a, pose_b);
+    const double reach = std::max(gap, 0.0) + SKIN * size + most * (1 - fraction);
+    contact.take(meet(moved_a_.get(), moved_b_.get(), reach), pose_a, pose_b);
   }
 
   void add(std::size_t s, std::size_t c, const Manifold& manifold) {
-    Contact made;
+    Contact contact;
     const Collider& collider = colliders_[c];
-    made.first = s, made.second = static_cast<std::int64_t>(shapes() + c);
-    made.a = world_.shapes[s].body, made.b = -1;
-    made.radius = world_.shapes[s].core.radius;
-    made.take(manifold, poses_[made.a], collider.motion.at(0));
-    made.motion = &collider.motion;
-    made.depenetration = collider.depenetration;
-    made.material = mixed(world_.shapes[s].material, {collider.restitution, collider.friction});
-    found_.push_back(made);
+    contact.first = s, contact.second = static_cast<std::int64_t>(shapes() + c);
+    contact.a = world_.shapes[s].body, contact.b = -1;
+    contact.radius = world_.shapes[s].core.radius;
+    contact.take(manifold, poses_[contact.a], collider.motion.at(0));
+    contact.motion = &collider.motion;
+    contact.depenetration = collider.depenetration;
+    contact.material = mixed(world_.shapes[s].material, {collider.restitution, collider.friction});
+    contacts_.push_back(contact);
   }
 
   // One of the six walls of a container, seen from inside.
@@ -371,14 +371,14 @@ class Finder {
     const int sides = collider.shape == Shape::BOX ? 6 : 1;
     for (std::size_t i = 0; i < sides * p.core->points.size(); ++i) {
       const Vec point = p.points[i / static_cast<std::size_t>(sides)];
-      const auto found = sides == 1
+      const auto sample = sides == 1
                              ? collide::sample(collider, pose, point, p.core->radius, reach)
                              : from_wall(collider, pose, point, p.core->radius,
                                          static_cast<int>(i) % sides);
-      if (found.distance > reach) continue;
-      const Vec n = -found.normal;
-      const Touching touching{point + n * (p.core->radius + found.distance / 2),
-                              found.distance};
+      if (sample.distance > reach) continue;
+      const Vec n = -sample.normal;
+      const Touching touching{point + n * (p.core->radius + sample.distance / 2),
+                              sample.distance};
       auto same = std::find_if(fields_.begin(), fields_.end(), [&](const auto& one) {
         return dot(one.first, n) > 1 - 1e-9;
       });
@@ -386,10 +386,10 @@ class Finder {
       same->second.push_back(touching);
     }
     for (auto& [n, points] : fields_) {
-      Manifold made;
-      made.normal = n;
-      keep_four(points, n, made);
-      add(s, c, made);
+      Manifold manifold;
+      manifold.normal = n;
+      keep_four(points, n, manifold);
+      add(s, c, manifold);
     }
   }
 
@@ -399,22 +399,22 @@ class Finder {
     const Pose pose = collider.motion.at(0);
     const collide::Mesh& mesh = collider.mesh;
     const Going& g = going_[world_.shapes[s].body];
-    const Vec way = g.velocity * step_ - collider.motion.travel();
+    const Vec displacement = g.velocity * step_ - collider.motion.travel();
     const double swing = length(g.spin) * step_ * p.core->reach +
                          collider.motion.angle() * length(p.centre - pose.origin);
-    const double reach = SKIN * p.core->reach + length(way) + swing + collider.margin;
+    const double reach = SKIN * p.core->reach + length(displacement) + swing + collider.margin;
     Box local{pose.to_local(p.points[0]), pose.to_local(p.points[0])};
     for (std::size_t i = 1; i < p.core->points.size(); ++i) {
       const Vec at = pose.to_local(p.points[i]);
       local = joined(local, {at, at});
     }
     const double r = p.core->radius + reach;
-    const std::size_t before = found_.size();
+    const std::size_t before = contacts_.size();
     bool behind = false;
     collide::visit_overlapping(
         mesh, collider.root, local.low - Vec{r, r, r}, local.high + Vec{r, r, r},
         [&](std::int32_t t) { behind |= !meet_triangle(s, c, t, pose, reach); });
-    if (behind && found_.size() == before) meet_inside(s, c, pose, reach);
+    if (behind && contacts_.size() == before) meet_inside(s, c, pose, reach);
   }
 
   // Bodies inside a mesh, whose centre is on the outward direction of the nearest point.
@@ -428,10 +428,10 @@ class Finder {
       const double gap = out.distance + dot(out.normal, at - p.centre) - p.core->radius;
       if (gap <= reach) points.push_back({at - out.normal * (p.core->radius + gap / 2), gap});
     }
-    Manifold made;
-    made.normal = -out.normal;
-    keep_four(points, made.normal, made);
-    add(s, c, made);
+    Manifold manifold;
+    manifold.normal = -out.normal;
+    keep_four(points, manifold.normal, manifold);
+    add(s, c, manifold);
   }
 
   // Whether a point of the world is behind a triangle of a mesh.
@@ -456,17 +456,17 @@ class Finder {
     core.starts = {0, 3, 6};
     core.radius = colliders_[c].margin;
     core.finish();
-    moved_b_.place(core, pose);
+    moved_b_.set(core, pose);
     const Placed& q = moved_b_.get();
     const Vec face = q.normals[0];
     // Points behind a face collide with its other side, or with the full mesh.
     if (!two_sided && dot(p.centre - q.points[0], face) < 0) return false;
-    Manifold made = meet(q, p, reach);
-    if (!made.count) return true;
-    if (!faces_out(mesh, t, turned, pose, made, q)) made = on_face(q, p, reach, two_sided);
-    if (!made.count) return true;
-    made.normal = -made.normal;
-    add(s, c, made);
+    Manifold manifold = meet(q, p, reach);
+    if (!manifold.count) return true;
+    if (!faces_out(mesh, t, turned, pose, manifold, q)) manifold = on_face(q, p, reach, two_sided);
+    if (!manifold.count) return true;
+    manifold.normal = -manifold.normal;
+    add(s, c, manifold);
     return true;
   }
 
@@ -483,8 +483,8 @@ class Finder {
     double least = collide::FAR;
     for (int k = 0; k < 3; ++k) {
       const Vec a = q.points[k], b = q.points[(k + 1) % 3], along = b - a;
-      const double share = std::clamp(dot(at - a, along) / dot(along, along), 0.0, 1.0);
-      const Vec off = at - a - along * share;
+      const double fraction = std::clamp(dot(at - a, along) / dot(along, along), 0.0, 1.0);
+      const Vec off = at - a - along * fraction;
       if (dot(off, off) < least) least = dot(off, off), side = k;
     }
     const Vec out_there =
@@ -500,10 +500,10 @@ class Finder {
 
   // Whether a segment crosses a triangle.
   static bool through(const Placed& q, Vec from, Vec to) {
-    const Vec n = q.normals[0], way = to - from;
+    const Vec n = q.normals[0], displacement = to - from;
     const double begin = dot(n, from - q.points[0]), end = dot(n, to - q.points[0]);
     if ((begin > 0) == (end > 0)) return false;
-    const Vec at = from + way * (begin / (begin - end));
+    const Vec at = from + displacement * (begin / (begin - end));
     for (int k = 0; k < 3; ++k)
       if (dot(cross(q.points[(k + 1) % 3] - q.points[k], at - q.points[k]), n) < 0) return false;
     return true;
@@ -525,10 +525,10 @@ class Finder {
       if (within && two_sided && height < 0) within = through(q, p.centre, at);
       if (within) points.push_back({at - n * (height - q.core->radius - gap / 2), gap});
     }
-    Manifold made;
-    made.normal = n;
-    keep_four(points, n, made);
-    return made;
+    Manifold manifold;
+    manifold.normal = n;
+    keep_four(points, n, manifold);
+    return manifold;
   }
 
   const World& world_;
@@ -543,7 +543,7 @@ class Finder {
   std::vector<std::unique_ptr<Core>> cores_;
   std::vector<std::pair<Vec, std::vector<Touching>>> fields_;
   Placing moved_a_, moved_b_;
-  std::vector<Contact> found_;
+  std::vector<Contact> contacts_;
 };
 
 }  // namespace

@@ -8,16 +8,16 @@
 namespace animtool::rigid {
 
 struct Point {
-  Vec own, other;          // in the frames of both bodies
+  Vec on_a, on_b;          // in the frames of both bodies
   Vec arm_a, arm_b;        // in the world, at the start of the step
   double gap = 0, now = 0; // gap of the manifold, and the current one
-  double given = 0;        // speed of a collider along the normal
+  double bias_speed = 0;        // speed of a collider along the normal
   Vec slide;               // its full velocity
   bool flies = false;      // approaching so fast that it will bounce
   double mass = 0, force = 0, across[2] = {0, 0}, masses[2] = {0, 0};
   double half[3] = {0, 0, 0};  // impulses of half a substep
   Vec arms_a[3], arms_b[3];    // r x n, r x t1, r x t2
-  Vec turns_a[3], turns_b[3];  // angular responses to these
+  Vec responses_a[3], responses_b[3];  // angular responses to these
 };
 
 struct Patch {
@@ -34,22 +34,22 @@ struct Patch {
 inline double speed_along(const std::vector<Speed>& speeds, const Patch& patch, const Point& p,
                           int line) {
   const Speed &a = speeds[patch.a], &b = speeds[patch.b];
-  const Vec way = line ? patch.tangents[line - 1] : patch.normal;
-  return dot(way, b.v - a.v) + dot(p.arms_b[line], b.w) - dot(p.arms_a[line], a.w) +
-         (line ? dot(way, p.slide) : p.given);
+  const Vec direction = line ? patch.tangents[line - 1] : patch.normal;
+  return dot(direction, b.v - a.v) + dot(p.arms_b[line], b.w) - dot(p.arms_a[line], a.w) +
+         (line ? dot(direction, p.slide) : p.bias_speed);
 }
 
-inline void apply(std::vector<Speed>& speeds, std::size_t a, std::size_t b, Vec line, Vec turn_a,
-                  Vec turn_b, double impulse) {
+inline void apply(std::vector<Speed>& speeds, std::size_t a, std::size_t b, Vec line, Vec response_a,
+                  Vec response_b, double impulse) {
   Speed &sa = speeds[a], &sb = speeds[b];
-  sa.v = sa.v - line * (impulse * sa.ease), sa.w = sa.w - turn_a * impulse;
-  sb.v = sb.v + line * (impulse * sb.ease), sb.w = sb.w + turn_b * impulse;
+  sa.v = sa.v - line * (impulse * sa.ease), sa.w = sa.w - response_a * impulse;
+  sb.v = sb.v + line * (impulse * sb.ease), sb.w = sb.w + response_b * impulse;
 }
 
 inline void apply(std::vector<Speed>& speeds, const Patch& patch, const Point& p, int line,
                   double impulse) {
   apply(speeds, patch.a, patch.b, line ? patch.tangents[line - 1] : patch.normal,
-        p.turns_a[line], p.turns_b[line], impulse);
+        p.responses_a[line], p.responses_b[line], impulse);
 }
 
 }  // namespace animtool::rigid

@@ -20,7 +20,7 @@ constexpr double SWING = 0.2, MOST_TIMES = 64, TOO_FAR = 0.5;
 // Likewise for drives whose motion exceeds their effective mass.
 constexpr double LOSES = 0.02;
 // Bodies penetrating by more than this fraction of their size stay awake.
-constexpr double PARTING = 0.02;
+constexpr double SEPARATING = 0.02;
 
 }  // namespace
 
@@ -34,25 +34,25 @@ bool Solver::bounces() {
     const Pose pose = pose_of(a), other = c.b < 0 ? c.motion->at(0) : pose_of(states_[b]);
     const double rest = rest_of(c.a, b, c.material.restitution);
     for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
-      const Vec own = a.velocity + cross(spin, pose.rotated(c.own[k]));
+      const Vec velocity_a = a.velocity + cross(spin, pose.rotated(c.on_a[k]));
       const Vec theirs =
-          c.b < 0 ? c.motion->displacement(other.to_world(c.other[k]), other) * (1 / step_)
+          c.b < 0 ? c.motion->displacement(other.to_world(c.on_b[k]), other) * (1 / step_)
                   : states_[b].velocity + cross(spin_of(world_.bodies[b], states_[b]),
-                                                other.rotated(c.other[k]));
-      if (dot(own - theirs, c.normal) > rest) return true;
+                                                other.rotated(c.on_b[k]));
+      if (dot(velocity_a - theirs, c.normal) > rest) return true;
     }
   }
   return false;
 }
 
 Report Solver::run() {
-  if (!found_) find();
+  if (!has_contacts_) find();
   if (wake()) find();
   make_islands();
   speeds_.assign(count_ + 1, {});
   pushed_.assign(count_ + 1, 0);
-  held_at_.assign(count_, 0);
-  turns_.resize(count_);
+  support_counts_.assign(count_, 0);
+  poses_.resize(count_);
   for (auto& island : islands_) solve(island);
   keep();
   rest();
@@ -61,12 +61,12 @@ Report Solver::run() {
 
 void Solver::find() {
   contacts_ = find_contacts(world_, states_, colliders_, settings_, step_);
-  found_ = true;
+  has_contacts_ = true;
 }
 
 void Solver::solve(Island& island) {
   for (const std::size_t i : island.bodies) {
-    turns_[i] = pose_of(states_[i]);
+    poses_[i] = pose_of(states_[i]);
     speeds_[i].ease = world_.bodies[i].ease;
     speeds_[i].v = states_[i].velocity;
     speeds_[i].w = spin_of(world_.bodies[i], states_[i]);
@@ -82,21 +82,21 @@ void Solver::solve(Island& island) {
   for (int s = 0; s < parts_; ++s) small_step(island, s);
   for (const Patch& patch : patches_) {
     save(patch);
-    const double slack = PARTING * world_.bodies[patch.a].reach;
+    const double slack = SEPARATING * world_.bodies[patch.a].reach;
     for (std::size_t k = patch.begin; k < patch.end; ++k)
-      island.parting |= points_[k].now < -slack;
-    note_held(patch);
+      island.separating |= points_[k].now < -slack;
+    count_supports(patch);
   }
   for (std::size_t k = 0; k < island.joints.size(); ++k) {
-    auto& slots = held_[island.joints[k]];
+    auto& slots = kept_impulses_[island.joints[k]];
     slots.fill(0);
     const double reach = world_.bodies[world_.joints[island.joints[k]].b].reach;
     for (std::size_t r = 0; r < rows_[k].count; ++r) {
       const Row& row = rows_[k].of[r];
       slots[static_cast<std::size_t>(row.slot)] = row.impulse / small_;
-      const bool turns = dot(row.line, row.line) == 0;
+      const bool rotates = dot(row.line, row.line) == 0;
       const double off = row.kind == Row::LIMIT ? -row.error : std::fabs(row.error);
-      island.parting |= row.kind != Row::DRIVE && off > PARTING * (turns ? 1 : reach);
+      island.separating |= row.kind != Row::DRIVE && off > SEPARATING * (rotates ? 1 : reach);
     }
   }
 }
@@ -136,7 +136,7 @@ void Solver::soften() {
 }
 
 void Solver::refresh(std::size_t i) {
-  const double* r = turns_[i].turn;
+  const double* r = poses_[i].rotation;
   const double* e = world_.bodies[i].turning.of;
   double* to = speeds_[i].turning;
   for (int p = 0; p < 3; ++p)
@@ -237,28 +237,28 @@ void Solver::go(std::size_t i) {
   const Speed& speed = speeds_[i];
   s.at = s.at + speed.v * h_;
   if (pushed_[i]) s.velocity = speed.v, s.momentum = momentum_of(i);
-  turn_freely(i, s);
-  turns_[i] = pose_of(s);
+  rotate_freely(i, s);
+  poses_[i] = pose_of(s);
   speeds_[i].w = spin_of(body, s);
   if (!patches_.empty() || !rows_.empty()) refresh(i);
 }
 
-void Solver::turn_freely(std::size_t i, State& s) const {
-  const Vec p = unrotate(s.turn, s.momentum);
-  Spin spin{s.turn, {p.x, p.y, p.z}};
+void Solver::rotate_freely(std::size_t i, State& s) const {
+  const Vec p = unrotate(s.rotation, s.momentum);
+  Spin spin{s.rotation, {p.x, p.y, p.z}};
   spin_freely(spin, world_.bodies[i].turning, h_, settings_.method);
-  s.turn = spin.q;
+  s.rotation = spin.q;
   if (settings_.method != Method::SPLITTING)
-    s.momentum = rotate(s.turn, {spin.p[0], spin.p[1], spin.p[2]});
+    s.momentum = rotate(s.rotation, {spin.p[0], spin.p[1], spin.p[2]});
 }
 
 Vec Solver::momentum_of(std::size_t i) const {
-  const Vec w = turns_[i].unrotated(speeds_[i].w);
+  const Vec w = poses_[i].unrotated(speeds_[i].w);
   const double* e = world_.bodies[i].turning.of;
   const double p[3] = {w.x, w.y, w.z};
   double to[3];
   for (int k = 0; k < 3; ++k) to[k] = e[k] > 0 ? p[k] / e[k] : 0.0;
-  return turns_[i].rotated({to[0], to[1], to[2]});
+  return poses_[i].rotated({to[0], to[1], to[2]});
 }
 
 void Solver::mark(const Island& island) {
@@ -283,13 +283,13 @@ void Solver::settle(std::size_t i) {
 }
 
 Report step_world(const World& world, std::vector<State>& states, std::vector<Kept>& kept,
-                  std::vector<std::array<double, ROWS>>& held, const std::vector<Vec>& forces,
+                  std::vector<std::array<double, ROWS>>& kept_impulses, const std::vector<Vec>& forces,
                   const std::vector<Vec>& torques,
                   const std::vector<collide::Collider>& colliders,
                   const std::vector<collide::Motion>& anchors, const Settings& settings,
                   double step) {
-  Solver whole(world, states, kept, held, forces, torques, colliders, anchors, settings, step);
-  if (settings.substeps == 1 || !whole.bounces()) return whole.run();
+  Solver full(world, states, kept, kept_impulses, forces, torques, colliders, anchors, settings, step);
+  if (settings.substeps == 1 || !full.bounces()) return full.run();
   // A bouncing body meets others than those in its path: contacts are found again in each substep.
   Settings small = settings;
   small.substeps = 1;
@@ -302,7 +302,7 @@ Report step_world(const World& world, std::vector<State>& states, std::vector<Ke
     for (std::size_t i = 0; i < around.size(); ++i)
       around[i].motion = colliders[i].motion.part(begin, end);
     for (std::size_t i = 0; i < frames.size(); ++i) frames[i] = anchors[i].part(begin, end);
-    report.add(Solver(world, states, kept, held, forces, torques, around, frames, small,
+    report.add(Solver(world, states, kept, kept_impulses, forces, torques, around, frames, small,
                       step / settings.substeps)
                    .run());
   }

@@ -18,8 +18,8 @@ constexpr int AGAIN = 4, ARRIVES = 16;
 double Solver::until_impact(const Island& island, double left, double begin, double end) {
   const double soon = small_ * SOON;
   for (int again = 0; again < AGAIN; ++again) {
-    const double share = begin + (end - begin) * (1 - left / small_);
-    const double time = next_arrival(left, share);
+    const double fraction = begin + (end - begin) * (1 - left / small_);
+    const double time = next_arrival(left, fraction);
     if (time > soon || !(time < left)) return time;
     for (const std::size_t i : island.bodies) pushed_[i] = 0;
     Impacts impacts(world_, patches_, points_, island.joints, rows_, speeds_,
@@ -30,7 +30,7 @@ double Solver::until_impact(const Island& island, double left, double begin, dou
   return left;
 }
 
-double Solver::next_arrival(double left, double share) {
+double Solver::next_arrival(double left, double fraction) {
   double first = left;
   for (Patch& patch : patches_) {
     if (!(patch.restitution > 0)) continue;
@@ -43,20 +43,20 @@ double Solver::next_arrival(double left, double share) {
       p.flies = coming > rest && 2 * gap < FLIES * left * (into + coming);
       if (!p.flies) continue;
       p.force = p.across[0] = p.across[1] = 0;
-      first = std::min(first, arrival(patch, p, share, first));
+      first = std::min(first, arrival(patch, p, fraction, first));
     }
   }
   return first;
 }
 
-double Solver::arrival(const Patch& patch, const Point& p, double share, double within) const {
-  double low = 0, high = within, at_low = p.now, at_high = gap_at(patch, p, share, within);
+double Solver::arrival(const Patch& patch, const Point& p, double fraction, double within) const {
+  double low = 0, high = within, at_low = p.now, at_high = gap_at(patch, p, fraction, within);
   if (at_low <= 0) return 0;
   if (at_high > 0) return within;
   const double near = TOUCHING * world_.bodies[patch.a].reach / 8;
   for (int i = 0; i < ARRIVES && high - low > small_ * SOON / 4; ++i) {
     const double time = low + (high - low) * at_low / (at_low - at_high);
-    const double gap = gap_at(patch, p, share, time);
+    const double gap = gap_at(patch, p, fraction, time);
     if (std::fabs(gap) < near) return time;
     if (gap > 0) {
       low = time, at_low = gap, at_high /= 2;
@@ -67,18 +67,18 @@ double Solver::arrival(const Patch& patch, const Point& p, double share, double 
   return high;
 }
 
-double Solver::gap_at(const Patch& patch, const Point& p, double share, double time) const {
-  const auto place = [&](std::size_t i, Vec own) {
+double Solver::gap_at(const Patch& patch, const Point& p, double fraction, double time) const {
+  const auto point_at = [&](std::size_t i, Vec local) {
     const State& s = states_[i];
     const Vec pulled = forces_[i] * (world_.bodies[i].ease * time * time / 2);
-    const Vec arm = rotate(turn_of(speeds_[i].w * time), turns_[i].rotated(own));
+    const Vec arm = rotate(rotation_of(speeds_[i].w * time), poses_[i].rotated(local));
     return s.at + s.velocity * time + pulled + arm;
   };
-  const Vec own = place(patch.a, p.own);
+  const Vec at_a = point_at(patch.a, p.on_a);
   const Vec far = patch.b < count_
-                      ? place(patch.b, p.other)
-                      : patch.contact->motion->at(share + time / step_).to_world(p.other);
-  return p.gap + dot(patch.normal, far - own) - patch.skin;
+                      ? point_at(patch.b, p.on_b)
+                      : patch.contact->motion->at(fraction + time / step_).to_world(p.on_b);
+  return p.gap + dot(patch.normal, far - at_a) - patch.skin;
 }
 
 double Solver::rest_of(std::size_t a, std::size_t b, double restitution) const {

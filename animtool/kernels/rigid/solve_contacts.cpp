@@ -16,7 +16,7 @@ constexpr double SLIDING = 1e-6;
 
 }  // namespace
 
-void Solver::note_held(const Patch& patch) {
+void Solver::count_supports(const Patch& patch) {
   if (!(patch.friction > 0)) return;
   int count = 0;
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
@@ -25,9 +25,9 @@ void Solver::note_held(const Patch& patch) {
     count += p.across[0] * p.across[0] + p.across[1] * p.across[1] < limit * limit;
   }
   const Contact& c = *patch.contact;
-  if (world_.shapes[c.first].core.faces()) held_at_[patch.a] += count;
+  if (world_.shapes[c.first].core.faces()) support_counts_[patch.a] += count;
   if (patch.b < count_ && world_.shapes[static_cast<std::size_t>(c.second)].core.faces())
-    held_at_[patch.b] += count;
+    support_counts_[patch.b] += count;
 }
 
 void Solver::add_patch(const Contact& c) {
@@ -43,13 +43,13 @@ void Solver::add_patch(const Contact& c) {
   patch.skin = c.radius + c.other_radius;
   const double size = TURNED * world_.bodies[c.a].reach;
   patch.turned = size * size;
-  const Pose& pose_a = turns_[c.a];
-  const Pose still = c.b < 0 ? c.motion->at(0) : turns_[patch.b];
+  const Pose& pose_a = poses_[c.a];
+  const Pose fixed_pose = c.b < 0 ? c.motion->at(0) : poses_[patch.b];
   for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
     Point& p = points_.emplace_back();
-    p.own = c.own[k], p.other = c.other[k], p.gap = c.gaps[k];
-    const Pose& pose_b = c.b < 0 ? still : turns_[patch.b];
-    set_arms(patch, p, touching_point(patch, pose_a.to_world(p.own), pose_b.to_world(p.other)));
+    p.on_a = c.on_a[k], p.on_b = c.on_b[k], p.gap = c.gaps[k];
+    const Pose& pose_b = c.b < 0 ? fixed_pose : poses_[patch.b];
+    set_arms(patch, p, touching_point(patch, pose_a.to_world(p.on_a), pose_b.to_world(p.on_b)));
   }
   patch.end = points_.size();
   find_kept(patch);
@@ -63,9 +63,9 @@ void Solver::set_arms(const Patch& patch, Point& p, Vec at) {
   const Vec lines[3] = {patch.normal, patch.tangents[0], patch.tangents[1]};
   for (int d = 0; d < 3; ++d) {
     p.arms_a[d] = cross(at_a, lines[d]), p.arms_b[d] = cross(at_b, lines[d]);
-    p.turns_a[d] = sa.turned(p.arms_a[d]), p.turns_b[d] = sb.turned(p.arms_b[d]);
-    const double k = sa.ease + sb.ease + dot(p.arms_a[d], p.turns_a[d]) +
-                     dot(p.arms_b[d], p.turns_b[d]);
+    p.responses_a[d] = sa.turned(p.arms_a[d]), p.responses_b[d] = sb.turned(p.arms_b[d]);
+    const double k = sa.ease + sb.ease + dot(p.arms_a[d], p.responses_a[d]) +
+                     dot(p.arms_b[d], p.responses_b[d]);
     (d ? p.masses[d - 1] : p.mass) = k > 0 ? 1 / k : 0;
   }
   // One arm for both, so that friction is aligned with sliding.
@@ -86,12 +86,12 @@ void Solver::find_kept(Patch& patch) {
     int best = -1, i = 0;
     for (auto it = begin; it != kept_.end() && it->first == first && it->second == c.second &&
                           i < 32; ++it, ++i) {
-      const Vec off = it->at - p.own;
+      const Vec off = it->at - p.on_a;
       if (!(taken >> i & 1) && dot(off, off) < least) least = dot(off, off), best = i;
     }
     if (best < 0) continue;
     taken |= 1u << best;
-    const Vec force = turns_[c.a].rotated((begin + best)->force) * h_;
+    const Vec force = poses_[c.a].rotated((begin + best)->force) * h_;
     p.force = std::max(dot(force, patch.normal), 0.0);
     p.across[0] = dot(force, patch.tangents[0]), p.across[1] = dot(force, patch.tangents[1]);
   }
@@ -103,9 +103,9 @@ void Solver::save(const Patch& patch) {
     const Vec force = patch.normal * p.force + patch.tangents[0] * p.across[0] +
                       patch.tangents[1] * p.across[1];
     // In the body's frame at the start of the step, in which it rotates little.
-    const Vec own = turns_[patch.a].unrotated(force) * (1 / small_);
+    const Vec local_force = poses_[patch.a].unrotated(force) * (1 / small_);
     saved_.push_back({static_cast<std::int64_t>(patch.contact->first), patch.contact->second,
-                      p.own, own});
+                      p.on_a, local_force});
     if (-p.now > report_.deepest) {
       report_.deepest = -p.now;
       report_.first = static_cast<std::int64_t>(patch.contact->first);
@@ -115,22 +115,22 @@ void Solver::save(const Patch& patch) {
   }
 }
 
-void Solver::look(double share) {
+void Solver::look(double fraction) {
   for (Patch& patch : patches_) {
     const Vec at = states_[patch.a].at;
-    const Pose& pose = turns_[patch.a];
+    const Pose& pose = poses_[patch.a];
     const bool fixed = patch.b == count_;
     const collide::Motion* motion = patch.contact->motion;
-    const Pose other = fixed ? motion->at(share) : turns_[patch.b];
+    const Pose other = fixed ? motion->at(fraction) : poses_[patch.b];
     for (std::size_t k = patch.begin; k < patch.end; ++k) {
       Point& p = points_[k];
-      const Vec own = at + pose.rotated(p.own), far = other.to_world(p.other);
-      p.now = p.gap + dot(patch.normal, far - own) - patch.skin;
-      const Vec mid = touching_point(patch, own, far), off = mid - at - p.arm_a;
+      const Vec at_a = at + pose.rotated(p.on_a), far = other.to_world(p.on_b);
+      p.now = p.gap + dot(patch.normal, far - at_a) - patch.skin;
+      const Vec mid = touching_point(patch, at_a, far), off = mid - at - p.arm_a;
       const Vec far_off = fixed ? Vec{} : mid - states_[patch.b].at - p.arm_b;
       if (dot(off, off) + dot(far_off, far_off) > patch.turned) set_arms(patch, p, mid);
       if (fixed && motion->moves()) p.slide = motion->displacement(far, other) * (1 / step_);
-      p.given = dot(p.slide, patch.normal);
+      p.bias_speed = dot(p.slide, patch.normal);
     }
   }
 }
@@ -155,9 +155,9 @@ void Solver::end_warm(Patch& patch) {
 
 void Solver::hold(const Patch& patch, const Point& p) {
   if (p.half[0] == 0) return;
-  apply(patch.a, patch.b, patch.normal, p.turns_a[0], p.turns_b[0], p.half[0]);
+  apply(patch.a, patch.b, patch.normal, p.responses_a[0], p.responses_b[0], p.half[0]);
   for (int d = 0; d < 2; ++d)
-    apply(patch.a, patch.b, patch.tangents[d], p.turns_a[d + 1], p.turns_b[d + 1],
+    apply(patch.a, patch.b, patch.tangents[d], p.responses_a[d + 1], p.responses_b[d + 1],
           p.half[d + 1]);
 }
 
@@ -181,7 +181,7 @@ double Solver::correct(Patch& patch, bool pushing) {
     const double force = std::max(p.force + change, 0.0), by = force - p.force;
     p.force = force;
     if (by != 0) {
-      apply(patch.a, patch.b, patch.normal, p.turns_a[0], p.turns_b[0], by);
+      apply(patch.a, patch.b, patch.normal, p.responses_a[0], p.responses_b[0], by);
       most = std::max(most, std::fabs(by) / p.mass);
     }
   }
@@ -199,12 +199,12 @@ double Solver::correct(Patch& patch, bool pushing) {
     }
     const double limit = patch.friction * p.force;
     const double size = std::sqrt(to[0] * to[0] + to[1] * to[1]);
-    const double share = size > limit ? limit / size : 1;
+    const double fraction = size > limit ? limit / size : 1;
     for (int d = 0; d < 2; ++d) {
-      const double by = to[d] * share - p.across[d];
+      const double by = to[d] * fraction - p.across[d];
       p.across[d] += by;
       if (by == 0) continue;
-      apply(patch.a, patch.b, patch.tangents[d], p.turns_a[d + 1], p.turns_b[d + 1], by);
+      apply(patch.a, patch.b, patch.tangents[d], p.responses_a[d + 1], p.responses_b[d + 1], by);
       most = std::max(most, std::fabs(by) / p.masses[d]);
     }
   }

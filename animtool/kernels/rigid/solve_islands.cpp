@@ -7,7 +7,7 @@ namespace {
 
 // Friction at this many points supports a body; with fewer, or without support, it falls asleep
 // below this fraction of the sleep speed.
-constexpr int HELD = 3;
+constexpr int SUPPORTED = 3;
 constexpr double LEANING = 0.25, CREEP = 0.01;
 
 }  // namespace
@@ -88,17 +88,17 @@ void Solver::keep() {
 void Solver::rest() {
   for (const auto& island : islands_) {
     double speed = 0, least = std::numeric_limits<double>::infinity();
-    bool held = !island.parting;
+    bool supported_all = !island.separating;
     for (const std::size_t i : island.bodies) {
       const State& s = states_[i];
       const double turning = length(spin_of(world_.bodies[i], s)) * world_.bodies[i].reach;
-      const double own = length(s.velocity) + turning;
-      speed = std::max(speed, own);
-      const double share = held_at_[i] >= HELD ? 1 : held_at_[i] ? LEANING : CREEP;
-      held &= own < settings_.drowsy * share && (held_at_[i] || supported(island));
+      const double body_speed = length(s.velocity) + turning;
+      speed = std::max(speed, body_speed);
+      const double factor = support_counts_[i] >= SUPPORTED ? 1 : support_counts_[i] ? LEANING : CREEP;
+      supported_all &= body_speed < settings_.drowsy * factor && (support_counts_[i] || supported(island));
     }
     for (const std::size_t i : island.bodies) {
-      const bool slow = speed < settings_.drowsy && held;
+      const bool slow = speed < settings_.drowsy && supported_all;
       states_[i].idle = slow ? states_[i].idle + step_ : 0;
       least = std::min(least, states_[i].idle);
     }

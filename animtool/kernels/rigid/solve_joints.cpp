@@ -56,30 +56,30 @@ void Solver::hold(const Joint& joint, const Rows& rows) {
   }
 }
 
-Solver::Frames Solver::frames_of(std::size_t number, double share, const State* on_a, const State& on_b) const {
+Solver::Frames Solver::frames_of(std::size_t number, double fraction, const State* on_a, const State& on_b) const {
   const Joint& joint = world_.joints[number];
-  Frames found;
+  Frames frames;
   if (joint.a < 0) {
-    const Pose pose = anchors_[number].at(share);
-    found.a = {pose.to_world(joint.on_a.at), unit(turn_of_pose(pose) * joint.on_a.turn), {}, {}};
+    const Pose pose = anchors_[number].at(fraction);
+    frames.a = {pose.to_world(joint.on_a.at), unit(rotation_of_pose(pose) * joint.on_a.rotation), {}, {}};
     if (anchors_[number].moves()) {
-      found.a.velocity = anchors_[number].displacement(found.a.at, pose) * (1 / step_);
-      found.a.spin = anchors_[number].turn() * (1 / step_);
+      frames.a.velocity = anchors_[number].displacement(frames.a.at, pose) * (1 / step_);
+      frames.a.spin = anchors_[number].rotation() * (1 / step_);
     }
   } else {
-    found.a = anchor_of(*on_a, joint.on_a);
-    found.arm_a = found.a.at - on_a->at;
+    frames.a = anchor_of(*on_a, joint.on_a);
+    frames.arm_a = frames.a.at - on_a->at;
   }
-  found.b = anchor_of(on_b, joint.on_b);
-  found.arm_b = found.b.at - on_b.at;
-  return found;
+  frames.b = anchor_of(on_b, joint.on_b);
+  frames.arm_b = frames.b.at - on_b.at;
+  return frames;
 }
 
-void Solver::write_rows(std::size_t number, std::size_t k, double share, bool first) {
+void Solver::write_rows(std::size_t number, std::size_t k, double fraction, bool first) {
   const Joint& joint = world_.joints[number];
   std::array<double, ROWS> before{}, half{};
   if (first) {
-    for (std::size_t i = 0; i < ROWS; ++i) before[i] = held_[number][i] * h_;
+    for (std::size_t i = 0; i < ROWS; ++i) before[i] = kept_impulses_[number][i] * h_;
   } else {
     for (std::size_t r = 0; r < rows_[k].count; ++r) {
       const Row& row = rows_[k].of[r];
@@ -87,7 +87,7 @@ void Solver::write_rows(std::size_t number, std::size_t k, double share, bool fi
       half[static_cast<std::size_t>(row.slot)] = row.half;
     }
   }
-  const Frames f = frames_of(number, share, first_state(joint), states_[joint.b]);
+  const Frames f = frames_of(number, fraction, first_state(joint), states_[joint.b]);
   rows_[k] = rows_of(joint, f.a, f.b, f.arm_a, f.arm_b, speeds_[first_of(joint)],
                      speeds_[joint.b], h_);
   for (std::size_t r = 0; r < rows_[k].count; ++r) {
@@ -103,7 +103,7 @@ void Solver::bend(std::size_t number, Rows& rows, double end) {
     State s = states_[i];
     s.at = s.at + speeds_[i].v * h_;
     s.momentum = momentum_of(i);
-    turn_freely(i, s);
+    rotate_freely(i, s);
     return s;
   };
   const State on_b = gone(joint.b);
@@ -117,14 +117,14 @@ void Solver::bend(std::size_t number, Rows& rows, double end) {
     for (std::size_t q = 0; q < after.count; ++q) {
       if (after.of[q].slot != row.slot) continue;
       const double change = after.of[q].error - row.error;
-      const bool turns = dot(row.line, row.line) == 0;
-      row.bend = (turns ? std::remainder(change, TURN) : change) / h_ - speed_of(joint, row);
+      const bool rotates = dot(row.line, row.line) == 0;
+      row.bend = (rotates ? std::remainder(change, FULL_CIRCLE) : change) / h_ - speed_of(joint, row);
     }
   }
 }
 
-Turn Solver::turn_of_pose(const Pose& pose) {
-  const double* m = pose.turn;
+Quaternion Solver::rotation_of_pose(const Pose& pose) {
+  const double* m = pose.rotation;
   const double w = std::sqrt(std::max(0.0, 1 + m[0] + m[4] + m[8])) / 2;
   const double x = std::sqrt(std::max(0.0, 1 + m[0] - m[4] - m[8])) / 2;
   const double y = std::sqrt(std::max(0.0, 1 - m[0] + m[4] - m[8])) / 2;
@@ -134,7 +134,7 @@ Turn Solver::turn_of_pose(const Pose& pose) {
 }
 
 Anchor Solver::anchor_of(const State& s, const Frame& frame) {
-  return {s.at + rotate(s.turn, frame.at), s.turn * frame.turn, {}, {}};
+  return {s.at + rotate(s.rotation, frame.at), s.rotation * frame.rotation, {}, {}};
 }
 
 double Solver::correct(const Joint& joint, Rows& rows, bool pushing) {

@@ -21,10 +21,10 @@ constexpr double CONTACT_DAMPING = 10, JOINT_DAMPING = 2;
 class Solver {
  public:
   Solver(const World& world, std::vector<State>& states, std::vector<Kept>& kept,
-         std::vector<std::array<double, ROWS>>& held, const std::vector<Vec>& forces,
+         std::vector<std::array<double, ROWS>>& kept_impulses, const std::vector<Vec>& forces,
          const std::vector<Vec>& torques, const std::vector<collide::Collider>& colliders,
          const std::vector<collide::Motion>& anchors, const Settings& settings, double step)
-      : world_(world), states_(states), kept_(kept), held_(held), forces_(forces),
+      : world_(world), states_(states), kept_(kept), kept_impulses_(kept_impulses), forces_(forces),
         torques_(torques), colliders_(colliders), anchors_(anchors), settings_(settings),
         step_(step), small_(step / settings.substeps), h_(small_), count_(states.size()) {}
 
@@ -36,7 +36,7 @@ class Solver {
   struct Island {
     std::vector<std::size_t> bodies, joints;
     std::vector<std::size_t> contacts;
-    bool parting = false;  // some penetration is still being resolved
+    bool separating = false;  // some penetration is still being resolved
   };
   void find();
 
@@ -59,16 +59,16 @@ class Solver {
   void soften();
 
   // Counts the points at which friction supports bodies: sliding and rolling ones do not count.
-  void note_held(const Patch& patch);
+  void count_supports(const Patch& patch);
   void refresh(std::size_t i);
   void add_patch(const Contact& c);
 
   // One point for both, so that angular momentum is conserved: halfway, or on the round body.
-  static Vec touching_point(const Patch& patch, Vec own, Vec other) {
+  static Vec touching_point(const Patch& patch, Vec at_a, Vec at_b) {
     const Contact& c = *patch.contact;
-    if (c.radius > 0) return own + patch.normal * c.radius;
-    if (c.other_radius > 0) return other - patch.normal * c.other_radius;
-    return (own + other) * 0.5;
+    if (c.radius > 0) return at_a + patch.normal * c.radius;
+    if (c.other_radius > 0) return at_b - patch.normal * c.other_radius;
+    return (at_a + at_b) * 0.5;
   }
 
   // A contact point at the current poses.
@@ -97,12 +97,12 @@ class Solver {
   double until_impact(const Island& island, double left, double begin, double end);
 
   // Marks points approaching so fast that they bounce; returns the first arrival, or the rest.
-  double next_arrival(double left, double share);
+  double next_arrival(double left, double fraction);
 
   // Time at which a point closes its gap with both bodies in motion, within a limit: by the
   // Illinois method.
-  double arrival(const Patch& patch, const Point& p, double share, double within) const;
-  double gap_at(const Patch& patch, const Point& p, double share, double time) const;
+  double arrival(const Patch& patch, const Point& p, double fraction, double within) const;
+  double gap_at(const Patch& patch, const Point& p, double fraction, double time) const;
 
   // Speed below which two rest instead of bouncing: forces reverse slower motion within a substep.
   double rest_of(std::size_t a, std::size_t b, double restitution) const;
@@ -111,7 +111,7 @@ class Solver {
   }
 
   // Updates current contact points.
-  void look(double share);
+  void look(double fraction);
 
   // Relative acceleration of the second body.
   Vec relative_pull(const Patch& patch) const;
@@ -124,8 +124,8 @@ class Solver {
   // Applies forces for half a substep.
   void push(std::size_t i);
 
-  void apply(std::size_t a, std::size_t b, Vec line, Vec turn_a, Vec turn_b, double impulse) {
-    rigid::apply(speeds_, a, b, line, turn_a, turn_b, impulse);
+  void apply(std::size_t a, std::size_t b, Vec line, Vec response_a, Vec response_b, double impulse) {
+    rigid::apply(speeds_, a, b, line, response_a, response_b, impulse);
   }
 
   // Applies the impulses of the previous substep for half the time.
@@ -146,13 +146,13 @@ class Solver {
     Anchor a, b;
     Vec arm_a, arm_b;
   };
-  Frames frames_of(std::size_t number, double share, const State* on_a, const State& on_b) const;
+  Frames frames_of(std::size_t number, double fraction, const State* on_a, const State& on_b) const;
 
   const State* first_state(const Joint& joint) const {
     return joint.a < 0 ? nullptr : &states_[static_cast<std::size_t>(joint.a)];
   }
 
-  void write_rows(std::size_t number, std::size_t k, double share, bool first);
+  void write_rows(std::size_t number, std::size_t k, double fraction, bool first);
 
   // Change of a joint's errors to the end of the substep beyond its linear equations, over the
   // time.
@@ -160,10 +160,10 @@ class Solver {
 
   double speed_of(const Joint& joint, const Row& row) const {
     const Speed &a = speeds_[first_of(joint)], &b = speeds_[joint.b];
-    return dot(row.line, b.v - a.v) + dot(row.arm_b, b.w) - dot(row.arm_a, a.w) + row.given;
+    return dot(row.line, b.v - a.v) + dot(row.arm_b, b.w) - dot(row.arm_a, a.w) + row.bias_speed;
   }
 
-  static Turn turn_of_pose(const Pose& pose);
+  static Quaternion rotation_of_pose(const Pose& pose);
   static Anchor anchor_of(const State& s, const Frame& frame);
 
   // Iterates velocity corrections until convergence, with or without position correction.
@@ -173,7 +173,7 @@ class Solver {
 
   // Moves bodies for a substep.
   void go(std::size_t i);
-  void turn_freely(std::size_t i, State& s) const;
+  void rotate_freely(std::size_t i, State& s) const;
   Vec momentum_of(std::size_t i) const;
 
   // Marks bodies pushed by contacts and joints.
@@ -196,7 +196,7 @@ class Solver {
   const World& world_;
   std::vector<State>& states_;
   std::vector<Kept>& kept_;
-  std::vector<std::array<double, ROWS>>& held_;
+  std::vector<std::array<double, ROWS>>& kept_impulses_;
   const std::vector<Vec>&forces_, &torques_;
   const std::vector<collide::Collider>& colliders_;
   const std::vector<collide::Motion>& anchors_;
@@ -206,13 +206,13 @@ class Solver {
   Softness contact_ = Softness::of(STIFF / small_, CONTACT_DAMPING, h_);
   Softness joint_ = Softness::of(STIFF / small_, JOINT_DAMPING, h_);
   std::vector<Contact> contacts_;
-  bool found_ = false;  // whether contacts of this step are found
+  bool has_contacts_ = false;  // whether contacts of this step are found
   Groups groups_;
   std::vector<Island> islands_;
   std::vector<Speed> speeds_;  // of bodies, and of static ones
-  std::vector<Pose> turns_;
+  std::vector<Pose> poses_;
   std::vector<char> pushed_;
-  std::vector<int> held_at_;  // number of supporting points
+  std::vector<int> support_counts_;  // number of supporting points
   int parts_ = 1;  // substeps
   std::vector<Drives> drives_;
   bool hard_ = false;  // whether joints are rigid, so that drives move the right mass

@@ -12,25 +12,25 @@
 #include <cstdint>
 
 #include "base/poses.h"
-#include "base/turns.h"
+#include "base/rotations.h"
 
 namespace animtool::rigid {
 
-using animtool::Turn;
+using animtool::Quaternion;
 using collide::Vec;
 using collide::length;
 
 enum class Method : std::int64_t { SPLITTING, RK4, SYMPLECTIC_EULER, EULER };
 
-inline Vec rotate(const Turn& q, Vec a) {
+inline Vec rotate(const Quaternion& q, Vec a) {
   const Vec u{q.x, q.y, q.z}, t = cross(u, a) * 2;
   return a + t * q.w + cross(u, t);
 }
 
-inline Vec unrotate(const Turn& q, Vec a) { return rotate(conjugate(q), a); }
+inline Vec unrotate(const Quaternion& q, Vec a) { return rotate(conjugate(q), a); }
 
 // The rotation of a rotation vector.
-inline Turn turn_of(Vec v) {
+inline Quaternion rotation_of(Vec v) {
   const double angle = length(v);
   const double s = angle > 1e-8 ? std::sin(angle / 2) / angle : 0.5 - angle * angle / 48;
   return {v.x * s, v.y * s, v.z * s, std::cos(angle / 2)};
@@ -38,7 +38,7 @@ inline Turn turn_of(Vec v) {
 
 // Attitude, and angular momentum in the frame of the principal axes.
 struct Spin {
-  Turn q;
+  Quaternion q;
   double p[3];
 };
 
@@ -51,7 +51,7 @@ struct Ease {
 
 // Rotates a body about one of its principal axes.
 template <int AXIS>
-inline void turn_about(Spin& s, const Ease& ease, double h) {
+inline void rotate_about(Spin& s, const Ease& ease, double h) {
   constexpr int J = (AXIS + 1) % 3, K = (AXIS + 2) % 3;
   const double angle = h * s.p[AXIS] * ease.of[AXIS];
   if (angle == 0) return;
@@ -60,18 +60,18 @@ inline void turn_about(Spin& s, const Ease& ease, double h) {
   const double j = s.p[J], k = s.p[K];
   s.p[J] = cs * j + sn * k;
   s.p[K] = cs * k - sn * j;
-  Turn by;
+  Quaternion by;
   (AXIS == 0 ? by.x : AXIS == 1 ? by.y : by.z) = sine;
   by.w = cosine;
   s.q = s.q * by;
 }
 
 inline void split_step(Spin& s, const Ease& ease, double h) {
-  turn_about<0>(s, ease, h / 2);
-  turn_about<1>(s, ease, h / 2);
-  turn_about<2>(s, ease, h);
-  turn_about<1>(s, ease, h / 2);
-  turn_about<0>(s, ease, h / 2);
+  rotate_about<0>(s, ease, h / 2);
+  rotate_about<1>(s, ease, h / 2);
+  rotate_about<2>(s, ease, h);
+  rotate_about<1>(s, ease, h / 2);
+  rotate_about<0>(s, ease, h / 2);
 }
 
 template <std::size_t HALF>
@@ -82,9 +82,9 @@ inline void composed(Spin& s, const Ease& ease, double h, const double (&shares)
 
 // Largest rotations, in radians that differ between axes, of steps of order 2, 4 and 6: each keeps
 // energy within 1e-12 and attitude within 1e-9.
-constexpr double TURN_2 = 2e-4, TURN_4 = 4e-3, TURN_6 = 2e-2;
+constexpr double ANGLE_2 = 2e-4, ANGLE_4 = 4e-3, ANGLE_6 = 2e-2;
 // Largest rotation at order 8; longer steps are divided, up to this count: no shot spins faster.
-constexpr double TURN_8 = 0.2, MOST_PARTS = 64;
+constexpr double ANGLE_8 = 0.2, MOST_PARTS = 64;
 
 inline void split(Spin& s, const Ease& ease, double h) {
   static constexpr double fourth[] = {0.41449077179437573714, 0.41449077179437573714,
@@ -98,29 +98,29 @@ inline void split(Spin& s, const Ease& ease, double h) {
       0.25837438768632204729,  0.29501172360931029887, -0.60550853383003451170};
   const auto [least, most] = std::minmax({ease.of[0], ease.of[1], ease.of[2]});
   const double momentum = std::sqrt(s.p[0] * s.p[0] + s.p[1] * s.p[1] + s.p[2] * s.p[2]);
-  const double apart = h * momentum * (most - least);
-  if (apart == 0) {
+  const double spread = h * momentum * (most - least);
+  if (spread == 0) {
     const Vec w = ease.spin(s.p);
-    const Turn by = turn_of(w * h);
+    const Quaternion by = rotation_of(w * h);
     s.q = s.q * by;
     return;
   }
-  if (apart <= TURN_2) return split_step(s, ease, h);
-  if (apart <= TURN_4) return composed(s, ease, h, fourth);
-  if (apart <= TURN_6) return composed(s, ease, h, sixth);
-  const double parts = std::min(std::ceil(apart / TURN_8), MOST_PARTS);
+  if (spread <= ANGLE_2) return split_step(s, ease, h);
+  if (spread <= ANGLE_4) return composed(s, ease, h, fourth);
+  if (spread <= ANGLE_6) return composed(s, ease, h, sixth);
+  const double parts = std::min(std::ceil(spread / ANGLE_8), MOST_PARTS);
   for (int i = 0; i < parts; ++i) composed(s, ease, h / parts, eighth);
 }
 
 // Rates of attitude and momentum, for classical methods.
 struct Rate {
-  Turn q;
+  Quaternion q;
   double p[3];
 };
 
 inline Rate rate_of(const Spin& s, const Ease& ease) {
   const Vec w = ease.spin(s.p), p{s.p[0], s.p[1], s.p[2]}, d = cross(p, w);
-  const Turn by = s.q * Turn{w.x / 2, w.y / 2, w.z / 2, 0};
+  const Quaternion by = s.q * Quaternion{w.x / 2, w.y / 2, w.z / 2, 0};
   return {by, {d.x, d.y, d.z}};
 }
 

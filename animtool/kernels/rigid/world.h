@@ -35,7 +35,7 @@ struct World {
   std::vector<Shape> shapes;  // body by body
   std::vector<Joint> joints;
   // Excluded pairs of bodies, or of a body and a collider (numbered after bodies); ascending.
-  std::vector<std::uint64_t> apart;
+  std::vector<std::uint64_t> excluded;
 };
 
 struct Settings {
@@ -50,7 +50,7 @@ struct Settings {
 // A body in the world, with spin and momentum in the world.
 struct State {
   Vec at, velocity, momentum;
-  Turn turn;
+  Quaternion rotation;
   double idle = 0;  // time it has been slow [s]; asleep from `rest` on
 };
 
@@ -97,7 +97,7 @@ struct Contact {
   int count = 0;
   // Contact points in the frames of both bodies, and the gaps. Rolling shapes change their contact
   // point continuously: these are points of the first's core, and its surface is a radius away.
-  std::array<Vec, MOST_POINTS> own, other;
+  std::array<Vec, MOST_POINTS> on_a, on_b;
   std::array<double, MOST_POINTS> gaps;
   double radius = 0, other_radius = 0;
 
@@ -105,8 +105,8 @@ struct Contact {
     normal = manifold.normal, count = manifold.count;
     for (std::size_t k = 0; k < static_cast<std::size_t>(count); ++k) {
       const Vec at = manifold.points[k].at;
-      own[k] = pose_a.to_local(at - normal * radius);
-      other[k] = pose_b.to_local(at + normal * other_radius);
+      on_a[k] = pose_a.to_local(at - normal * radius);
+      on_b[k] = pose_b.to_local(at + normal * other_radius);
       gaps[k] = manifold.points[k].gap;
     }
   }
@@ -115,14 +115,14 @@ struct Contact {
 inline Pose pose_of(const State& s) {
   Pose pose;
   pose.origin = s.at;
-  const double q[4] = {s.turn.x, s.turn.y, s.turn.z, s.turn.w};
-  ik::to_matrix(q, pose.turn);
+  const double q[4] = {s.rotation.x, s.rotation.y, s.rotation.z, s.rotation.w};
+  ik::to_matrix(q, pose.rotation);
   return pose;
 }
 
 inline Vec spin_of(const Body& body, const State& s) {
-  const Vec p = unrotate(s.turn, s.momentum);
-  return rotate(s.turn, {p.x * body.turning.of[0], p.y * body.turning.of[1],
+  const Vec p = unrotate(s.rotation, s.momentum);
+  return rotate(s.rotation, {p.x * body.turning.of[0], p.y * body.turning.of[1],
                          p.z * body.turning.of[2]});
 }
 
@@ -138,7 +138,7 @@ std::vector<Contact> find_contacts(const World& world, const std::vector<State>&
 
 // Takes a step; updates contacts and joint impulses.
 Report step_world(const World& world, std::vector<State>& states, std::vector<Kept>& kept,
-                  std::vector<std::array<double, ROWS>>& held, const std::vector<Vec>& forces,
+                  std::vector<std::array<double, ROWS>>& kept_impulses, const std::vector<Vec>& forces,
                   const std::vector<Vec>& torques,
                   const std::vector<collide::Collider>& colliders,
                   const std::vector<collide::Motion>& anchors, const Settings& settings,

@@ -59,7 +59,7 @@ void rows_to_planes(const double* rows, std::size_t count, std::size_t height, d
   for (std::size_t n = 0; n < count; n += WIDE) {
     for (std::size_t l = 0; l < WIDE; ++l)
       four[l] = n + l < count ? Four<On>::of(rows + ROW * (n + l)) : 0.0;
-    turn(four, four);
+    transpose(four, four);
     for (std::size_t k = 0; k < 3; ++k) four[k].store(planes + k * height + n);
   }
 }
@@ -70,7 +70,7 @@ void planes_to_rows(const double* planes, std::size_t count, std::size_t height,
   for (std::size_t n = 0; n < count; n += WIDE) {
     for (std::size_t k = 0; k < 3; ++k) four[k] = Four<On>::of(planes + k * height + n);
     four[3] = 0.0;
-    turn(four, four);
+    transpose(four, four);
     for (std::size_t l = 0; l < WIDE && n + l < count; ++l) four[l].store(rows + ROW * (n + l));
   }
 }

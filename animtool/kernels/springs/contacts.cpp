@@ -166,7 +166,7 @@ StepCollider MovingColliders::over(const Collider& c, const Motion& motion, doub
   built.is_rod = !c.container && (c.shape == Shape::CAPSULE || c.shape == Shape::SPHERE);
   Rod& rod = built.rod;
   store(motion.travel(), rod.travel);
-  store(motion.turn(), rod.rotation);
+  store(motion.rotation(), rod.rotation);
   store(built.end.origin, rod.origin);
   rod.friction = c.friction;
   rod.rise = c.depenetration * h;

@@ -133,7 +133,7 @@ void project_four(const GiveColumns& springs, std::size_t s, double* x, const do
     e[l] = d[l] - (N::of(before + j) - N::of(before + i));
   }
   const N square = dots(d, d), over = inverse(square), size = root(square);
-  const N beyond = where_apart(square, 1.0 - N::of(springs.rest + s) * (size * over));
+  const N beyond = if_distinct(square, 1.0 - N::of(springs.rest + s) * (size * over));
   // The pull over the length, with which the ends come together.
   double pulls[WIDE];
   (N::of(springs.length + s) * beyond + N::of(springs.change + s) * (dots(d, e) * over))
@@ -164,7 +164,7 @@ void project_one(const GiveColumns& springs, std::size_t s, double* x, const dou
   const auto d = row_at<On>(x + j) - row_at<On>(x + i);
   const auto e = d - (row_at<On>(before + j) - row_at<On>(before + i));
   const N square = dot(d, d), over = inverse(square), size = root(square);
-  const N beyond = where_apart(square, 1.0 - springs.rest[s] * (size * over));
+  const N beyond = if_distinct(square, 1.0 - springs.rest[s] * (size * over));
   const N pull = springs.length[s] * beyond + springs.change[s] * (dot(d, e) * over);
   const double *weights = springs.weights + 2 * s;
   if (kept) ((beyond - pull * (weights[0] + weights[1])) * size).store(kept + s);

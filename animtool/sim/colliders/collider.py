@@ -35,8 +35,7 @@ class Poses:
 
     @staticmethod
     def fixed(
-        origin: ArrayLike = (0.0, 0.0, 0.0),
-        rotation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        origin: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike = (0.0, 0.0, 0.0, 1.0)
     ) -> Poses:
         """Return a constant pose."""
         return Poses((0.0,), np.array([origin], float), np.array([rotation], float))

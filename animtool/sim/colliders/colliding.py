@@ -248,9 +248,8 @@ def _side(collider: Collider) -> int:
 
 def _jump(collider: Collider, where: str, k: int) -> Fault:
     speed, when = collider.speed_limit, collider.poses.sample_times[k + 1]
-    message = (
-        f"it moves faster than {speed:g} m/s until {when:g} s: it collides with nothing"
-    )
+    message = f"it moves faster than {speed:g} m/s until {when:g} s: it collides with "
+    message += "nothing"
     hint = "raise its speed limit if it should collide on its way"
     return warning("SIM120", message, hint, where)
 

@@ -92,10 +92,7 @@ def joint_poses(world: WorldTransforms, joint: int, times: ArrayLike) -> Poses:
 
 
 def rig_colliders(
-    rig: Rig,
-    world: WorldTransforms,
-    times: ArrayLike,
-    like: Collider | None = None,
+    rig: Rig, world: WorldTransforms, times: ArrayLike, like: Collider | None = None
 ) -> list[Collider]:
     """Return the colliders of a moving rig, named after their joints.
 

@@ -76,10 +76,8 @@ class Surfaces:
         jumps = speeds > SPEED_LIMIT
         self.fastest = max(self.fastest, float(speeds[~jumps].max(initial=0.0)))
         for when in knots[1:][jumps].tolist():
-            message = (
-                f"it moves faster than {SPEED_LIMIT:g} m/s until {when:g} s: it "
-                "collides with nothing"
-            )
+            message = f"it moves faster than {SPEED_LIMIT:g} m/s until {when:g} s: it "
+            message += "collides with nothing"
             where = sheet.name or f"sheets[{i}]"
             fault = warning("SIM120", message, where=where)
             self._jumps[i, when] = fault

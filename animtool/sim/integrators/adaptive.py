@@ -97,11 +97,7 @@ RK45 = Tableau(
     ),
     (*_FIFTH, 0.0),
     tuple(a - b for a, b in zip((*_FIFTH, 0.0), _FOURTH, strict=True)),
-).integrator(
-    "rk45",
-    "adaptive, six rates per step: for smooth motion, try it first",
-    5,
-)
+).integrator("rk45", "adaptive, six rates per step: for smooth motion, try it first", 5)
 DOP853 = Integrator(
     "dop853",
     "scipy's, adaptive: for smooth motion to many digits",

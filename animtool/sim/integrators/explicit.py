@@ -93,9 +93,7 @@ def _moved(
 
 
 EULER = Tableau((0.0,), ((),), (1.0,)).integrator(
-    "euler",
-    "uses the rate at the start; gains energy, for comparison only",
-    1,
+    "euler", "uses the rate at the start; gains energy, for comparison only", 1
 )
 MIDPOINT = Tableau((0.0, 0.5), ((), (0.5,)), (0.0, 1.0)).integrator(
     "midpoint", "uses the rate at the midpoint", 2

@@ -48,11 +48,7 @@ SHORT, REPEATS = 0.3, 3
 # reference.
 TOO_SLOW = 10.0
 # Smaller differences of figures do not count: fractions, metres and pairs.
-FIGURE_TOLERANCES = {
-    Figure.STRETCH: 1e-3,
-    Figure.DEPTH: 1e-4,
-    Figure.PIERCED: 1.0,
-}
+FIGURE_TOLERANCES = {Figure.STRETCH: 1e-3, Figure.DEPTH: 1e-4, Figure.PIERCED: 1.0}
 ENERGY_TOLERANCE = 1e-3
 
 
@@ -327,10 +323,7 @@ def _row(
     sign = _sign(error, extent_of(truth.shots))
     if sign:
         return replace(
-            row,
-            status=Status.UNSTABLE,
-            reason=sign,
-            stable_step=done.stable_step,
+            row, status=Status.UNSTABLE, reason=sign, stable_step=done.stable_step
         )
     worst = "" if trial.where is None or error.at is None else trial.where(*error.at)
     return replace(complete, error=error, worst=worst)
@@ -357,18 +350,15 @@ def _drift(energies: Sequence[Energy] | None) -> float | None:
 
 def _notices(trial: Trial, reference: Reference | None) -> list[Fault]:
     if reference is None:
-        message = (
-            f"{trial.name}: there is no motion to compare with: every setting blew up"
-        )
+        message = f"{trial.name}: there is no motion to compare with: every setting "
+        message += "blew up"
         hint = "shorten the step, or use an implicit method: it is then refined"
         return [warning("SIM056", message, hint)]
     if not reference.sensitive:
         return []
     off = reference.error.rms
-    message = (
-        f"{trial.name}: half the step changes the motion by {1000 * off:.3g} mm "
-        "(rms): it is sensitive, and no setting has a small error"
-    )
+    message = f"{trial.name}: half the step changes the motion by {1000 * off:.3g} mm "
+    message += "(rms): it is sensitive, and no setting has a small error"
     hint = "compare settings by eye; a shorter range may still separate them"
     return [warning("SIM055", message, hint)]
 

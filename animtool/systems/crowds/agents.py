@@ -147,13 +147,9 @@ def _separated(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fau
     moved_far = (moved > ENOUGH * agents.radii) & np.asarray(placed, bool)[agents.kinds]
     faults = []
     if moved_far.any():
-        message = (
-            f"{counted(int(moved_far.sum()), 'agent')} would start inside each other, "
-        )
-        message += (
-            f"{agents.named(int(np.argmax(moved_far)))} first: moved apart by up to "
-        )
-        message += f"{moved.max():.3g} m"
+        message = f"{counted(int(moved_far.sum()), 'agent')} would start inside each "
+        message += f"other, {agents.named(int(np.argmax(moved_far)))} first: moved "
+        message += f"apart by up to {moved.max():.3g} m"
         faults.append(warning("SIM147", message, "place them farther apart"))
     if overlap > ENOUGH * radius:
         message = "agents start inside each other: too many for their region"

@@ -105,9 +105,8 @@ def ground_of(context: SimContext) -> tuple[Frame, Terrain]:
     if shape is None:
         return frame, Terrain()
     if not isinstance(shape, Mesh):
-        message = (
-            "the ground must be a mesh, a height_field or, without a shape, a plane"
-        )
+        message = "the ground must be a mesh, a height_field or, without a shape, a "
+        message += "plane"
         refuse("SIM145", message, "ground", "shape: {height_field: {...}}")
     points, faces = shape.welded()
     return frame, Terrain(points[faces])

@@ -92,9 +92,8 @@ def _navigation(
     ends = np.stack([_on_ground(frame, one) for one in sides], axis=1)
     for door, (first, last) in zip(spec.doors, ends, strict=True):
         if not ((last - first) ** 2).sum() > 0:
-            message = (
-                f"both ends of {door.name!r} are at the same position on the ground"
-            )
+            message = f"both ends of {door.name!r} are at the same position on the "
+            message += "ground"
             refuse("SIM145", message, "doors")
     horizon = spec.avoidance.obstacles
     obstacles = Obstacles(

@@ -138,8 +138,7 @@ class Casting:
         matrix = so3.to_matrix(rotation)
         positions = so3.rotate(rotation, bodies.scales[:, None, None] * world.positions)
         return WorldTransforms(
-            positions + frame.to_world(origin)[:, None],
-            matrix[:, None] @ world.linear,
+            positions + frame.to_world(origin)[:, None], matrix[:, None] @ world.linear
         )
 
     def frame(

@@ -65,9 +65,8 @@ def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
         message += "m/s, is slowed down, with shorter steps"
         notices.append(warning("SIM150", message, "add a clip that walks"))
     if not idle:
-        message = (
-            f"no clip stands still: agents stand as in {slowest.name!r} at foot contact"
-        )
+        message = f"no clip stands still: agents stand as in {slowest.name!r} at foot "
+        message += "contact"
         notices.append(warning("SIM150", message, "add a clip that stands still"))
         idle.append(
             replace(slowest, rotations=slowest.rotations[:1], hips=slowest.hips[:1])

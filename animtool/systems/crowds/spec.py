@@ -113,9 +113,7 @@ class PopulationModel(PlacedModel):
     points: StartPoints = None
     seed: Seed = 0
     route: list[Name] = key(
-        "Goals to visit in order. None: agents stand.",
-        ["fountain", "gate"],
-        default=[],
+        "Goals to visit in order. None: agents stand.", ["fountain", "gate"], default=[]
     )
     then: Literal["stay", "repeat", "leave"] = key(
         "At the end of the route: stay, repeat it or leave.", "repeat", default="stay"
@@ -142,9 +140,7 @@ class PopulationModel(PlacedModel):
         default=None,
     )
     size: Annotated[Real, Ge(0), Le(1)] = key(
-        "Random variation of body size, as a fraction of the rig's.",
-        0.05,
-        default=0.0,
+        "Random variation of body size, as a fraction of the rig's.", 0.05, default=0.0
     )
     shows: Shows = None
 
@@ -163,17 +159,13 @@ class AgentAvoidanceModel(FileModel):
         "Time horizon for avoiding obstacles [s].", 1, default=0.5
     )
     space: NotNegative = key(
-        "Preferred distance to others outside the group [m].",
-        0.4,
-        default=0.2,
+        "Preferred distance to others outside the group [m].", 0.4, default=0.2
     )
     push: NotNegative = key(
         "Speed of moving away from agents that are too close [m/s].", 0.4, default=0.3
     )
     side: Literal["right", "left", "none"] = key(
-        "Side to walk on when others approach.",
-        "left",
-        default="right",
+        "Side to walk on when others approach.", "left", default="right"
     )
     headway: NotNegative = key(
         "Behind agents with the same direction, speed is at most the gap over this "
@@ -218,9 +210,7 @@ class CrowdsModel(SystemSpec):
     )
     ground: GroundModel = key("The ground.", {"at": [0, 0.1, 0]}, default=GroundModel())
     avoidance: AgentAvoidanceModel = key(
-        "How agents avoid each other.",
-        {"horizon": 3},
-        default=AgentAvoidanceModel(),
+        "How agents avoid each other.", {"horizon": 3}, default=AgentAvoidanceModel()
     )
     impact: ImpactModel = key(
         "How agents react when something hits them.", {"fall": 3}, default=ImpactModel()
@@ -234,9 +224,7 @@ class CrowdsModel(SystemSpec):
     colliders: Colliders = Field([])
     characters: Characters = Field([])
     systems: list[SystemSurfaceModel] = key(
-        "Rigid bodies of the scene to avoid.",
-        [{"system": "rocks"}],
-        default=[],
+        "Rigid bodies of the scene to avoid.", [{"system": "rocks"}], default=[]
     )
 
     @property

@@ -107,10 +107,8 @@ class Members(Groups):
                 refuse("SIM060", message, "species", hint)
         if not moved.any():
             return points, []
-        message = (
-            f"{counted(int(moved.sum()), 'member')} would start inside a collider, "
-        )
-        message += f"{self.named(int(np.argmax(moved)))} first: moved out"
+        message = f"{counted(int(moved.sum()), 'member')} would start inside a "
+        message += f"collider, {self.named(int(np.argmax(moved)))} first: moved out"
         hint = "begin elsewhere"
         return points, [warning("SIM124", message, hint)]
 
@@ -125,13 +123,10 @@ class Members(Groups):
         moved_far = (moved > MOVED * self.radii) & from_points[self.kinds]
         faults = []
         if moved_far.any():
-            message = (
-                f"{counted(int(moved_far.sum()), 'member')} would start closer to each "
-            )
-            message += (
-                f"other than allowed, {self.named(int(np.argmax(moved_far)))} first: "
-            )
-            message += f"moved apart by up to {moved.max():.3g} m"
+            message = f"{counted(int(moved_far.sum()), 'member')} would start closer "
+            message += "to each other than allowed, "
+            message += f"{self.named(int(np.argmax(moved_far)))} first: moved apart by "
+            message += f"up to {moved.max():.3g} m"
             hint = "place them farther apart, or reduce repulsion.least"
             faults.append(warning("SIM147", message, hint))
         if overlap > MOVED * float(self.radii.max()):

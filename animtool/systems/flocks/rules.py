@@ -66,9 +66,7 @@ def rules_of(members: Members) -> list[FlockRule]:
 
 
 def _flocking(
-    species: SpeciesModel,
-    subjects: Indices | None,
-    mates: Indices | None,
+    species: SpeciesModel, subjects: Indices | None, mates: Indices | None
 ) -> FlockRule:
     vision, repulsion = species.vision, species.repulsion
 
@@ -138,9 +136,8 @@ def flocking(
             np.array(rule.repulsion), rule.softening, period, most,
         )  # fmt: skip
         if looked > most:
-            message = (
-                f"{size} members are so close that each has thousands of neighbours"
-            )
+            message = f"{size} members are so close that each has thousands of "
+            message += "neighbours"
             hint = "reduce their range of sight, or strengthen the repulsion"
             raise ToleranceError(Fault("SIM107", message, hint=hint))
         total[slice(None) if rule.members is None else rule.members] += accelerations

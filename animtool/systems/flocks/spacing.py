@@ -73,7 +73,7 @@ class Spacing:
             ToleranceError: Too many close pairs: a step would take minutes (SIM107).
         """
         most = max_pairs(len(x))
-        moved, overlap, looked = _kernels.flock_apart(
+        moved, overlap, looked = _kernels.flock_separate(
             x, self.distances, rounds, RELAXATION, CLEAR, self.period, most
         )
         self._check(len(x), looked, most)
@@ -82,8 +82,7 @@ class Spacing:
     @staticmethod
     def _check(count: int, looked: float, most: float) -> None:
         if looked > most:
-            message = (
-                f"{count} members are so close that each has thousands of neighbours"
-            )
+            message = f"{count} members are so close that each has thousands of "
+            message += "neighbours"
             hint = "use a larger start region, or a smaller distance"
             raise ToleranceError(Fault("SIM107", message, hint=hint))

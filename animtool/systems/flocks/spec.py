@@ -20,7 +20,7 @@ from animtool.systems.framework.fields import (
     Tolerance,
     Velocities,
 )
-from animtool.systems.framework.spec import CollidingSpec
+from animtool.systems.framework.spec import ForcedSpec
 
 
 class VisionModel(FileModel):
@@ -94,8 +94,7 @@ class FlockGoalModel(PlacedModel):
     """Where members are drawn to; it may move, or go with a prim."""
 
     weight: Real = key(
-        "Weight: acceleration over the distance to it [1/s²]; below 0 it repels.",
-        0.1,
+        "Weight: acceleration over the distance to it [1/s²]; below 0 it repels.", 0.1
     )
     radius: NotNegative = key("No pull within this distance [m].", 4, default=0.0)
     limit: Positive | None = key("Maximum acceleration [m/s²].", 5, default=None)
@@ -196,9 +195,7 @@ class SpeciesModel(PlacedModel):
         "Maximum acceleration [m/s²].", 30, default=None
     )
     avoidance: AvoidanceModel = key(
-        "Avoidance of colliders and walls.",
-        {"distance": 3},
-        default=AvoidanceModel(),
+        "Avoidance of colliders and walls.", {"distance": 3}, default=AvoidanceModel()
     )
     goals: list[FlockGoalModel] = key(
         "Points of attraction.", [{"at": [0, 6, 0], "weight": 0.1}], default=[]
@@ -229,7 +226,7 @@ class DomainModel(FileModel):
     )
 
 
-class FlocksModel(CollidingSpec):
+class FlocksModel(ForcedSpec):
     """Flocks: members see each other, and attract, align and repel."""
 
     methods: ClassVar[Sequence[str]] = ("symplectic_euler", "midpoint", "heun", "rk4")

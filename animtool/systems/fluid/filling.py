@@ -167,10 +167,8 @@ def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> Non
 
 def _check_count(spec: FluidModel, count: float, key: str) -> None:
     if count > spec.max_particles:
-        message = (
-            f"it needs {count:,.0f} particles at a spacing of {spec.spacing:g} m, "
-        )
-        message += f"but the limit is {spec.max_particles:,}"
+        message = f"it needs {count:,.0f} particles at a spacing of {spec.spacing:g} "
+        message += f"m, but the limit is {spec.max_particles:,}"
         wider = spec.spacing * (count / spec.max_particles) ** (1 / 3)
         hint = f"spacing: {math.ceil(wider * 1e3) / 1e3:g}, or raise max_particles"
         refuse("SIM064", message, key, hint)

@@ -15,12 +15,7 @@ from animtool.core.quantities import floored, plain
 from animtool.core.record import dataclass
 from animtool.motion.frames import MeshFrame, PointsFrame
 from animtool.sim.colliders import Colliders, collide
-from animtool.sim.colliders.bodies import (
-    Wrenches,
-    by_system,
-    owners_of,
-    pushed_rows,
-)
+from animtool.sim.colliders.bodies import Wrenches, by_system, owners_of, pushed_rows
 from animtool.sim.system import Energy
 from animtool.systems.fluid.filling import Nozzle, coarse_drops, filled, has_room
 from animtool.systems.fluid.spec import FluidModel

@@ -21,7 +21,7 @@ from animtool.systems.framework.fields import (
     ShapeEntry,
     SystemColliderModel,
 )
-from animtool.systems.framework.spec import CollidingSpec
+from animtool.systems.framework.spec import ForcedSpec
 
 # Quantities that can be written and used as colours.
 Quantity = Literal["age", "density", "pressure", "speed"]
@@ -84,7 +84,7 @@ class FluidSurfaceModel(FileModel):
     )
 
 
-class FluidModel(CollidingSpec):
+class FluidModel(ForcedSpec):
     """A fluid: particles that pressure keeps as dense as at rest."""
 
     acted_on: ClassVar[Sequence[str]] = ("fills", "emitters", "drains", "forces")
@@ -92,8 +92,7 @@ class FluidModel(CollidingSpec):
     quantities: ClassVar[Sequence[str]] = get_args(Quantity)
 
     spacing: Positive = key(
-        "Spacing of particles [m]; half the spacing gives eight times as many.",
-        0.04,
+        "Spacing of particles [m]; half the spacing gives eight times as many.", 0.04
     )
     fills: list[FillModel] = key(
         "What is filled at the start.",

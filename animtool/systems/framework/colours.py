@@ -54,9 +54,8 @@ class ColourModel(FileModel):
                 )
             ]
         if self.range is not None and not self.range[0] < self.range[1]:
-            message = (
-                f"the range of colours from {self.range[0]:g} to {self.range[1]:g}"
-            )
+            message = f"the range of colours from {self.range[0]:g} to "
+            message += f"{self.range[1]:g}"
             return [Fault(code, f"{message} is empty", where="colour")]
         return []
 

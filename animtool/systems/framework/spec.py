@@ -126,13 +126,18 @@ class SystemSpec(FileModel):
 
 
 class CollidingSpec(SystemSpec):
-    """A system under forces that collides with its surroundings: see `AROUND`."""
+    """A system that collides with its surroundings: see `AROUND`."""
 
-    forces: Forces = Field([])
     colliders: Colliders = Field([])
     characters: Characters = Field([])
     systems: Surfaces = Field([])
     meshes: Meshes = Field([])
+
+
+class ForcedSpec(CollidingSpec):
+    """A system that force fields act on, too."""
+
+    forces: Forces = Field([])
 
 
 @dataclass(frozen=True, slots=True)

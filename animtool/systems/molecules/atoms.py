@@ -86,9 +86,8 @@ class Atoms(PointMasses):
         )
         total = float(atoms.charges.sum())
         if abs(total) > NEUTRAL:
-            message = (
-                f"charges have a sum of {total:g} e, but a periodic box must be neutral"
-            )
+            message = f"charges have a sum of {total:g} e, but a periodic box must be "
+            message += "neutral"
             refuse(spec.code, message, "species", "use as many of either sign")
         return atoms
 

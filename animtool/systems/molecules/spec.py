@@ -47,9 +47,7 @@ class AtomsModel(FileModel):
     )
     mass: Positive = key("Mass of each [u].", 22.99, default=39.948)
     sigma: Annotated[Real, Ge(1e-3), Le(1e3)] = key(
-        "Distance at which the pair potential is zero [nm].",
-        0.2,
-        default=0.3405,
+        "Distance at which the pair potential is zero [nm].", 0.2, default=0.3405
     )
     epsilon: NotNegative = key(
         "Depth of the potential well [kJ/mol].", 0.4, default=0.9961

@@ -190,9 +190,7 @@ class NbodyModel(SystemSpec):
         default=2e-4,
     )
     substeps: Annotated[Integer, Ge(1), Le(2**20)] = key(
-        "Largest number of substeps where two bodies come close.",
-        1024,
-        default=64,
+        "Largest number of substeps where two bodies come close.", 1024, default=64
     )
     method: Integrator = "velocity_verlet"
     tolerance: Tolerance = None

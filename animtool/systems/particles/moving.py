@@ -8,12 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.sim.colliders.bodies import Wrenches, exchange_impulses
-from animtool.sim.colliders.colliding import (
-    Collided,
-    Colliders,
-    Contacts,
-    collide,
-)
+from animtool.sim.colliders.colliding import Collided, Colliders, Contacts, collide
 from animtool.sim.system import Energy, FirstOrder, SecondOrder
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState

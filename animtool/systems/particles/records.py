@@ -43,9 +43,7 @@ class Emission:
     )
     end: float = key("Time at which the rate ends [s]. Default: never.", 2.5, math.inf)
     direction: Sequence[float] | None = key(
-        "Mean direction. Default: y; from surfaces, outwards.",
-        [1, 1, 0],
-        None,
+        "Mean direction. Default: y; from surfaces, outwards.", [1, 1, 0], None
     )
     spread: float = key(
         "Half angle of the cone about it [deg]; 180 is every direction.",

@@ -99,9 +99,8 @@ class Particles:
             faults.append(Fault("SIM024", message, where="emitters"))
         if self.velocity is not None and self.forces:
             message = "a velocity field moves particles whatever the forces are"
-            hint = (
-                "remove one of them, or use a force that acts by drag: wind, turbulence"
-            )
+            hint = "remove one of them, or use a force that acts by drag: wind, "
+            hint += "turbulence"
             faults.append(Fault("SIM024", message, where="velocity", hint=hint))
         return faults
 

@@ -144,11 +144,7 @@ class ParticleSimulation:
         return particle_system(setup, colliders, state.particles, state.state)
 
     def _moved(
-        self,
-        state: ParticleRunState,
-        now: float,
-        until: float,
-        notices: list[Fault],
+        self, state: ParticleRunState, now: float, until: float, notices: list[Fault]
     ) -> tuple[ParticleRunState, Sequence[Wrenches]]:
         """Return particles after a step [s], and impulses on bodies."""
         system, options = self._system(state), self.setup.options
@@ -234,9 +230,8 @@ class ParticleSimulation:
         missed = max(total - room, 0)
         if missed and not state.missed:
             most = self.setup.max_particles
-            message = (
-                f"from {until:g} s on, the limit of {most} particles leaves room for "
-            )
+            message = f"from {until:g} s on, the limit of {most} particles leaves room "
+            message += "for "
             hint = "raise max_particles, or lower rates or lifetimes"
             notices.append(
                 warning("SIM121", f"{message}no more", hint, self.setup.name)

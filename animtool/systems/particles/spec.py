@@ -22,7 +22,7 @@ from animtool.systems.framework.fields import (
     SystemColliderModel,
     Tolerance,
 )
-from animtool.systems.framework.spec import CollidingSpec
+from animtool.systems.framework.spec import ForcedSpec
 from animtool.systems.particles.records import Emission, Velocity
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class VelocityModel(RecordModel):
     makes: ClassVar[str] = "animtool.systems.particles.velocity_field:VelocityField"
 
 
-class ParticlesModel(CollidingSpec):
+class ParticlesModel(ForcedSpec):
     """Particles: born, moved, stopped and removed. Lengths are in metres."""
 
     methods: ClassVar[Sequence[str] | None] = None

@@ -18,11 +18,7 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Collider, Mesh, Poses, Shape
-from animtool.systems.rigid.cores import (
-    Core,
-    core_of,
-    shown,
-)
+from animtool.systems.rigid.cores import Core, core_of, shown
 from animtool.systems.rigid.kind import (
     MAX_BODIES,
     BodyKind,

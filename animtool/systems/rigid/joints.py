@@ -170,9 +170,8 @@ def joints_of(
         else:
             other = bodies.find(model.to, f"{at}.to")
             if len(poses.sample_times) > 1:
-                message = (
-                    f"{name!r} follows {model.to!r}, so it cannot have moves or a prim"
-                )
+                message = f"{name!r} follows {model.to!r}, so it cannot have moves or "
+                message += "a prim"
                 refuse("SIM061", message, at)
             if other in numbers_of:
                 first, on_a = numbers_of[other], in_principal_axes(bodies, other, frame)
@@ -322,9 +321,8 @@ def _limits(model: RigidJointModel, name: str, at: str) -> list[float]:
         scale = 1.0 if model.type == "prismatic" else np.pi / 180
         low, high = (value * scale for value in limits)
         if low > high:
-            message = (
-                f"the lower limit of {name!r}, {limits[0]:g}, is above the upper limit"
-            )
+            message = f"the lower limit of {name!r}, {limits[0]:g}, is above the upper "
+            message += "limit"
             refuse("SIM061", f"{message}, {limits[1]:g}", f"{at}.{key}")
         if model.type == "pin" and high - low > 2 * np.pi * (1 + 1e-12):
             message = f"the limits of {name!r} are more than 360 degrees apart"

@@ -177,10 +177,8 @@ def _concave(name: str, mesh: Mesh, pieces: Sequence[tuple[Shape, Core]]) -> Fau
     """Return a notice of how a concave mesh collides."""
     if pieces:
         more = beyond(mesh, [core for _, core in pieces])
-        message = (
-            f"a mesh of {name!r} collides as {counted(len(pieces), 'convex piece')}"
-        )
-        message += f", {more:+.1%} of its volume"
+        message = f"a mesh of {name!r} collides as "
+        message += f"{counted(len(pieces), 'convex piece')}, {more:+.1%} of its volume"
         return Fault("SIM198", message, severity=Severity.NOTE)
     message = f"a mesh of {name!r} is not convex, or open: its convex hull collides"
     hint = "build it from several convex shapes"

@@ -153,9 +153,8 @@ class BodyLoads:
             self._stop(t, message, "weaker forces")
         if loads.flight is not None and loads.flight.coarse.any():
             number = int(np.argmax(loads.flight.coarse))
-            message = (
-                f"the force on {self._body(number)} changes too fast to be resolved"
-            )
+            message = f"the force on {self._body(number)} changes too fast to be "
+            message += "resolved"
             self._stop(t, message, "use a weaker or smoother force")
 
     def parts(self, t: float, dt: float, motion: FloatArray) -> int:

@@ -10,11 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import (
-    Fault,
-    Refusals,
-    ToleranceError,
-)
+from animtool.core.errors import Fault, Refusals, ToleranceError
 from animtool.core.quantities import floored, plain
 from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
@@ -34,11 +30,7 @@ from animtool.systems.rigid.joints import (
 )
 from animtool.systems.rigid.loads import BodyLoads, StepForces
 from animtool.systems.rigid.locked import locked_notices
-from animtool.systems.rigid.notices import (
-    break_notices,
-    depth_notices,
-    swing_notices,
-)
+from animtool.systems.rigid.notices import break_notices, depth_notices, swing_notices
 from animtool.systems.rigid.phases import BodyPhase, BodyPhases, kinematic_states
 from animtool.systems.rigid.physics import (
     body_entries,

@@ -28,7 +28,7 @@ from animtool.systems.framework.fields import (
     PrototypeModel,
     ShapeEntry,
 )
-from animtool.systems.framework.spec import CollidingSpec
+from animtool.systems.framework.spec import ForcedSpec
 
 RotationMethod: TypeAlias = Literal[
     "splitting", "rk4", "symplectic_euler", "explicit_euler"
@@ -281,7 +281,7 @@ class SleepModel(FileModel):
     time: Positive = key("Time below that speed [s].", 1, default=0.5)
 
 
-class RigidModel(CollidingSpec):
+class RigidModel(ForcedSpec):
     """Rigid bodies of a scene, and joints; forces act at their centres of mass."""
 
     methods: ClassVar[Sequence[str]] = get_args(RotationMethod)
@@ -310,9 +310,7 @@ class RigidModel(CollidingSpec):
         default="splitting",
     )
     substeps: Annotated[Integer, Ge(1), Le(1000)] = key(
-        "Substeps in each step; contacts are found once per step.",
-        16,
-        default=8,
+        "Substeps in each step; contacts are found once per step.", 16, default=8
     )
     iterations: Annotated[Integer, Ge(1), Le(10_000)] = key(
         "Largest number of velocity iterations in half a substep; with fewer than "
@@ -337,9 +335,7 @@ class RigidModel(CollidingSpec):
         default=False,
     )
     sleep: SleepModel = key(
-        "When slow bodies fall asleep.",
-        {"speed": 0},
-        default=SleepModel(),
+        "When slow bodies fall asleep.", {"speed": 0}, default=SleepModel()
     )
 
     def problems(self) -> Iterator[Problem]:
@@ -347,7 +343,6 @@ class RigidModel(CollidingSpec):
         if not self.bodies and not self.stages:
             yield "there are no bodies", None, "add some, or a stage with some"
         if self.physics and self.prims != "xforms":
-            message = (
-                "UsdPhysics describes prims, but copies of an instancer are not prims"
-            )
+            message = "UsdPhysics describes prims, but copies of an instancer are not "
+            message += "prims"
             yield message, "physics", "prims: xforms"

@@ -68,9 +68,8 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
     if first == clock.count - 1 and options.end is None:
         return take
     if last <= first:
-        message = (
-            f"end is frame {codes[last]:g}, which is not after start, {codes[first]:g}"
-        )
+        message = f"end is frame {codes[last]:g}, which is not after start, "
+        message += f"{codes[first]:g}"
         raise OptionError(Fault("SIM062", message, where="end"))
     translations, rotations, scales = take.motion.dense()
     world = forward(rig, translations, rotations, scales)

@@ -27,16 +27,12 @@ from animtool.systems.framework.fields import (
     CarryingJointModel,
     CarryingPrimModel,
     CarryingVertexModel,
-    Characters,
-    Colliders,
-    Meshes,
     NameEntry,
     PrimMeshModel,
     PrimName,
-    Surfaces,
     TimedVector,
 )
-from animtool.systems.framework.spec import SystemSpec
+from animtool.systems.framework.spec import CollidingSpec
 from animtool.systems.springs import Air, Family, SelfContact, SpringOptions
 
 # What systems that are joined have in common, where one of them states it.
@@ -218,7 +214,7 @@ FaceWindField = Annotated[
 
 
 @with_fields(SpringOptions, *_OPTIONS)
-class SolvedModel(SystemSpec):
+class SolvedModel(CollidingSpec):
     """What a solver takes through time."""
 
 
@@ -248,10 +244,6 @@ class SpringsModel(SolvedModel):
         0.01,
         default=0.005,
     )
-    colliders: Colliders = Field([])
-    characters: Characters = Field([])
-    systems: Surfaces = Field([])
-    meshes: Meshes = Field([])
     speed_limit: Annotated[Real, above(0, "SIM050")] = key(
         "Faster pins are treated as teleports: what is attached moves along [m/s].",
         500,

@@ -92,7 +92,7 @@ class Characters:
         for name in ("points", "headings", "roots", "near", "clocks", "visible"):
             self._rows.setdefault(name, []).append(getattr(frame, name))
         self._rotations.append(
-            [rotations.astype(np.float32) for rotations in frame.rotations]
+            [rotations.astype(np.float32) for rotations in frame.joint_rotations]
         )
 
     def finish(self, layer: Any) -> None:

@@ -67,7 +67,7 @@ def _apart(rng: Rng) -> dict[str, Any]:
 
 CALLS: dict[str, Maker] = {
     "flock_accelerations": _flock,
-    "flock_apart": _apart,
+    "flock_separate": _apart,
     "flock_braking": _braking,
 }
 UNBOUNDED: frozenset[str] = frozenset()

@@ -76,11 +76,7 @@ class Turbulence(Force):
         return noise * (self.strength * particles.masses[:, None])
 
     def slopes(
-        self,
-        t: Time,
-        x: FloatArray,
-        v: FloatArray,
-        particles: ParticleState,
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
         """Return zeros: it has no restoring part: see `Force`."""
         none = np.zeros((len(x), 3, 3))
