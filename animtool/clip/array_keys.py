@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from animtool.clip.plain_keys import PlainKeys
@@ -36,16 +38,9 @@ def _loaded(
     document: Document, at: Location, text: str, archives: Archives
 ) -> PlainKeys | list[object]:
     """Return the keys of a reference; none if faulty."""
-    if document.is_placeholder(at):
-        return []
     name, array = split_reference(text, DEFAULT_ARRAY)
-    path = referred(document, at, name, project_roots(document.path))
+    path = None if document.is_placeholder(at) else _file(document, at, name)
     if path is None:
-        return []
-    wrong = why_no_file(path)
-    if wrong is not None:
-        hint = missing_hint(document, name)
-        document.add("DOC015", at, f"{name!r} {wrong}", hint)
         return []
     try:
         rows = archives.load(path, array)
@@ -62,3 +57,13 @@ def _loaded(
         return []
     times, values = (np.ascontiguousarray(part) for part in (rows[:, 0], rows[:, 1:]))
     return PlainKeys(times, values, text)
+
+
+def _file(document: Document, at: Location, name: str) -> Path | None:
+    """Return the file of an array; None if missing or not allowed."""
+    path = referred(document, at, name, project_roots(document.path))
+    wrong = None if path is None else why_no_file(path)
+    if wrong is None:
+        return path
+    document.add("DOC015", at, f"{name!r} {wrong}", missing_hint(document, name))
+    return None

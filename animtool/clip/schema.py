@@ -141,7 +141,7 @@ class ChannelModel(CurveModel, _TargetModel):
     """The keys of one target."""
 
     keys: Annotated[ChannelKeys, Len(1)] = key(
-        "One key or more, or an array `file.npz#name` `(K, 1 + D)` of times and values.",
+        "One key or more, or the array `file.npz#name` of times and values.",
         [{"t": 1.0, "v": 0.0}],
     )
 

@@ -213,7 +213,7 @@ def _groups(values: Sequence[_Group]) -> Iterator[tuple[_Group, IntArray]]:
 def _tangent_groups(
     tangents: Sequence[tuple[Tangent, Tangent]], keys: IntArray, side: int
 ) -> Iterator[tuple[Tangent, IntArray]]:
-    """Yield the distinct tangents of keys on a side, each with indices into the keys."""
+    """Yield the distinct tangents of keys on a side, each with indices of keys."""
     if tangents.count(tangents[0]) == len(tangents):
         yield tangents[0][side], np.arange(len(keys))
     else:
