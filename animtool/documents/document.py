@@ -258,7 +258,7 @@ def read_text(path: Path) -> str:
             message = f"is larger than {MAX_TEXT_BYTES // 1_000_000} MB"
             hint = "put arrays in npz files"
             raise FormatError(Fault("DOC006", message, str(path), (), hint))
-        data = file.whole()
+        data = file.read_all()
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -20,7 +20,7 @@ from animtool.core.errors import (
     counted,
     listed,
 )
-from animtool.core.options import with_written
+from animtool.core.options import with_text_values
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
@@ -173,7 +173,7 @@ def _body(rig: Rig, roles: tuple[str, ...]) -> list[int]:
     return joints
 
 
-@with_written(RetargetOptions)
+@with_text_values(RetargetOptions)
 @dataclass(frozen=True)
 class RetargetPassOptions:
     """The rig that the take goes onto, and the options of `RetargetOptions`."""

@@ -204,7 +204,7 @@ def read_c3d(
     path = Path(path)
     file = MarkerFile(str(path))
     with open_input(path, MAX_INPUT_BYTES) as opened:
-        data = opened.whole()
+        data = opened.read_all()
     try:
         sections = read_sections(data)
     except MalformedError as error:

@@ -1,4 +1,4 @@
-"""The cycle of a take of a file, and the take that repeats it, into a file."""
+"""The cycle of a take, written as a repeated take."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from animtool.scene.sources.open import SourceOptions, open_source
 
 @dataclass(frozen=True, slots=True)
 class LoopResult:
-    """The cycle of a take, its length, and notices."""
+    """The cycle of a take, its length and notices."""
 
     source: Path
     output: Path | None
     cycle: Cycle
     seconds: float  # its length
-    notices: list[Fault]  # those of what was written, where it was
+    notices: list[Fault]  # frames that were written, if any
     written: ConvertReport | None = None
     json_keys: ClassVar[str] = (
         "'loop' source output first=cycle.first last=cycle.last seconds "
@@ -44,7 +44,7 @@ def loop_source(
     strict: bool = False,
     progress: Progress = None,
 ) -> LoopResult:
-    """Return the cycle of a take; with an output, also write it, repeated.
+    """Return the cycle of a take; with an output, write its repetition.
 
     Args:
         source: BVH, USD or clip.

@@ -24,7 +24,7 @@ from animtool.core.files.reading import (
     FileState,
     changed_error,
     open_input,
-    seen_from,
+    path_from_folder,
     too_large,
     unreadable,
 )
@@ -152,7 +152,7 @@ def asset_path(file: Path, folder: Path) -> str:
     >>> asset_path(Path("/show/tex/skin.png"), Path("/show"))
     './tex/skin.png'
     """
-    name = seen_from(file, folder)
+    name = path_from_folder(file, folder)
     if name.startswith("../") or Path(name).is_absolute():
         return name
     # Without a dot, USD would search for it.

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import escaped
-from animtool.core.rules import own_rules
+from animtool.core.rules import builtin_rules
 from animtool.validation.formats import FORMATS, written
 from animtool.validation.formats.plain import cut
 from animtool.validation.run import Report
@@ -360,7 +360,7 @@ def test_sarif(report: Report) -> None:
     assert documented.help.markdown
     assert "#" not in documented.help.text
     levels = {rule.id: rule.defaultConfiguration.level for rule in rules}
-    assert levels == {code: str(own_rules()[code].severity) for code in levels}
+    assert levels == {code: str(builtin_rules()[code].severity) for code in levels}
     assert set(levels.values()) > {"warning"}
     assert run.columnKind == "unicodeCodePoints"
 
