@@ -9,7 +9,7 @@ import numpy as np
 from animtool.clip.plain_keys import PlainKeys
 from animtool.clip.schema import ClipModel
 from animtool.core.config import project_roots
-from animtool.core.files.reading import why_no_file
+from animtool.core.files.reading import not_a_file_reason
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_NUMBER
@@ -62,7 +62,7 @@ def _loaded(
 def _file(document: Document, at: Location, name: str) -> Path | None:
     """Return the file of an array; None if missing or not allowed."""
     path = referred(document, at, name, project_roots(document.path))
-    wrong = None if path is None else why_no_file(path)
+    wrong = None if path is None else not_a_file_reason(path)
     if wrong is None:
         return path
     document.add("DOC015", at, f"{name!r} {wrong}", missing_hint(document, name))
