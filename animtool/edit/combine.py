@@ -24,6 +24,9 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 
+# A dot product of quaternions above this is positive, however its sum is rounded.
+SURELY = 1e-12
+
 
 def continuous(motion: Motion, previous: FloatArray | None = None) -> Motion:
     """Return the motion with rotation signs continuous along its frames.
@@ -34,6 +37,10 @@ def continuous(motion: Motion, previous: FloatArray | None = None) -> Motion:
     if not channel.values.size:
         return motion
     before = channel.values[0] if previous is None else previous
+    dots = np.einsum("fak,fak->fa", channel.values[1:], channel.values[:-1])
+    first = np.einsum("ak,ak->a", channel.values[0], before)
+    if min(dots.min(initial=1.0), first.min()) > SURELY:
+        return motion
     values = so3.align_signs(channel.values, before)
     return replace(motion, rotations=replace(channel, values=values))
 

@@ -30,6 +30,7 @@ from animtool.motion.passes import (
     PassContext,
     Scope,
 )
+from animtool.motion.plausible import rate_warning
 from animtool.motion.take import Take
 
 BLOCK_FRAMES = 512
@@ -281,7 +282,9 @@ def resampled(
     clock, notices = Clock(fps, start, Fraction(1), motion.frames), take.notices
     if not smooth:
         at = FramePositions(times.frames, times.fractions)
-        notices = (*notices, *straight_notices(between, at))
+        hint = f"{argument('smooth', True)} interpolates smoothly"
+        notices = (*notices, *straight_notices(between, at, hint))
+    notices = (*notices, *rate_warning(fps))
     if times.dropped:
         notices = (*notices, dropped_notice(times.dropped, fps, times.last))
     first = float(start)

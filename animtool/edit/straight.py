@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, Severity, listed
@@ -63,8 +62,13 @@ def straight_errors(between: Between, positions: FramePositions) -> list[Straigh
     return errors
 
 
-def straight_notices(between: Between, positions: FramePositions) -> list[Fault]:
-    """Return the note of the estimated interpolation error (TAKE007), if it matters."""
+def straight_notices(
+    between: Between, positions: FramePositions, hint: str
+) -> list[Fault]:
+    """Return the note of the estimated interpolation error (TAKE007), if it matters.
+
+    hint: How its caller avoids it.
+    """
     take = between.take
     rig = take.rig
     least = {
@@ -96,8 +100,6 @@ def straight_notices(between: Between, positions: FramePositions) -> list[Fault]
         "the take has samples, not curves, there: interpolation between frames is "
         f"linear, and may be off by about {listed(said)}"
     )
-    hint = "in a scene, a resample pass with smooth: true interpolates smoothly; bake "
-    hint += f"{argument('keep_samples', True)} keeps the frames as they are"
     return [Fault("TAKE007", message, hint=hint, severity=Severity.NOTE)]
 
 
@@ -115,13 +117,13 @@ def _largest(
         # Curvature at the frames before and after each position.
         low = int(np.clip(frames.min(), 1, count - 2))
         high = int(np.clip(frames.max() + 1, 1, count - 2))
-        bends = _bends(channel.values[low - 1 : high + 2][:, columns])
-        before, behind = (
-            bends[np.clip(one, low, high) - low] for one in (frames, frames + 1)
-        )
-        sizes = np.maximum(before, behind) * (fraction * (1 - fraction) / 2)[:, None]
-        i, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-        size = float(sizes[i, column])
+        bends = _bends(channel.values[low - 1 : high + 2], columns)
+        peaks, factor = bends.max(axis=1), fraction * (1 - fraction) / 2
+        around = [np.clip(one, low, high) - low for one in (frames, frames + 1)]
+        i = int(np.argmax(np.maximum(*(peaks[one] for one in around)) * factor))
+        sizes = np.maximum(*(bends[one[i]] for one in around)) * factor[i]
+        column = int(np.argmax(sizes))
+        size = float(sizes[column])
         if worst is None or size > worst[2]:
             worst = float(frames[i] + fraction[i]), int(columns[column]), size
     return worst
@@ -132,8 +134,10 @@ def _blocks(indices: IntArray) -> Iterator[IntArray]:
         yield indices[begin : begin + BLOCK_FRAMES]
 
 
-def _bends(values: FloatArray) -> FloatArray:
+def _bends(values: FloatArray, columns: IntArray) -> FloatArray:
     """Return the sizes of second differences of values ``(F, A, K)``, ``(F-2, A)``."""
+    if len(columns) < values.shape[1]:
+        values = values[:, columns]
     if values.shape[-1] == 4:
         return np.asarray(np.linalg.norm(np.diff(so3.steps(values), axis=0), axis=-1))
     return np.asarray(np.linalg.norm(np.diff(values, 2, axis=0), axis=-1))

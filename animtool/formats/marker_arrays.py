@@ -13,6 +13,7 @@ import numpy.typing as npt
 from animtool.core.clock import Clock, time_fraction
 from animtool.core.errors import Fault, listed
 from animtool.core.files.reading import open_input
+from animtool.core.files.signatures import expects
 from animtool.core.rates import FractionLike
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
@@ -25,6 +26,7 @@ _UNIT = re.compile(r"_(mm|cm|m|in)")
 DEFAULT_PREFIX = "markers"
 
 
+@expects("MKR012", "an archive of arrays")
 def read_markers(
     path: Path | str,
     *,
@@ -64,10 +66,10 @@ def read_markers(
         with Archives() as archives:
             return _read(file, archives, path, array, unit, up, fps, subject)
     except ValueError as error:
-        raise file.error("MKR012", _without_name(str(error), path)) from error
+        raise file.error("MKR012", _message_of(str(error), path)) from error
 
 
-def _without_name(message: str, path: Path) -> str:
+def _message_of(message: str, path: Path) -> str:
     """Return an archive's message without the leading file name."""
     return message.removeprefix(path.name).lstrip("# ")
 

@@ -308,17 +308,19 @@ class ValueReader:
     def _motion(self, at: Location, model: ValueModel) -> PrimMotion | None:
         """Return the motion of a prim; None if it cannot be read, or without a rig."""
         path = self._stage(at, model)
-        if path is None or self.rig is None:
+        if path is None:
             return None
+        rig = self.rig or Rig("", ())
         try:
             opener = find_reader(path).prim_opener(path)
-            return cast(PrimMotion, opener(path, model.prim, self.rig, model.space))
+            motion = cast(PrimMotion, opener(path, model.prim, rig, model.space))
         except AnimtoolError as error:
             for fault in error.faults:
                 key = "space" if fault.where == "space" else "prim"
                 message = f"{model.file!r}: " + fault.message
                 self.document.add("TGT011", (*at, key), message, fault.hint)
             return None
+        return None if self.rig is None else motion
 
     def _stage(self, at: Location, model: ValueModel) -> Path | None:
         """Return the file of a prim; None if missing."""

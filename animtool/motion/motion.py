@@ -79,7 +79,10 @@ class Channel:
         """Return the channel with the joints that never move made static."""
         if not len(self.values):
             return self
-        moves = (self.values != self.values[:1]).any(axis=(0, 2))
+        moves = (self.values[-1] != self.values[0]).any(axis=-1)
+        same = np.flatnonzero(~moves)
+        if len(same):
+            moves[same] = (self.values[:, same] != self.values[:1, same]).any((0, 2))
         rest = self.rest.copy()
         rest[self.animated[~moves]] = self.values[0, ~moves]
         if moves.all():

@@ -11,9 +11,10 @@ from animtool.clip.channels import evaluate_channels
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.preview.draft import PageDraft
+from animtool.preview.draft import PageDraft, number
 from animtool.preview.streams import Quantized, plain
 from animtool.preview.takes import ShownMotion
+from animtool.rig.kinematics import rest_size
 
 # Keys of all curves that are drawn; of more, the curves alone are.
 MAX_KEYS = 50_000
@@ -50,6 +51,7 @@ def add_channels(
         draft.note(f"{total} keys: curves are drawn without them")
     stacked = np.stack([curve.values for curve in curves], axis=1)
     stream = draft.packer.add(Quantized(stacked.astype("<f4"), "f32"))
+    size = rest_size(shown.rig) or 1.0
     for column, curve in enumerate(curves):
         keys = curve.keys if total <= MAX_KEYS else None
         draft.channels.append(
@@ -60,9 +62,17 @@ def add_channels(
                 "column": column,
                 "keys": None if keys is None else plain(keys),
                 "interp": curve.interp,
+                "moves": number(round(_moves(curve, size), 4)),
                 "take": shown.index,
             }
         )
+
+
+def _moves(curve: ChannelCurve, size: float) -> float:
+    """Return how far a curve goes: in radians, sizes of the rig, or of 1 [1]."""
+    scale = {"deg": float(np.degrees(1.0)), "m": size}.get(curve.unit, 1.0)
+    values = curve.values[np.isfinite(curve.values)]
+    return float(np.ptp(values)) / scale if len(values) else 0.0
 
 
 def _keyed(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 
-from animtool.core.errors import circle
+from animtool.core.errors import circle, counted
 from animtool.core.names import nearest
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
@@ -138,6 +138,7 @@ def _entries(
             document.add("RIG001", ("joints", i, "name"), message, hint)
             continue
         entries[model.name] = _JointEntry(i, model.name, model.parent)
+    _warn_of_spaces(document, entries)
     for i, model in enumerate(models):
         if model.mirror is None or entries[model.name].index != i:
             continue
@@ -163,6 +164,20 @@ def _entries(
                 document.add("RIG002", location, message, hint)
             entry.parent, entry.adrift = None, True
     return entries
+
+
+def _warn_of_spaces(document: Document, entries: Mapping[str, _JointEntry]) -> None:
+    """Warn once of joint names that contain white space (RIG107)."""
+    spaced = [name for name in entries if any(map(str.isspace, name))]
+    if not spaced:
+        return
+    message = (
+        f"{len(spaced)} of {counted(len(entries), 'joint name')} "
+        f"{'contains' if len(spaced) == 1 else 'contain'} a space: {spaced[0]!r}"
+    )
+    hint = f"write {'_'.join(spaced[0].split())!r}: USD and expressions allow no spaces"
+    location = ("joints", entries[spaced[0]].index, "name")
+    document.warn("RIG107", location, message, hint)
 
 
 def _parents_first(

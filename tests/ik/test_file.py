@@ -16,6 +16,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, OptionError
 from animtool.ik.file import _TargetsReader, load_targets
 from animtool.ik.values import SampleFrames
+from animtool.validation.run import validate
 
 FAULTS = {
     "TGT001": "- {effector: leg_lft, position: [0, 0, 0]}",
@@ -287,3 +288,16 @@ def test_units_are_those_of_the_file_or_of_the_rig(
     found = _TargetsReader._units(reader)  # type: ignore[arg-type]
     assert found.length == (length if has_rig or given[0] else 1.0)
     assert found.angle == pytest.approx(angle if has_rig or given[1] else np.pi / 180)
+
+
+def test_a_missing_prim_is_found_without_a_rig(tmp_path: Path) -> None:
+    (tmp_path / "s.usda").write_text('#usda 1.0\ndef Xform "prop" {}\n', "utf-8")
+    path = tmp_path / "page.targets.yaml"
+    goal = "- {effector: hand, position: {prim: /PRIM, file: s.usda}}\n"
+    text = "targets: animtool/1\nfps: 24\ngoals:\n" + goal
+    path.write_text(text.replace("PRIM", "prip"), "utf-8")
+    (fault,) = validate(path)
+    assert (fault.code, fault.where) == ("TGT011", "goals[0].position.prim")
+    assert fault.hint == "did you mean /prop?"
+    path.write_text(text.replace("PRIM", "prop"), "utf-8")
+    assert not validate(path)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from animtool import _kernels
+from animtool.maths import so3
 
 LARGEST = float(np.finfo(np.float32).max)
 
@@ -67,3 +68,25 @@ def test_bad_arguments() -> None:
     for unit in (0.0, -1.0, np.nan):
         with pytest.raises(ValueError, match="unit"):
             _kernels.round_points(np.zeros((1, 2, 3)), unit)
+
+
+@pytest.mark.parametrize("frames", [0, 1, 2, 300])
+def test_signs_continue_as_those_of_float64(frames: int) -> None:
+    rng = np.random.default_rng(frames)
+    rows = rng.normal(size=(frames, 5, 4)).astype(np.float32)
+    rows[frames // 2 :, 2] = 0.0
+    previous = rng.normal(size=(5, 4)).astype(np.float32)
+    expected = so3.align_signs(rows, previous).astype(np.float32)
+    found = _kernels.continue_signs(rows, previous)
+    assert (rows if found is None else found).tobytes() == expected.tobytes()
+    if frames:
+        assert _kernels.continue_signs(expected, expected[0]) is None
+
+
+def test_signs_of_other_shapes_are_refused() -> None:
+    rows = np.ones((2, 3, 4), np.float32)
+    for previous in (rows[0, :2].copy(), rows[0, :, :3].copy()):
+        with pytest.raises(ValueError, match="previous"):
+            _kernels.continue_signs(rows, previous)
+    with pytest.raises(ValueError, match="rotations"):
+        _kernels.continue_signs(rows[..., :3].copy(), rows[0])

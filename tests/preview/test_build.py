@@ -364,3 +364,25 @@ def test_curves_of_a_clip_go_with_its_frames(tmp_path: Path, walk: Path) -> None
         begin = time["first"] + page.manifest["takes"][take]["span"][0]
         assert channel["keys"] == [[begin, 0.0], [begin + step, 1.0]]
         assert channel["unit"] == "m"
+
+
+def test_channels_say_how_far_they_move(tmp_path: Path) -> None:
+    """In radians, in sizes of the rig, or of 1."""
+    (tmp_path / "a.rig.yaml").write_text(
+        "rig: animtool/1\nname: a\njoints:\n"
+        "- {name: root, type: free}\n"
+        "- {name: a, type: pin, axis: [0, 0, 1], parent: root, translate: [0, 2, 0]}\n",
+        "utf-8",
+    )
+    (tmp_path / "a.clip.yaml").write_text(
+        "clip: animtool/1\nrig: a.rig.yaml\nfps: 24\nchannels:\n"
+        "- {target: joint/root.translation, keys: [{t: 1, v: [0, 0, 0]}, "
+        "{t: 9, v: [0, 1, 0]}]}\n"
+        "- {target: joint/a.angle, keys: [{t: 1, v: 0}, {t: 9, v: 90}]}\n",
+        "utf-8",
+    )
+    page = make_page([tmp_path / "a.clip.yaml"])
+    moves = {each["name"]: each["moves"] for each in page.manifest["channels"]}
+    assert moves["joint/root.translation.x"] == 0
+    assert moves["joint/root.translation.y"] == pytest.approx(0.5, abs=1e-3)
+    assert moves["joint/a.angle"] == pytest.approx(np.pi / 2, abs=1e-3)

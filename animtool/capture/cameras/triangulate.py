@@ -33,6 +33,7 @@ from animtool.capture.cameras.stale import (
     stale_ranges,
     truncated_error,
 )
+from animtool.capture.markers.plausible import implausible
 from animtool.capture.options import TriangulateOptions
 from animtool.core.array_types import BoolArray
 from animtool.core.errors import Fault, OptionError, Severity, counted
@@ -353,6 +354,8 @@ class _TriangulationRun:
             self.known[..., 1].copy(),
             notices=tuple(notices),
         )
+        path = self.cameras.path or None
+        notices += [replace(one, path=path) for one in implausible(markers)]
         return Triangulation(
             markers,
             self.known[..., 2].copy(),

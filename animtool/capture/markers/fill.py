@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from animtool.capture.markers.geometry import distances
+from animtool.capture.markers.plausible import implausible
 from animtool.capture.markers.predict import (
     Prediction,
     follow,
@@ -17,6 +18,7 @@ from animtool.capture.markers.predict import (
 from animtool.capture.markers.spikes import Spike, find_spikes, remove_spikes
 from animtool.capture.markers.swaps import Swap, repair_swaps
 from animtool.capture.options import FillOptions
+from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, counted
 from animtool.core.process.blas import one_thread
@@ -156,10 +158,11 @@ def _filled_markers(
     if left and not options.keep_gaps:
         open_gaps = sum(not gap.method for gap in gaps)
         message = f"{counted(open_gaps, 'gap')} could not be filled"
-        hint = (
-            "no three nearby markers are seen, or the take is too short to learn from"
-        )
+        hint = "fewer than three nearby markers are visible, or the take is too short"
+        if options.longest is not None:
+            hint = f"longer gaps are left by {argument('longest', options.longest)}"
         notices.append(Fault("MKR111", message, None, (), hint, Severity.WARNING))
+    notices += implausible(markers)
     report = FillReport(
         len(markers), len(markers.names), int((now & ~measured).sum()), left, gaps,
         spikes, swaps, notices,

@@ -11,6 +11,7 @@ import numpy as np
 from animtool.capture.markers.chains import chained, merged
 from animtool.capture.markers.geometry import MarkerDistances, distances, fitted
 from animtool.capture.markers.naming import Naming, searched
+from animtool.capture.markers.plausible import implausible
 from animtool.capture.markers.runs import RunLabels
 from animtool.capture.markers.tracklets import Tracklets, follow
 from animtool.capture.markers.twins import Exchange, distinguish_twins, exchanged_in
@@ -282,7 +283,7 @@ def _labelled(
     points, got = int((ids >= 0).sum()), int((slots >= 0).sum())
     shares = dict(zip(names, coverage.tolist(), strict=True))
     missing = [name for name, fraction in shares.items() if not fraction]
-    notices = []
+    notices = implausible(cloud)
     if missing:
         message = f"no points were found for {', '.join(missing)}"
         notices.append(Fault("MKR110", message, severity=Severity.WARNING))

@@ -129,9 +129,9 @@ def _unmatched(
         return Fault("SOL001", message, hint=hint)
     bare = [_split(name)[1] for name in labelled]
     near = [
-        f"{name!r} is near {found!r}"
+        f"{name!r} is near {guess!r}"
         for name in template.names
-        if (found := similar(name, bare))
+        if (guess := similar(name, bare))
     ]
     hint = "; ".join(near[:SHOWN])
     if not near:

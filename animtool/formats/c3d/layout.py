@@ -316,7 +316,7 @@ def _decide(
             evidence.outliers <= MAX_OUTLIERS and evidence.rough <= SMOOTH
         ):
             continue
-        if layout.rest >= BLOCK and _no_positions(layout, evidence):
+        if layout.rest >= BLOCK and _is_noise(layout, evidence):
             continue
         penalty = 4.0 * (evidence.outliers > outliers + 0.02)
         penalty += 4.0 * (evidence.rough > 3.0 * rough + 0.02)
@@ -335,7 +335,7 @@ def _decide(
     return LayoutResult(best, short)
 
 
-def _no_positions(layout: Layout, evidence: Evidence) -> bool:
+def _is_noise(layout: Layout, evidence: Evidence) -> bool:
     """Return whether numbers look like noise; a single static point always does."""
     return evidence.outliers > MAX_OUTLIERS or (
         layout.points > 1 and evidence.rough > NOISE

@@ -14,6 +14,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, counted, excerpt, listed
 from animtool.core.files.reading import MAX_INPUT_BYTES, open_input
+from animtool.core.files.signatures import expects
 from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
@@ -76,7 +77,7 @@ def read_screen(file: MarkerFile, sections: Sections, option: UpAxis | None) -> 
     right, up = (_axis(file, sections, f"{name}_SCREEN") for name in "XY")
     if up is None and right is not None and right[1] == "Y":
         # Y points to the side, and cannot be assumed to point up.
-        message = f"states no up axis; Z is assumed, as X_SCREEN is {right}"
+        message = f"the file states no up axis; using Z, as X_SCREEN is {right}"
         file.note("MKR103", message, f"set the up axis with {argument('source.up')}")
         return Screen(UpAxis.Z)
     if up is None:
@@ -170,6 +171,7 @@ MODELLED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 ANIMTOOL_GROUP = "ANIMTOOL"
 
 
+@expects("C3D001", "a C3D file")
 def read_c3d(
     path: Path | str,
     *,
@@ -248,7 +250,7 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     )
     layout = outcome.layout
     if layout is None:
-        raise _without_layout(file, outcome, len(data))
+        raise _layout_error(file, outcome, len(data))
     if layout.points == 0 or layout.frames == 0:
         what = "points" if layout.points == 0 else "frames"
         raise file.error("MKR013", f"has no {what}")
@@ -281,7 +283,7 @@ def _ends(sections: Sections, size: int) -> list[int]:
     return [end for end in [BLOCK * (block - 1)] if end < size]
 
 
-def _without_layout(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatError:
+def _layout_error(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatError:
     """Return the error of a file whose size fits no combination of counts."""
     if len(outcome.rivals) == 1:
         (alone,) = outcome.rivals

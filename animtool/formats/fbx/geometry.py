@@ -118,8 +118,8 @@ def _geometry(file: FbxFile, of: Object, model: Object) -> FbxGeometry | None:
     points = flat.reshape(-1, 3)
     faces = _faces(file, of, corners, len(points), name)
     geometry = FbxGeometry(of.name, points, faces)
-    _put_skin(file, of, geometry, name)
-    _put_shapes(file, of, geometry, model)
+    _add_skin(file, of, geometry, name)
+    _add_shapes(file, of, geometry, model)
     return geometry
 
 
@@ -146,7 +146,7 @@ def _faces(
     return faces[sizes >= 3]
 
 
-def _put_skin(file: FbxFile, of: Object, mesh: FbxGeometry, name: str) -> None:
+def _add_skin(file: FbxFile, of: Object, mesh: FbxGeometry, name: str) -> None:
     notes = file.notes
     deformers = file.sources(of.id, "Deformer")
     for one in deformers:
@@ -269,7 +269,7 @@ def has_free_points(mesh: FbxGeometry) -> bool:
     return bool((sums <= 0).any())
 
 
-def _put_shapes(file: FbxFile, of: Object, mesh: FbxGeometry, model: Object) -> None:
+def _add_shapes(file: FbxFile, of: Object, mesh: FbxGeometry, model: Object) -> None:
     notes = file.notes
     for shape in old_shapes(file, model) if file.version < NUMBERED else ():
         offsets = _offsets(file, shape, shape.text(0), len(mesh.points))

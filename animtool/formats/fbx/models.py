@@ -104,7 +104,9 @@ def read_models(file: FbxFile) -> list[Model]:
         FormatError: A node is below itself (FBX009), has a rotation order that is not
             read (FBX004), or there are too many (FBX013).
     """
-    objects = [one for one in file.of_kind("Model") if not _is_of_viewer(file, one)]
+    objects = [
+        one for one in file.of_kind("Model") if not _is_default_camera(file, one)
+    ]
     objects = [one for one in objects if one.id not in ROOTS]
     if len(objects) > MAX_MODELS:
         message = f"{len(objects)} nodes; the limit is {MAX_MODELS}"
@@ -132,7 +134,7 @@ def read_models(file: FbxFile) -> list[Model]:
     return models
 
 
-def _is_of_viewer(file: FbxFile, one: Object) -> bool:
+def _is_default_camera(file: FbxFile, one: Object) -> bool:
     """Return whether a node is a default camera that old exporters add."""
     return one.subtype.startswith("Camera") and one.id not in file.above
 

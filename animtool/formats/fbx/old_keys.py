@@ -131,7 +131,7 @@ def _key(keys: _Keys) -> tuple[int, float, int, float, float, float, float]:
     flags, right, left, lists = _tangent(keys)
     weights = [THIRD, THIRD]
     for _ in range(lists):
-        _put_weights(keys, weights)
+        _set_weights(keys, weights)
     return time, value, flags, right, left, weights[0], weights[1]
 
 
@@ -159,7 +159,7 @@ def _tangent(keys: _Keys) -> tuple[int, float, float, int]:
     return automatic, 0.0, 0.0, now if late else early
 
 
-def _put_weights(keys: _Keys, weights: list[float]) -> None:
+def _set_weights(keys: _Keys, weights: list[float]) -> None:
     kind = keys.letter()
     if kind not in {"a", "r", "l", "n", "c"}:
         keys.fail(f"weights {kind!r} of a key are not read")

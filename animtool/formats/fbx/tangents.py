@@ -49,9 +49,9 @@ def key_slopes(
     left[tcb] = 0.0
     into = np.concatenate([[0.0], left[:-1]])
     if auto.any():
-        _put_auto(seconds, values, flags, weights, chords, (auto, into, right))
+        _set_auto(seconds, values, flags, weights, chords, (auto, into, right))
     if tcb.any():
-        _put_tcb(chords, stated, (tcb, into, right))
+        _set_tcb(chords, stated, (tcb, into, right))
     # Those of the last key go nowhere.
     return right, np.append(into[1:], left[-1:])
 
@@ -62,7 +62,7 @@ def _chords(seconds: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(np.diff(values) / np.where(steps > 0, steps, np.inf))
 
 
-def _put_auto(
+def _set_auto(
     seconds: FloatArray,
     values: FloatArray,
     flags: IntArray,
@@ -140,7 +140,7 @@ def _inner_slopes(
     return np.asarray(np.where((key_flags & CLAMPED != 0) & flat, 0.0, slope))
 
 
-def _put_tcb(
+def _set_tcb(
     chords: FloatArray,
     stated: FloatArray,
     slopes: tuple[BoolArray, FloatArray, FloatArray],

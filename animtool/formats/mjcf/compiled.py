@@ -143,7 +143,7 @@ def _link(model: Any, body: int, ties: JointEqualities, reduced: Reduced) -> Lin
     else:
         fixed = Move("", JointType.FIXED, vector(position), quaternion(rotation))
         link.moves.append(fixed)
-    link.solids, link.shown = _solids(model, body)
+    link.solids, link.shown = _simple_geoms(model, body)
     mass = float(model.body_mass[body])
     heavy = [mass, *model.body_inertia[body], *model.body_ipos[body]]
     stated = mass > 2 * MIN_MASS and name not in reduced.unweighed
@@ -192,7 +192,7 @@ def _move(
     )
 
 
-def _solids(model: Any, body: int) -> tuple[list[SimpleShape], list[Triangles]]:
+def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triangles]]:
     """Return a body's simple geoms: colliding ones, and visible ones."""
     colliding, shown = [], []
     first = int(model.body_geomadr[body])

@@ -154,7 +154,7 @@ def _is_kept(
     tag = child.tag
     match section:
         case "worldbody":
-            return _is_of_body(parent, child, notes)
+            return _is_kept_in_body(parent, child, notes)
         case "equality":
             if tag != "joint":
                 notes.leave_out([f"equality of <{tag[:40]}>"])
@@ -164,7 +164,7 @@ def _is_kept(
     return section != "compiler"
 
 
-def _is_of_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
+def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
     """Return whether a part of a body is kept; record it if not."""
     tag, left_out = child.tag, _IN_BODIES.get(child.tag)
     if tag in _GENERATED:
@@ -259,7 +259,7 @@ class _MeshClasses:
         while waiting:
             element, class_name, mesh = waiting.pop()
             for geom in element.all("geom"):
-                mesh = _mesh_or(geom, mesh)
+                mesh = _inherited_is_mesh(geom, mesh)
             self._classes[class_name] = mesh
             waiting += [
                 (child, child.attributes.get("class", ""), mesh)
@@ -269,10 +269,10 @@ class _MeshClasses:
     def is_mesh(self, geom: XmlElement, childclass: str) -> bool:
         """Return whether a body's geom is a mesh."""
         name = geom.attributes.get("class", childclass)
-        return _mesh_or(geom, self._classes.get(name, self._main))
+        return _inherited_is_mesh(geom, self._classes.get(name, self._main))
 
 
-def _mesh_or(geom: XmlElement, inherited: bool) -> bool:
+def _inherited_is_mesh(geom: XmlElement, inherited: bool) -> bool:
     """Return whether a geom is a mesh; unstated, the inherited value."""
     if geom.attributes.get("type") in _MESHES or "mesh" in geom.attributes:
         return True

@@ -10,20 +10,20 @@ void bind_capture(nb::module_& m) {
         "final"_a,
         R"(Read rows of numbers from the text of a BVH MOTION block.
 
-Reads whole lines until ``limit`` rows are read, a fault is met, or the text has
-no further whole line (``final`` says that the text ends with the file). Blank
-lines are passed over. CR, LF and CR LF each end a line.
+Reads complete lines until ``limit`` rows are read, a line is faulty, or the rest
+of the text is not a complete line (``final``: the text ends with the file). Blank
+lines are skipped. CR, LF and CR LF each end a line.
 
-Returns ``(values, row_lines, consumed, lines, fault, found, token)``: float64
-``(F, C)``, NaN where the text says NaN or infinity and infinity where a number
+Returns ``(values, row_lines, consumed, lines, fault, count, token)``: float64
+``(F, C)``, NaN where the text has NaN or infinity and infinity where a number
 overflows float64; the 0-based line of each row; bytes and lines read; the fault
-of the line after those (0 none, 1 wrong count, 2 not a number), the numbers
-found on it and the word that is none.)");
+of the next line (0 none, 1 wrong count, 2 not a number), the count of numbers on
+it and the word that is not a number.)");
 
   m.def("format_bvh_rows", &format_bvh_rows, Unlocked(), "values"_a, "decimals"_a,
         R"(Write float64 ``(F, C)`` as lines of decimal numbers, as bytes.
 
-Column c is rounded to ``decimals[c]`` places (0 to 9), trailing zeros dropped.)");
+Column c is rounded to ``decimals[c]`` decimals (0 to 9), without trailing zeros.)");
 
   m.def("fit_face", &fit_face, Unlocked(), "neutral"_a, "deltas"_a, "observed"_a,
         "camera"_a.none(), "poses"_a, "weights"_a, "threshold"_a, "smooth"_a, "rest"_a,

@@ -95,6 +95,11 @@ stretch.)");
 Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its largest
 number, and NaN stays NaN with an infinite error; the largest distance of a point from where
 it was, times ``unit``, and where.)");
+
+  m.def("continue_signs", &continue_signs, Unlocked(), "rotations"_a, "previous"_a,
+        R"(Float32 quaternions ``(F, J, 4)`` with signs continuous over frames.
+
+The first frame continues ``previous`` ``(J, 4)``. None where all continue as they are.)");
 }
 
 }  // namespace animtool

@@ -28,12 +28,12 @@ const char* after_line_end(const char* p, const char* end) {
 
 }  // namespace
 
-BvhRows parse_bvh_rows(Text given, std::size_t columns, std::size_t limit, bool final) {
-  const std::string_view text = given.bytes;
+BvhRows parse_bvh_rows(Text source, std::size_t columns, std::size_t limit, bool final) {
+  const std::string_view text = source.bytes;
   const char* const begin = text.data();
   const char* const end = begin + text.size();
   const char* p = begin;
-  std::size_t rows = 0, lines = 0, found = 0;
+  std::size_t rows = 0, lines = 0, count = 0;
   int fault = kNone;
   std::string bad_token;
 
@@ -48,7 +48,7 @@ BvhRows parse_bvh_rows(Text given, std::size_t columns, std::size_t limit, bool 
   while (rows < capacity && p != end) {
     const char* const line = p;
     double* row = values.get() + rows * room;
-    found = 0;
+    count = 0;
     while (true) {
       while (is_blank(*p)) ++p;
       if (p == end || is_line_end(*p)) break;
@@ -61,8 +61,8 @@ BvhRows parse_bvh_rows(Text given, std::size_t columns, std::size_t limit, bool 
         bad_token.assign(token, static_cast<std::size_t>(p - token < 40 ? p - token : 40));
         break;
       }
-      if (found < room) row[found] = value;
-      ++found;
+      if (count < room) row[count] = value;
+      ++count;
     }
     // A line that the text stops in is read again with what follows; so is one
     // whose carriage return may be half of a CR LF.
@@ -71,12 +71,12 @@ BvhRows parse_bvh_rows(Text given, std::size_t columns, std::size_t limit, bool 
       fault = kNone;
       break;
     }
-    if (fault == kNone && found != 0 && found != columns) fault = kCount;
+    if (fault == kNone && count != 0 && count != columns) fault = kCount;
     if (fault != kNone) {
       p = line;
       break;
     }
-    if (found) row_lines.get()[rows++] = static_cast<std::int64_t>(lines);
+    if (count) row_lines.get()[rows++] = static_cast<std::int64_t>(lines);
     p = after_line_end(p, end);
     ++lines;
   }
@@ -87,7 +87,7 @@ BvhRows parse_bvh_rows(Text given, std::size_t columns, std::size_t limit, bool 
           static_cast<std::size_t>(p - begin),
           lines,
           fault,
-          found,
+          count,
           Bytes{std::move(bad_token)}};
 }
 
@@ -105,8 +105,8 @@ Bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals) {
   for (std::size_t i = 0; i < rows; ++i) {
     for (std::size_t j = 0; j < columns; ++j, ++v) {
       if (j) text.push_back(' ');
-      const auto places = static_cast<int>(decimals.data()[j]);
-      const double scaled = std::fabs(*v) * static_cast<double>(kScales[places]);
+      const auto digits_after = static_cast<int>(decimals.data()[j]);
+      const double scaled = std::fabs(*v) * static_cast<double>(kScales[digits_after]);
       if (!(scaled < 9e15)) {  // beyond exact integers: rare, so the C library does it
         const int n = std::snprintf(digits, sizeof digits, "%.17g", *v);
         for (int k = 0; k < n; ++k) text.push_back(digits[k] == ',' ? '.' : digits[k]);
@@ -114,16 +114,16 @@ Bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals) {
       }
       const auto fixed = static_cast<std::int64_t>(std::nearbyint(scaled));
       if (fixed != 0 && std::signbit(*v)) text.push_back('-');
-      std::int64_t whole = fixed / kScales[places], part = fixed % kScales[places];
+      std::int64_t integer = fixed / kScales[digits_after], part = fixed % kScales[digits_after];
       char* q = digits + sizeof digits;
-      int left = places;
+      int left = digits_after;
       while (left > 0 && part % 10 == 0) part /= 10, --left;
       if (left > 0) {
         for (; left > 0; --left, part /= 10) *--q = static_cast<char>('0' + part % 10);
         *--q = '.';
       }
-      do *--q = static_cast<char>('0' + whole % 10);
-      while (whole /= 10);
+      do *--q = static_cast<char>('0' + integer % 10);
+      while (integer /= 10);
       text.append(q, static_cast<std::size_t>(digits + sizeof digits - q));
     }
     text.push_back('\n');

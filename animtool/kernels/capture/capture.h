@@ -9,7 +9,7 @@
 
 namespace animtool {
 
-// values, row_lines, consumed, lines, fault, found, token
+// values, row_lines, consumed, lines, fault, count, token
 using BvhRows = std::tuple<Out<double, 2>, Out<std::int64_t, 1>, std::size_t, std::size_t, int,
                            std::size_t, Bytes>;
 BvhRows parse_bvh_rows(Text text, std::size_t columns, std::size_t limit, bool final);

@@ -30,22 +30,22 @@ constexpr double UNSEEN = 1e-9;
 using Mat3 = std::array<double, 9>;
 
 Mat3 matrix(const double* q) {
-  Mat3 made;
-  ik::to_matrix(q, made.data());
-  return made;
+  Mat3 matrix;
+  ik::to_matrix(q, matrix.data());
+  return matrix;
 }
 
-void turn(double* q, const double* v) {
+void rotate(double* q, const double* v) {
   const double angle = std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]), half = angle / 2;
   const double s = half < 1e-4 ? 0.5 - half * half / 12 : std::sin(half) / angle;
   const double x = s * v[0], y = s * v[1], z = s * v[2], w = std::cos(half);
-  double made[4] = {q[3] * x + q[0] * w + q[1] * z - q[2] * y,
+  double product[4] = {q[3] * x + q[0] * w + q[1] * z - q[2] * y,
                     q[3] * y - q[0] * z + q[1] * w + q[2] * x,
                     q[3] * z + q[0] * y - q[1] * x + q[2] * w,
                     q[3] * w - q[0] * x - q[1] * y - q[2] * z};
-  const double size = std::sqrt(made[0] * made[0] + made[1] * made[1] + made[2] * made[2] +
-                                made[3] * made[3]);
-  for (int i = 0; i < 4; ++i) q[i] = made[i] / size;
+  const double size = std::sqrt(product[0] * product[0] + product[1] * product[1] + product[2] * product[2] +
+                                product[3] * product[3]);
+  for (int i = 0; i < 4; ++i) q[i] = product[i] / size;
 }
 
 // Of the n × n block in `a` with a row of `stride`; rows without a positive pivot count as
@@ -76,7 +76,7 @@ struct Quadratics {
     return smooth * static_cast<double>((f > 0) + (f + 1 < frames));
   }
 
-  double beside(const double* w, std::size_t f, std::size_t s) const {
+  double coupling(const double* w, std::size_t f, std::size_t s) const {
     return smooth * ((f > 0 ? w[(f - 1) * shapes + s] : 0.0) +
                      (f + 1 < frames ? w[(f + 1) * shapes + s] : 0.0));
   }
@@ -86,7 +86,7 @@ struct Quadratics {
     const double* wf = w + f * shapes;
     const double coupled = neighbours(f);
     for (std::size_t s = 0; s < shapes; ++s)
-      out[s] = coupled * wf[s] - g[f * shapes + s] - beside(w, f, s);
+      out[s] = coupled * wf[s] - g[f * shapes + s] - coupling(w, f, s);
     for (std::size_t k = 0; k < shapes; ++k) {
       if (wf[k] == 0) continue;
       const double by = wf[k];
@@ -129,10 +129,10 @@ struct Quadratics {
       for (std::size_t s = 0; s < shapes; ++s) {
         const double bend = hf[s * shapes + s] + coupled;
         if (!(bend > 0)) continue;
-        const double found = std::clamp(wf[s] - slopes[s] / bend, 0.0, 1.0);
-        const double change = found - wf[s];
+        const double weight = std::clamp(wf[s] - slopes[s] / bend, 0.0, 1.0);
+        const double change = weight - wf[s];
         if (change == 0) continue;
-        wf[s] = found;
+        wf[s] = weight;
         most = std::max(most, std::fabs(change));
         for (std::size_t k = 0; k < shapes; ++k) slopes[k] += change * hf[s * shapes + k];
         slopes[s] += change * coupled;
@@ -144,25 +144,25 @@ struct Quadratics {
   // The weights with zero gradient at free entries, bounds fixed: `step_`.
   void newton(const double* w) {
     std::vector<double> slopes(shapes), right(shapes), pivots(shapes);
-    std::vector<std::size_t> places(shapes, shapes), before(shapes, shapes);
+    std::vector<std::size_t> slots(shapes, shapes), before(shapes, shapes);
     for (std::size_t f = 0; f < frames; ++f) {
       const double* hf = h.data() + f * shapes * shapes;
-      std::size_t* own = free_.data() + f * shapes;
+      std::size_t* unbound = free_.data() + f * shapes;
       double* l = factors_.data() + f * shapes * shapes;
       slope(w, f, slopes.data());
       std::size_t n = 0;
       for (std::size_t s = 0; s < shapes; ++s) {
         const double at = w[f * shapes + s];
-        const bool held = (at <= 0 && slopes[s] >= 0) || (at >= 1 && slopes[s] <= 0);
-        if (!held && hf[s * shapes + s] + neighbours(f) > 0) own[n++] = s;
+        const bool bound = (at <= 0 && slopes[s] >= 0) || (at >= 1 && slopes[s] <= 0);
+        if (!bound && hf[s * shapes + s] + neighbours(f) > 0) unbound[n++] = s;
       }
       counts_[f] = n;
       double trace = 0;
       for (std::size_t i = 0; i < n; ++i) {
-        for (std::size_t j = 0; j <= i; ++j) l[i * shapes + j] = hf[own[i] * shapes + own[j]];
+        for (std::size_t j = 0; j <= i; ++j) l[i * shapes + j] = hf[unbound[i] * shapes + unbound[j]];
         l[i * shapes + i] += neighbours(f);
         trace = std::max(trace, l[i * shapes + i]);
-        right[i] = -slopes[own[i]];
+        right[i] = -slopes[unbound[i]];
       }
       if (f > 0 && smooth > 0) {
         const std::size_t m = counts_[f - 1];
@@ -171,7 +171,7 @@ struct Quadratics {
         std::fill(before.begin(), before.end(), shapes);
         for (std::size_t i = 0; i < m; ++i) before[free_[(f - 1) * shapes + i]] = i;
         for (std::size_t i = 0; i < n; ++i) {
-          const std::size_t at = before[own[i]];
+          const std::size_t at = before[unbound[i]];
           double* column = columns_.data() + i * shapes;
           if (at == shapes) continue;
           std::fill(column, column + m, 0.0);
@@ -181,7 +181,7 @@ struct Quadratics {
           for (std::size_t k = at; k < m; ++k) sum += column[k] * kept[k];
           right[i] += sum;
           for (std::size_t j = 0; j <= i; ++j) {
-            const std::size_t other = before[own[j]];
+            const std::size_t other = before[unbound[j]];
             if (other == shapes) continue;
             const double* second = columns_.data() + j * shapes;
             double dot = 0;
@@ -198,44 +198,44 @@ struct Quadratics {
     std::fill(step_.begin(), step_.end(), 0.0);
     for (std::size_t f = frames; f-- > 0;) {
       const std::size_t n = counts_[f];
-      const std::size_t* own = free_.data() + f * shapes;
+      const std::size_t* unbound = free_.data() + f * shapes;
       const double* l = factors_.data() + f * shapes * shapes;
       double* x = kept_.data() + f * shapes;
       if (f + 1 < frames && smooth > 0) {
         std::fill(right.begin(), right.end(), 0.0);
-        for (std::size_t i = 0; i < n; ++i) right[i] = smooth * step_[(f + 1) * shapes + own[i]];
+        for (std::size_t i = 0; i < n; ++i) right[i] = smooth * step_[(f + 1) * shapes + unbound[i]];
         solve_forward(l, n, shapes, right.data());
         for (std::size_t i = 0; i < n; ++i) x[i] += right[i];
       }
       cholesky::solve_backward<cholesky::Roots>(cholesky::Rows{l, shapes}, n, x);
-      for (std::size_t i = 0; i < n; ++i) step_[f * shapes + own[i]] = x[i];
+      for (std::size_t i = 0; i < n; ++i) step_[f * shapes + unbound[i]] = x[i];
     }
   }
 
   // Cost of a frame's weights for fixed neighbours.
-  double cost(const double* w, const double* own, std::size_t f) const {
+  double cost(const double* w, const double* toward, std::size_t f) const {
     const double* hf = h.data() + f * shapes * shapes;
     double sum = 0;
     for (std::size_t s = 0; s < shapes; ++s) {
-      if (own[s] == 0) continue;
-      double row = 0.5 * neighbours(f) * own[s] - g[f * shapes + s] - beside(w, f, s);
+      if (toward[s] == 0) continue;
+      double row = 0.5 * neighbours(f) * toward[s] - g[f * shapes + s] - coupling(w, f, s);
       const double* hs = hf + s * shapes;
-      for (std::size_t k = 0; k < shapes; ++k) row += 0.5 * hs[k] * own[k];
-      sum += own[s] * row;
+      for (std::size_t k = 0; k < shapes; ++k) row += 0.5 * hs[k] * toward[k];
+      sum += toward[s] * row;
     }
     return sum;
   }
 
   // Take the part of a frame's step that lowers its cost.
   void alone(double* w, std::size_t f, double* tried) const {
-    double *own = w + f * shapes, share = 1;
+    double *weights = w + f * shapes, fraction = 1;
     const double* step = step_.data() + f * shapes;
-    const double from = cost(w, own, f);
-    for (int half = 0; half < HALVINGS; ++half, share /= 2) {
+    const double from = cost(w, weights, f);
+    for (int half = 0; half < HALVINGS; ++half, fraction /= 2) {
       for (std::size_t s = 0; s < shapes; ++s)
-        tried[s] = std::clamp(own[s] + share * step[s], 0.0, 1.0);
+        tried[s] = std::clamp(weights[s] + fraction * step[s], 0.0, 1.0);
       if (cost(w, tried, f) < from) {
-        std::copy(tried, tried + shapes, own);
+        std::copy(tried, tried + shapes, weights);
         return;
       }
     }
@@ -272,16 +272,16 @@ struct Face {
   std::size_t landmarks, shapes;
   const double *neutral, *deltas;  // (N, 3), (S, N, 3)
   const double* camera;            // fx, fy, cx, cy; null for landmarks in three dimensions
-  std::vector<double> own;         // (N, 3, S): of a landmark its three rows
-  std::vector<double> whole;       // (S, S): the sum of all, for weights of one
+  std::vector<double> deltas_of_rows;         // (N, 3, S): of a landmark its three rows
+  std::vector<double> gram;       // (S, S): the sum of all, for weights of one
 
   void prepare() {
-    own.resize(landmarks * 3 * shapes);
+    deltas_of_rows.resize(landmarks * 3 * shapes);
     for (std::size_t s = 0; s < shapes; ++s)
       for (std::size_t i = 0; i < 3 * landmarks; ++i)
-        own[i * shapes + s] = deltas[s * 3 * landmarks + i];
-    whole.assign(shapes * shapes, 0.0);
-    for (std::size_t i = 0; i < 3 * landmarks; ++i) add(whole.data(), 1, &own[i * shapes], &own[i * shapes]);
+        deltas_of_rows[i * shapes + s] = deltas[s * 3 * landmarks + i];
+    gram.assign(shapes * shapes, 0.0);
+    for (std::size_t i = 0; i < 3 * landmarks; ++i) add(gram.data(), 1, &deltas_of_rows[i * shapes], &deltas_of_rows[i * shapes]);
   }
 
   void add(double* h, double by, const double* a, const double* b) const {
@@ -317,9 +317,9 @@ class Linear {
     const std::size_t width = face_.camera ? 2 : 3;
     double loss = 0;
     for (std::size_t n = 0; n < face_.landmarks; ++n) {
-      const double* seen = observed + n * width;
+      const double* pixel = observed + n * width;
       double miss[3];
-      if (!missed(seen, &points_[3 * n], r, pose + 4, miss)) {
+      if (!missed(pixel, &points_[3 * n], r, pose + 4, miss)) {
         length[n] = NAN, weight[n] = 0;
         continue;
       }
@@ -345,10 +345,10 @@ class Linear {
     if (face_.camera)
       std::fill(h, h + shapes * shapes, 0.0);
     else
-      std::copy(face_.whole.begin(), face_.whole.end(), h);
+      std::copy(face_.gram.begin(), face_.gram.end(), h);
     for (std::size_t n = 0; n < landmarks; ++n) {
       const double* p = &points_[3 * n];
-      const double* rows = &face_.own[3 * n * shapes];
+      const double* rows = &face_.deltas_of_rows[3 * n * shapes];
       const double by = weight[n];
       if (!face_.camera && by != 1)
         for (int k = 0; k < 3; ++k) face_.add(h, by - 1, rows + k * shapes, rows + k * shapes);
@@ -427,28 +427,28 @@ class Linear {
   }
 
  private:
-  // x = R (p + turn × p + shift) + t: the shift is in the frame of the face.
+  // x = R (p + rotate × p + shift) + t: the shift is in the frame of the face.
   static void moved(const double* step, double* pose) {
     const Mat3 r = matrix(pose);
     for (int i = 0; i < 3; ++i)
       pose[4 + i] += r[3 * i] * step[3] + r[3 * i + 1] * step[4] + r[3 * i + 2] * step[5];
-    turn(pose, step);
+    rotate(pose, step);
   }
 
   // Residual of an observation, and its derivatives along the face's axes (2, 3).
-  bool missed(const double* seen, const double* p, const Mat3& r, const double* t, double* miss,
+  bool missed(const double* pixel, const double* p, const Mat3& r, const double* t, double* miss,
               double* slopes = nullptr) const {
     double x[3];
     for (int i = 0; i < 3; ++i)
       x[i] = r[3 * i] * p[0] + r[3 * i + 1] * p[1] + r[3 * i + 2] * p[2] + t[i];
     if (!face_.camera) {
-      for (int i = 0; i < 3; ++i) miss[i] = seen[i] - x[i];
+      for (int i = 0; i < 3; ++i) miss[i] = pixel[i] - x[i];
       return std::isfinite(miss[0] + miss[1] + miss[2]);
     }
     if (!(x[2] > 0)) return false;
     for (int k = 0; k < 2; ++k) {
       const double focal = face_.camera[k], at = x[k] / x[2];
-      miss[k] = seen[k] - (focal * at + face_.camera[2 + k]);
+      miss[k] = pixel[k] - (focal * at + face_.camera[2 + k]);
       if (slopes)
         for (int c = 0; c < 3; ++c)
           slopes[3 * k + c] = focal / x[2] * (r[3 * k + c] - at * r[6 + c]);
@@ -460,7 +460,7 @@ class Linear {
   void row(double by, double z, const double* axis, const double* p, const double* rows,
            double* h, double* g) {
     const std::size_t shapes = face_.shapes;
-    // axis · (turn × p) = turn · (p × axis)
+    // axis · (rotate × p) = rotate · (p × axis)
     const double pose[POSE] = {p[1] * axis[2] - p[2] * axis[1], p[2] * axis[0] - p[0] * axis[2],
                                p[0] * axis[1] - p[1] * axis[0], axis[0], axis[1], axis[2]};
     line_.resize(shapes);
@@ -513,7 +513,7 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
     check::positive("camera", camera->data()[0]);
     check::positive("camera", camera->data()[1]);
   }
-  Out<double, 2> found(frames, shapes), placed(frames, 7), lengths(frames, landmarks), shares(frames, landmarks);
+  Out<double, 2> result(frames, shapes), placed(frames, 7), lengths(frames, landmarks), shares(frames, landmarks);
   int round = 0;
   double change = 0;
   Face face{landmarks, shapes, neutral.data(), deltas.data(),
@@ -521,10 +521,10 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
   face.prepare();
   Linear linear(face);
   Quadratics problem(frames, shapes, smooth);
-  std::copy(weights.data(), weights.data() + frames * shapes, found.get());
+  std::copy(weights.data(), weights.data() + frames * shapes, result.get());
   std::copy(poses.data(), poses.data() + frames * 7, placed.get());
   std::vector<double> before(frames * shapes), kept(frames * Linear::kept(shapes));
-  double* w = found.get();
+  double* w = result.get();
   for (std::size_t i = 0; i < frames * shapes; ++i) w[i] = std::clamp(w[i], 0.0, 1.0);
   const std::size_t each = neutral.shape(0) == 1 ? 0 : 3 * landmarks;
   const auto look = [&](std::size_t f, double limit, double power) {
@@ -562,7 +562,7 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
     }
   }
   for (std::size_t f = 0; f < frames; ++f) look(f, threshold, 2);
-  return {std::move(found), std::move(placed), std::move(lengths), std::move(shares), round,
+  return {std::move(result), std::move(placed), std::move(lengths), std::move(shares), round,
           change};
 }
 

@@ -50,20 +50,20 @@ inline NumberKind slow_number(const char* p, const char* end, double& value) {
   const auto result = std::from_chars(p, end, value);
   if (result.ec == std::errc()) return NumberKind::finite;
   // from_chars leaves the value alone when it is out of range, on either side: the
-  // place of the first digit that is not zero, and the exponent, tell which.
+  // position of the first digit that is not zero, and the exponent, tell which.
   const bool negative = *p == '-';
-  std::int64_t place = 0, exponent = 0;
-  bool found = false, after_point = false;
+  std::int64_t position = 0, exponent = 0;
+  bool nonzero = false, after_point = false;
   const char* d = p + negative;
   for (; d != end && (*d | 0x20) != 'e'; ++d) {
     if (*d == '.') {
       after_point = true;
     } else if (after_point) {
-      if (!found) --place;
-      found |= *d != '0';
+      if (!nonzero) --position;
+      nonzero |= *d != '0';
     } else {
-      found |= *d != '0';
-      place += found;
+      nonzero |= *d != '0';
+      position += nonzero;
     }
   }
   if (d != end) {
@@ -72,7 +72,7 @@ inline NumberKind slow_number(const char* p, const char* end, double& value) {
     for (; d != end && exponent < 1000000; ++d) exponent = exponent * 10 + (*d - '0');
     if (below) exponent = -exponent;
   }
-  const bool tiny = place + exponent <= 0;
+  const bool tiny = position + exponent <= 0;
 #else
 #if defined(_WIN32)
   static const _locale_t c_locale = _create_locale(LC_ALL, "C");

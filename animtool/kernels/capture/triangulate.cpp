@@ -149,7 +149,7 @@ struct Camera {
 };
 
 // A camera's observation of a point.
-struct Seen {
+struct CameraView {
   const Camera* camera;
   std::size_t number;
   double u, v, x, y;  // pixel; direction
@@ -197,7 +197,7 @@ struct Seen {
   }
 };
 
-struct Found {
+struct Solution {
   Vec point{NOT, NOT, NOT};
   Factor factor{};
   double trace = 0;  // of the matrix
@@ -211,20 +211,20 @@ bool finite(const Vec& p) {
 // A point and the cameras that observe it.
 class Point {
  public:
-  std::array<Seen, 256> seen;
+  std::array<CameraView, 256> views;
   std::size_t count = 0;
   double gate = 0;  // squared, of weighted residuals
 
   std::size_t used() const {
     std::size_t n = 0;
-    for (std::size_t i = 0; i < count; ++i) n += seen[i].used;
+    for (std::size_t i = 0; i < count; ++i) n += views[i].used;
     return n;
   }
 
   bool linear(Vec& p) const {
     Normal n;
     for (std::size_t i = 0; i < count; ++i)
-      if (seen[i].used) seen[i].add_ray(n, 1);
+      if (views[i].used) views[i].add_ray(n, 1);
     Factor f;
     if (!f.of(n)) return false;
     p = f.solve(n.x, n.y, n.z);
@@ -232,44 +232,44 @@ class Point {
   }
 
   // Weighted least squares of the reprojection, from a start.
-  Found refine(Vec p) {
-    Found found;
+  Solution refine(Vec p) {
+    Solution solution;
     for (int step = 0; step < MOST_STEPS; ++step) {
       Normal n;
       for (std::size_t i = 0; i < count; ++i) {
-        Seen& s = seen[i];
+        CameraView& s = views[i];
         if (!s.used) continue;
-        if (!s.look(p)) return found;
+        if (!s.look(p)) return solution;
         n.add(s.au, s.bu, s.cu, s.ru, s.weight);
         n.add(s.av, s.bv, s.cv, s.rv, s.weight);
       }
-      if (!found.factor.of(n)) return found;
-      const Vec d = found.factor.solve(n.x, n.y, n.z);
+      if (!solution.factor.of(n)) return solution;
+      const Vec d = solution.factor.solve(n.x, n.y, n.z);
       p.x -= d.x, p.y -= d.y, p.z -= d.z;
       if (!(n.x * d.x + n.y * d.y + n.z * d.z > SMALL_STEP)) {
         for (std::size_t i = 0; i < count; ++i) {
-          Seen& s = seen[i];
+          CameraView& s = views[i];
           s.ru -= s.au * d.x + s.bu * d.y + s.cu * d.z;
           s.rv -= s.av * d.x + s.bv * d.y + s.cv * d.z;
         }
-        found.trace = n.xx + n.yy + n.zz;
-        found.point = p, found.good = finite(p);
-        return found;
+        solution.trace = n.xx + n.yy + n.zz;
+        solution.point = p, solution.good = finite(p);
+        return solution;
       }
     }
-    return found;
+    return solution;
   }
 
-  Found solve() {
+  Solution solve() {
     Vec p{};
-    return linear(p) ? refine(p) : Found{};
+    return linear(p) ? refine(p) : Solution{};
   }
 
   // A residual over its tolerance, without its own leverage on the point.
-  double studentised(const Seen& s, const Found& found) const {
+  double studentised(const CameraView& s, const Solution& solution) const {
     if (!s.used) return s.squared();
     const double w = s.weight;
-    const Vec u = found.factor.half(s.au, s.bu, s.cu), v = found.factor.half(s.av, s.bv, s.cv);
+    const Vec u = solution.factor.half(s.au, s.bu, s.cu), v = solution.factor.half(s.av, s.bv, s.cv);
     const double a = 1 - w * (u.x * u.x + u.y * u.y + u.z * u.z),
                  b = -w * (u.x * v.x + u.y * v.y + u.z * v.z),
                  c = 1 - w * (v.x * v.x + v.y * v.y + v.z * v.z);
@@ -281,54 +281,54 @@ class Point {
 
   void look_all(const Vec& p) {
     for (std::size_t i = 0; i < count; ++i)
-      if (!seen[i].look(p)) seen[i].ru = seen[i].rv = std::numeric_limits<double>::max();
+      if (!views[i].look(p)) views[i].ru = views[i].rv = std::numeric_limits<double>::max();
   }
 
   bool sure() const {
     for (std::size_t i = 0; i < count; ++i)
-      if (!(seen[i].squared() <= SURE * gate)) return false;
+      if (!(views[i].squared() <= SURE * gate)) return false;
     return true;
   }
 
-  double worst(const Found& found, std::size_t& which) const {
+  double worst(const Solution& solution, std::size_t& which) const {
     double most = -1;
     for (std::size_t i = 0; i < count; ++i) {
-      if (!seen[i].used) continue;
-      const double at = studentised(seen[i], found);
+      if (!views[i].used) continue;
+      const double at = studentised(views[i], solution);
       if (!(at <= most)) most = at, which = i;
     }
     return most;
   }
 
   // Exclude the worst camera until the rest agree; then include those that agree again.
-  Found eliminate(Found found) {
+  Solution eliminate(Solution solution) {
     std::size_t left = count, which = 0;
-    while (found.good && worst(found, which) > gate && left > 2) {
-      seen[which].used = false, --left;
-      found = solve();
+    while (solution.good && worst(solution, which) > gate && left > 2) {
+      views[which].used = false, --left;
+      solution = solve();
     }
-    return found.good ? settle(found) : found;
+    return solution.good ? settle(solution) : solution;
   }
 
   // Cameras with a passing residual, iterated to a fixed set.
-  Found settle(Found found) {
-    for (int round = 0; round < MOST_ROUNDS && found.good; ++round) {
+  Solution settle(Solution solution) {
+    for (int round = 0; round < MOST_ROUNDS && solution.good; ++round) {
       for (std::size_t i = 0; i < count; ++i)
-        if (!seen[i].used && !seen[i].look(found.point))
-          seen[i].ru = seen[i].rv = std::numeric_limits<double>::max();
+        if (!views[i].used && !views[i].look(solution.point))
+          views[i].ru = views[i].rv = std::numeric_limits<double>::max();
       bool changed = false;
       std::size_t left = 0;
       std::array<bool, 256> next{};
       for (std::size_t i = 0; i < count; ++i) {
-        next[i] = studentised(seen[i], found) <= gate;
-        changed = changed || next[i] != seen[i].used;
+        next[i] = studentised(views[i], solution) <= gate;
+        changed = changed || next[i] != views[i].used;
         left += next[i];
       }
-      if (!changed || left < 2) return left < 2 ? Found{} : found;
-      for (std::size_t i = 0; i < count; ++i) seen[i].used = next[i];
-      found = refine(found.point);
+      if (!changed || left < 2) return left < 2 ? Solution{} : solution;
+      for (std::size_t i = 0; i < count; ++i) views[i].used = next[i];
+      solution = refine(solution.point);
     }
-    return found;
+    return solution;
   }
 
   // The cost of a point: residuals truncated at the gate.
@@ -336,7 +336,7 @@ class Point {
     double sum = 0;
     agree = 0;
     for (std::size_t i = 0; i < count; ++i) {
-      const double at = seen[i].look(p) ? seen[i].squared() : gate;
+      const double at = views[i].look(p) ? views[i].squared() : gate;
       if (at < gate) sum += at, ++agree;
       else sum += gate;
     }
@@ -345,7 +345,7 @@ class Point {
 
   bool pair(std::size_t i, std::size_t j, Vec& p) const {
     Normal n;
-    seen[i].add_ray(n, 1), seen[j].add_ray(n, 1);
+    views[i].add_ray(n, 1), views[j].add_ray(n, 1);
     Factor f;
     if (!f.of(n)) return false;
     p = f.solve(n.x, n.y, n.z);
@@ -354,7 +354,7 @@ class Point {
 
   // The point that most cameras agree on, among those of all pairs. None if two distinct
   // ones have as many, and no more than two.
-  Found consensus() {
+  Solution consensus() {
     const std::size_t most = std::min(count, MOST_PAIRED);
     double best = std::numeric_limits<double>::max();
     std::size_t agreed = 0, ties = 0;
@@ -368,25 +368,25 @@ class Point {
         if (agree == 2 && count > 2) ++ties;
         if (sum < best) best = sum, agreed = agree, at = p;
       }
-    if (agreed < 2 || (agreed == 2 && ties > 1)) return Found{};
+    if (agreed < 2 || (agreed == 2 && ties > 1)) return Solution{};
     look_all(at);
-    for (std::size_t i = 0; i < count; ++i) seen[i].used = seen[i].squared() <= gate;
-    const Found found = refine(at);
-    return found.good ? settle(found) : found;
+    for (std::size_t i = 0; i < count; ++i) views[i].used = views[i].squared() <= gate;
+    const Solution solution = refine(at);
+    return solution.good ? settle(solution) : solution;
   }
 
-  Found robust() {
-    Found all = solve();
+  Solution robust() {
+    Solution all = solve();
     if (all.good && sure()) return all;
     std::size_t which = 0;
     if (all.good && worst(all, which) <= gate) return all;
-    if (count < 3) return Found{};
+    if (count < 3) return Solution{};
     if (count > 4) {
-      const Found found = eliminate(all);
+      const Solution solution = eliminate(all);
       // One camera against four or more that agree: no pair would differ.
-      if (found.good && used() + 1 >= count && used() >= 4) return found;
+      if (solution.good && used() + 1 >= count && used() >= 4) return solution;
     }
-    for (std::size_t i = 0; i < count; ++i) seen[i].used = true;
+    for (std::size_t i = 0; i < count; ++i) views[i].used = true;
     return consensus();
   }
 
@@ -400,7 +400,7 @@ class Point {
         Vec p{};
         if (!pair(i, j, p)) continue;
         for (std::size_t k = 0; k < count; ++k)
-          at[k] = seen[k].look(p) ? seen[k].ru * seen[k].ru + seen[k].rv * seen[k].rv
+          at[k] = views[k].look(p) ? views[k].ru * views[k].ru + views[k].rv * views[k].rv
                                   : std::numeric_limits<double>::max();
         const auto middle = at.begin() + static_cast<std::ptrdiff_t>(count / 2);
         std::nth_element(at.begin(), middle, at.end());
@@ -459,7 +459,7 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
         return pixels.data() + 2 * ((f * C + c) * M + m);
       };
       point.count = 0;
-      std::size_t seen = 0;
+      std::size_t visible = 0;
       for (std::size_t c = 0; c < C; ++c) {
         const double u = pixel(c)[0], v = pixel(c)[1];
         const double confidence = trust ? trust[(f * C + c) * M + m] : 1;
@@ -467,13 +467,13 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
         if (!(std::isfinite(u) && std::isfinite(v) && confidence > 0 &&
               std::isfinite(confidence)))
           continue;
-        Seen& s = point.seen[point.count];
+        CameraView& s = point.views[point.count];
         sums[c * TALLIES] += 1, sums[c * TALLIES + 7] += views[c].outside(u, v);
         if (!views[c].ray(u, v, s.x, s.y)) {
           state[c] = NO_RAY, sums[c * TALLIES + 4] += 1;
           continue;
         }
-        ++seen;
+        ++visible;
         if (!active.data()[f * C + c]) {
           state[c] = INACTIVE;
           continue;
@@ -483,20 +483,20 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
         s.weight = views[c].information * confidence;
         ++point.count;
       }
-      Found found = point.count < 2 ? Found{} : point.robust();
-      const std::size_t used = found.good ? point.used() : 0;
-      const double trace = found.good ? found.factor.trace() : 0;
+      Solution solution = point.count < 2 ? Solution{} : point.robust();
+      const std::size_t used = solution.good ? point.used() : 0;
+      const double trace = solution.good ? solution.factor.trace() : 0;
       // Nearly parallel rays have no depth.
-      if (used < 2 || !(trace * found.trace <= condition)) found = Found{};
+      if (used < 2 || !(trace * solution.trace <= condition)) solution = Solution{};
 
       double* to = points.get() + (f * M + m) * 3;
       double* more = numbers.get() + (f * M + m) * POINT_NUMBERS;
-      to[0] = found.point.x, to[1] = found.point.y, to[2] = found.point.z;
+      to[0] = solution.point.x, to[1] = solution.point.y, to[2] = solution.point.z;
       more[0] = more[1] = more[2] = NOT;
-      more[3] = found.good ? static_cast<double>(used) : 0, more[4] = static_cast<double>(seen);
-      if (found.good) {
+      more[3] = solution.good ? static_cast<double>(used) : 0, more[4] = static_cast<double>(visible);
+      if (solution.good) {
         double pixel_squares = 0, squares = 0;
-        const auto judge = [&](Seen& s, bool known, std::uint8_t as) {
+        const auto judge = [&](CameraView& s, bool known, std::uint8_t as) {
           double* const sum = sums + s.number * TALLIES;
           state[s.number] = as, sum[2] += 1;
           if (detailed && known) {
@@ -513,16 +513,16 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
           pixel_squares += square, squares += metric;
         };
         for (std::size_t i = 0; i < point.count; ++i) {
-          Seen& s = point.seen[i];
-          const bool known = s.used || s.look(found.point);
+          CameraView& s = point.views[i];
+          const bool known = s.used || s.look(solution.point);
           judge(s, known, s.used ? USED : REJECTED);
         }
-        for (std::size_t c = 0; seen > point.count && c < C; ++c) {
+        for (std::size_t c = 0; visible > point.count && c < C; ++c) {
           if (state[c] != INACTIVE) continue;
-          Seen s{};
+          CameraView s{};
           s.camera = &views[c], s.number = c, s.u = pixel(c)[0], s.v = pixel(c)[1];
           s.weight = views[c].information;
-          judge(s, s.look(found.point), INACTIVE);
+          judge(s, s.look(solution.point), INACTIVE);
         }
         more[0] = std::sqrt(pixel_squares / more[3]), more[1] = std::sqrt(squares / more[3]);
         more[2] = std::sqrt(trace);
@@ -545,7 +545,7 @@ Out<double, 2> least_median_residuals(In<double, 4> pixels, In<double, 2> camera
       point.count = 0;
       for (std::size_t c = 0; c < C; ++c) {
         const double* at = pixels.data() + 2 * ((f * C + c) * M + m);
-        Seen& s = point.seen[point.count];
+        CameraView& s = point.views[point.count];
         if (!(std::isfinite(at[0]) && std::isfinite(at[1]))) continue;
         if (!views[c].ray(at[0], at[1], s.x, s.y)) continue;
         s.camera = &views[c], s.u = at[0], s.v = at[1], s.weight = 1, s.used = true;

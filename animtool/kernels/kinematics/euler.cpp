@@ -21,8 +21,8 @@ void half_sine_cosine(const double* degrees, double* sine, double* cosine, std::
   constexpr double kRound = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to an integer
   for (std::size_t i = 0; i < n; ++i) {
     const double shifted = degrees[i] * (1.0 / 180.0) + kRound;
-    const double half_turn_count = shifted - kRound;
-    const double x = (degrees[i] - 180.0 * half_turn_count) * (kPi / 360.0);
+    const double half_circles = shifted - kRound;
+    const double x = (degrees[i] - 180.0 * half_circles) * (kPi / 360.0);
     const double x2 = x * x;
     double s = -1.0 / 1307674368000.0;
     s = s * x2 + 1.0 / 6227020800.0;

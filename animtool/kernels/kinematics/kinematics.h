@@ -53,6 +53,10 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
 using RoundedPoints = std::tuple<Out<float, 3>, double, std::size_t, std::size_t>;
 RoundedPoints round_points(In<double, 3> points, double unit);
 
+// Nothing where every sign continues as it is.
+std::optional<Out<float, 3>> continue_signs(In<float, 3> rotations,
+                                            In<float, 2> previous);
+
 Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
                             In<double, 4> true_linear, In<double, 3> positions,
                             In<double, 4> linear);

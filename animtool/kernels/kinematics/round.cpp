@@ -1,7 +1,9 @@
-// Rounds points to float32, and measures the error.
+// Rounds points to float32 and measures the error; continues signs of quaternions.
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
+#include <vector>
 
 #include "base/checks.h"
 #include "kinematics/kinematics.h"
@@ -84,6 +86,42 @@ RoundedPoints round_points(In<double, 3> points, double unit) {
   }
   const std::size_t row = std::max<std::size_t>(vertices, 1);
   return {std::move(rounded), std::sqrt(largest) * unit, at / row, at % row};
+}
+
+// By whether a product is negative: without a branch, which nothing could predict.
+constexpr float SIGN[] = {1.0f, -1.0f};
+
+std::optional<Out<float, 3>> continue_signs(In<float, 3> rotations,
+                                            In<float, 2> previous) {
+  const std::size_t frames = rotations.shape(0), joints = rotations.shape(1);
+  check::shape("rotations", rotations, {check::ANY, check::ANY, 4});
+  check::shape("previous", previous, {joints, 4});
+  std::optional<Out<float, 3>> continued;
+  const std::size_t row = joints * 4;
+  const float* q = rotations.data();
+  const float* before = previous.data();
+  std::vector<float> signs(joints, 1.0f);
+  for (std::size_t f = 0; f < frames; ++f, before = q, q += row) {
+    bool negated = false;
+    for (std::size_t j = 0; j < joints; ++j) {
+      double product = 0;
+      for (std::size_t k = 4 * j; k < 4 * j + 4; ++k) {
+        product += static_cast<double>(q[k]) * before[k];
+      }
+      signs[j] *= SIGN[product < 0];
+      negated |= signs[j] < 0;
+    }
+    if (negated && !continued) {
+      continued.emplace(frames, joints, 4);
+      std::copy_n(rotations.data(), f * row, continued->get());
+    }
+    if (!continued) continue;
+    float* out = continued->get() + f * row;
+    for (std::size_t j = 0; j < joints; ++j) {
+      for (std::size_t k = 4 * j; k < 4 * j + 4; ++k) out[k] = q[k] * signs[j];
+    }
+  }
+  return continued;
 }
 
 }  // namespace animtool

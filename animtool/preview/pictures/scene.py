@@ -30,6 +30,9 @@ LAYERS = (
 DEFAULT_LAYERS = frozenset(LAYERS) - {"axes"}
 # Most takes that are looked at one by one: with more it is a crowd.
 CAST = 4
+# A character is followed along a path that is this many times longer than high; others,
+# such as that of a ball that bounces, are framed completely.
+LONG_PATH = 2.0
 # A stage this many times larger than its characters is not framed completely.
 WIDE = 4
 # Parts of the motion, at whose ends the camera looks where everything is.
@@ -101,13 +104,14 @@ class DrawnScene:
         parts = [int(i / LOOKS * (count - 1) + 0.5) for i in range(LOOKS + 1)]
         looks = [*dict.fromkeys(parts), sample]
         roots = [self._root_at(i) for i in looks]
-        level = (np.array(roots) - roots[-1])[:, [0, 2]]
+        away = np.array(roots) - roots[-1]
+        far = float(np.linalg.norm(away[:, [0, 2]], axis=1).max())
         first = self._poses[0] if self._poses else None
         follow = (
             first is not None
             and first.count > 0
             and not self._crowd
-            and bool((np.linalg.norm(level, axis=1) > first.extent).any())
+            and far > max(first.extent, LONG_PATH * float(np.ptp(away[:, 1])))
         )
         box, around, cast = Bounds(), Bounds(), Bounds()
         for i, root in zip(looks, roots, strict=True):

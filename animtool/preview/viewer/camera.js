@@ -26,6 +26,16 @@ const STEEP = Math.PI / 2 - 1e-3;
 /** @type {Record<string, [number, number]>} Yaw and pitch. */
 export const PRESETS = { front: [0, 0], side: [Math.PI / 2, 0], top: [0, STEEP], home: [0.6, 0.18] };
 
+/** A character is followed along a path that is this many times longer than high. */
+const LONG_PATH = 2;
+
+/** @param {number[][]} path @param {number[]} now @param {number} extent @returns {boolean} Whether a camera follows along it. */
+export function travels(path, now, extent) {
+  const far = Math.max(...path.map((at) => Math.hypot(at[0] - now[0], at[2] - now[2])));
+  const heights = path.map((at) => at[1]);
+  return far > Math.max(extent, LONG_PATH * (Math.max(...heights) - Math.min(...heights)));
+}
+
 /** A camera and the picture that it makes. */
 export class View {
   constructor() {

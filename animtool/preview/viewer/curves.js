@@ -8,8 +8,8 @@ import { SERIES, css, fit, make, named, need, number, short, themeColors } from 
 /** @typedef {import('./main.js').App} App */
 /** @typedef {{channel: Channel, color: number[], values: Float32Array, first: number}} Curve */
 
-/** Most names of channels in the list, and curves in the chart. */
-const LISTED = 200, DRAWN = 6;
+/** Most names of channels in the list, and curves in the chart; curves to begin with. */
+const LISTED = 200, DRAWN = 6, BEGIN = 3;
 const LEFT = 46, RIGHT = 12, TOP = 24, BOTTOM = 8;
 
 export class Curves {
@@ -39,9 +39,12 @@ export class Curves {
     this.resize();
   }
 
-  /** Draw the first channels to begin with. */
+  /** Draw the channels that move most to begin with. */
   async begin() {
-    for (let i = 0; i < Math.min(3, this.channels.length); i++) await this.toggle(i, true);
+    const most = this.channels.map((each, i) => ({ i, moves: each.moves ?? 0 }));
+    most.sort((a, b) => b.moves - a.moves || a.i - b.i);
+    const first = most.slice(0, BEGIN).filter((each, k) => !k || each.moves > 0);
+    for (const { i } of first) await this.toggle(i, true);
   }
 
   /** The filter is text, no pattern. */

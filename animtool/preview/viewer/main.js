@@ -1,6 +1,6 @@
 /** The page: reads its data, draws it, and answers to its user. */
 
-import { View, steer } from './camera.js';
+import { View, steer, travels } from './camera.js';
 import { Compare } from './compare.js';
 import { Curves } from './curves.js';
 import { Streams } from './data.js';
@@ -113,7 +113,7 @@ export class App {
     }
     this.#fit();
     const { at: now } = parts[parts.length - 1], all = new Box(), cast = new Box();
-    const follow = !!pose?.count && !scene.crowd && parts.some(({ at }) => Math.hypot(at[0] - now[0], at[2] - now[2]) > pose.extent);
+    const follow = !!pose?.count && !scene.crowd && travels(parts.map(({ at }) => at), now, pose.extent);
     let box = all;
     for (const { i, at } of parts) {
       await streams.load(i);

@@ -31,7 +31,7 @@
  * @typedef {{name: string, t: number, r: number, focal_mm: number,
  *   focal?: number|null, aperture_mm: Vec}} CameraRecord
  * @typedef {{name: string, unit: string, values: number, column?: number, keys?: number[][]|null,
- *   take?: number|null}} Channel
+ *   take?: number|null, moves?: number}} Channel
  * @typedef {{code: string, severity: string, message: string, frame?: number|null,
  *   joint?: string|null, take?: number|null}} Finding
  * @typedef {{format: number, title: string,

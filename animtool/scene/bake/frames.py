@@ -26,6 +26,7 @@ from animtool.edit.resample import (
 from animtool.edit.straight import straight_notices
 from animtool.edit.travel import FramePositions
 from animtool.motion.motion import Motion
+from animtool.motion.plausible import rate_warning
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.first_frame import integer_frames, start_notice
@@ -107,7 +108,11 @@ def _straight_notices(
     sample_times = FramePositions(times.frames, times.fractions)
     return [
         replace(notice, path=str(plan.source))
-        for notice in straight_notices(between, sample_times)
+        for notice in straight_notices(
+            between,
+            sample_times,
+            f"{argument('keep_samples', True)} keeps the frames as is",
+        )
         if notice.code not in said
     ]
 
@@ -140,6 +145,9 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
         source = plan.stream.start, plan.stream.fps
         moved = start_notice(*source, plan.start, plan.fps, times.first)
         notices += [replace(notice, path=str(plan.source)) for notice in moved]
+    if options.fps is not None:
+        wrong = rate_warning(options.fps)
+        notices += [replace(notice, path=str(plan.source)) for notice in wrong]
     plan.notices.extend([*notices, *_end_notices(plan, times)])
     return times
 
@@ -246,7 +254,7 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
             replace(
                 faults,
                 path=where,
-                hint=f"bake {argument('keep_samples', True)} writes it",
+                hint=f"{argument('keep_samples', True)} writes it",
             )
         )
     if frame_range is None or plan.options.shot is not None:

@@ -118,11 +118,9 @@ class SourceSet:
             placement=options.placement,
         )
         stream = open_source(path, source_options, progress=shown)
-        if stream.details.get("format") == "BVH" and source_options.up is None:
-            from animtool.retarget.standing import with_lying_notice
+        from animtool.retarget.standing import with_source_warnings
 
-            stream = with_lying_notice(path, stream)
-        return stream
+        return with_source_warnings(path, stream, source_options.up)
 
 
 def with_takes(reading: SourceSet, options: BakeOptions) -> SourceSet:

@@ -13,6 +13,7 @@ from animtool.core.files.output import protect_inputs
 from animtool.core.writers import take_writer
 from animtool.motion.passes import Pass, PassContext, apply_pass
 from animtool.motion.take import Take
+from animtool.retarget.standing import with_source_warnings
 from animtool.scene.bake.bake import OutputReport, bake_outputs, bake_take
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
@@ -116,6 +117,7 @@ def convert_with_passes(
     contexts: list[PassContext] = []
     with protect_inputs(outline.files):
         stream = open_source(source, reading, progress=progress)
+        stream = with_source_warnings(source, stream, reading.up if reading else None)
         for pass_, options in passes:
             context = PassContext(_taken, source.parent)
             contexts.append(context)

@@ -11,6 +11,7 @@ from animtool.core.record import dataclass
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.looping import PASS, cycle_notices
+from animtool.retarget.standing import with_source_warnings
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.progress import Progress
 from animtool.scene.convert.takes import convert_with_passes
@@ -63,6 +64,7 @@ def loop_source(
     for check in PASS.checks(options).values():
         check()
     stream = open_source(source, reading, progress=progress)
+    stream = with_source_warnings(source, stream, reading.up if reading else None)
     take = stream.collect()
     with naming(source):
         if options.find:

@@ -30,6 +30,7 @@ from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.formats.marker_files import file_of, open_markers
 from animtool.motion.take import TakeStream
+from animtool.retarget.standing import with_source_warnings
 from animtool.rig.placed import at_origin
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress, timed
@@ -197,6 +198,7 @@ def _solved(
         )
     stream = solve_stream(solve, job.source, progress)
     stream.notices = [*notices, *stream.notices]
+    stream = with_source_warnings(job.source, stream, job.reading.up)
     stream.blocks = timed(stream.blocks, seconds, "solve")
     result = MocapSolveResult(
         job.source, rig_path, solve, calibration, list(stream.notices), seconds

@@ -95,7 +95,7 @@ def _particles(view: SpringView, name: str, particle: str) -> IntArray:
         message = f"{name!r} has {len(particles)} particles {particle!r}, not one"
         if faults:
             message = f"{name!r} has no particle {particle!r}"
-        hint = f"write one of {', '.join(body.places)}, or a number"
+        hint = f"write one of {', '.join(body.regions)}, or a number"
         raise OptionError(Fault("SIM192", message, where="particle", hint=hint))
     shape = cast(CurveShape, body.shape)
     starts = np.cumsum([0, *shape.counts.tolist()])

@@ -22,7 +22,7 @@ from animtool.scene.systems.simulation import (
     located_systems,
     run_entries,
 )
-from animtool.sim.integrators.integrator import Control
+from animtool.sim.integrators.integrator import StepControl
 from animtool.sim.integrators.table import INTEGRATORS, find_integrator
 from animtool.sim.options import TOLERANCE
 from animtool.sim.trajectory import Status
@@ -231,7 +231,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
 def _is_fixed(method: str) -> bool:
     """Return whether a method takes steps of constant length."""
     known = method in INTEGRATORS
-    return not known or find_integrator(method).control is Control.FIXED
+    return not known or find_integrator(method).control is StepControl.FIXED
 
 
 def _same(shots: Sequence[Snapshot]) -> bool:

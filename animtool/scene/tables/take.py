@@ -21,6 +21,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
+from animtool.edit.resample import resampled
 from animtool.edit.retiming import trim
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
@@ -83,7 +84,11 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     curved = stream.curve is not None and not stream.altered
     full_take = stream.collect()
     take = _in_range(full_take, plan)
-    known = _Known.of(take, plan.options.fps or take.clock.rate, curved=curved)
+    rate = plan.options.fps or take.clock.rate
+    known = _Known.of(take, rate, curved=curved)
+    frames = plan.options.frame_range
+    step = 1 if frames is None else frames.step
+    rate /= step  # every second frame of the output is half its rate
     path = source_file(source)
     beyond = tuple(
         replace(notice, path=notice.path or str(path))
@@ -100,9 +105,14 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
 
     return [
         replace(
-            _samples(path, opened, plan, take, known, curved=curved), notices=beyond
+            _samples(path, opened, plan, take, known, rate, curved=curved),
+            notices=beyond,
         ),
-        _keys(path, take, dict(options.reduce_at)),
+        _keys(
+            path,
+            take if step == 1 else resampled(take, rate),
+            dict(options.reduce_at),
+        ),
     ]
 
 
@@ -178,13 +188,14 @@ def _samples(
     plan: BakePlan,
     take: Take,
     known: _Known,
+    rate: Fraction,
     *,
     curved: bool,
 ) -> Trial:
     """Return the trial of a take's samples in USD."""
     requested = plan.options
     plain = BakeOptions(source=requested.source, to_up=requested.to_up)
-    rate = take.clock.rate if requested.fps is None else requested.fps
+    fps = requested.fps if rate in {requested.fps, take.clock.rate} else rate
     rates = [rate * fraction for fraction in (CURVE_RATES if curved else SAMPLE_RATES)]
     by_label = {float(one): one for one in rates}
 
@@ -192,7 +203,7 @@ def _samples(
         named = dict(setting.options)
         if setting.method == RATE:
             return replace(plain, fps=by_label[named["fps"]])
-        return replace(plain, fps=requested.fps, reduce=named["reduce"])
+        return replace(plain, fps=fps, reduce=named["reduce"])
 
     def run(setting: Setting) -> TrialOutcome:
         if setting == SOURCE:

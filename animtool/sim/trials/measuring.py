@@ -284,7 +284,9 @@ def _rows(
 ) -> list[TrialRow]:
     rows: list[TrialRow] = []
     slow: dict[str, TrialRow] = {}
-    limit = None if truth is None else TOO_SLOW * max(truth.seconds, SHORT)
+    # Rows depend on time only where time is what they cost.
+    timed = truth is not None and trial.cost is CostMeasure.SECONDS
+    limit = TOO_SLOW * max(truth.seconds, SHORT) if truth and timed else None
     for setting in settings:
         row = slow.get(setting.method)
         if row is not None and setting != trial.chosen and not runs.has(setting):

@@ -108,7 +108,7 @@ def extrapolated(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CycleTravel:
+class CycleShift:
     """Displacement of a character over one cycle, along the ground."""
 
     shift: FloatArray  # ``(3,)`` [m], after the rotation
@@ -117,7 +117,7 @@ class CycleTravel:
 
 def travel_between(
     rig: Rig, up: FloatArray, poses: tuple[LocalPose, ...]
-) -> CycleTravel:
+) -> CycleShift:
     """Return the travel of a cycle, from its first two poses and its last two.
 
     It is zero if the first root returns to its start. Else the step from the last frame
@@ -128,7 +128,7 @@ def travel_between(
     outgoing, incoming = second - first, last - before
     step = max(np.linalg.norm(outgoing), np.linalg.norm(incoming))
     if np.linalg.norm(last - first) <= STATIONARY_STEPS * step + 1e-9:
-        return CycleTravel(np.zeros(3), so3.IDENTITY)
+        return CycleShift(np.zeros(3), so3.IDENTITY)
     rotations = [pose.rotations[root] for pose in poses]
     onward = so3.multiply(
         rotations[3], so3.multiply(so3.conjugate(rotations[0]), rotations[1])
@@ -138,10 +138,10 @@ def travel_between(
     rotation = so3.normalize(np.append(along, change[3]))
     goal = last + (incoming + so3.rotate(rotation, outgoing)) / 2
     shift = goal - so3.rotate(rotation, first)
-    return CycleTravel(shift - float((shift * up).sum()) * up, rotation)
+    return CycleShift(shift - float((shift * up).sum()) * up, rotation)
 
 
-def onward(rig: Rig, pose: LocalPose, travel: CycleTravel) -> LocalPose:
+def onward(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
     """Return a pose moved by the travel of a cycle."""
     translations, rotations = pose.translations.copy(), pose.rotations.copy()
     roots = np.array(rig.roots)

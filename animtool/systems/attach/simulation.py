@@ -23,7 +23,7 @@ from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import Actor, PosePaths, rigidly_moved, upwards
 from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
 from animtool.systems.attach.poses import (
-    CycleTravel,
+    CycleShift,
     LocalPose,
     extrapolated,
     onward,
@@ -255,7 +255,7 @@ class AttachSimulation:
         count = motion.frames
         poses = [pose_at(motion, i) for i in range(count)]
         if count == 1:
-            travel = CycleTravel(np.zeros(3), so3.IDENTITY)
+            travel = CycleShift(np.zeros(3), so3.IDENTITY)
         else:
             four = (poses[0], poses[1], poses[-2], poses[-1])
             travel = travel_between(self.rig, upwards(self.rig), four)
@@ -359,7 +359,7 @@ def _begun(blocks: Iterator[Motion]) -> Iterator[Motion]:
         yield Motion.concatenate(early)
 
 
-def _back(state: AttachState, travel: CycleTravel) -> AttachState:
+def _back(state: AttachState, travel: CycleShift) -> AttachState:
     """Return the end state of a cycle moved back to its begin."""
     rotation = so3.conjugate(travel.rotation)
     return rigidly_moved(state, -so3.rotate(rotation, travel.shift), rotation)

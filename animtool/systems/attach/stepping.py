@@ -18,7 +18,7 @@ from animtool.systems.framework.bounds import BOUND
 from animtool.systems.framework.simulation import growing
 from animtool.systems.springs.contacts import CellColliders
 from animtool.systems.springs.motion import Piercing, SpringState, TimeGrid
-from animtool.systems.springs.paths import Pins, Targets
+from animtool.systems.springs.paths import Pins, PointTargets
 from animtool.systems.springs.records import Air, SelfContact, Solver
 from animtool.systems.springs.solvers import projected
 from animtool.systems.springs.system import SpringSystem
@@ -223,7 +223,7 @@ def _system(
     return SpringSystem(
         body,
         pins=Pins(network.pinned),
-        targets=Targets(
+        targets=PointTargets(
             drawn,
             body.positions[drawn],
             masses * omega**2,

@@ -12,7 +12,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Refusals, refuse
 from animtool.core.record import dataclass
-from animtool.sim.integrators.integrator import Control
+from animtool.sim.integrators.integrator import StepControl
 from animtool.sim.system import Energy
 from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
@@ -108,7 +108,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
     ) -> None:
         """``parts``: bodies of each entry, those of galaxies last."""
         super().__init__(spec, context, "attractors")
-        self._fixed = self._integrator.control is Control.FIXED
+        self._fixed = self._integrator.control is StepControl.FIXED
         self._phase = PHASE if spec.softening else BARE_PHASE
         self.bodies = PointMasses.joined(parts)
         counts = [len(one.masses) for one in parts]

@@ -16,8 +16,8 @@ from animtool.systems.framework.tied import OnBody, TiedBodies
 from animtool.systems.springs import (
     Body,
     Pins,
+    PointTargets,
     SpringSystem,
-    Targets,
     Welded,
     find_rest,
     join,
@@ -75,7 +75,7 @@ class _SystemBuilder:
         simulation.views = views
         return simulation
 
-    def _position_bodies(self) -> tuple[list[Body], list[list[Pins | Targets]]]:
+    def _position_bodies(self) -> tuple[list[Body], list[list[Pins | PointTargets]]]:
         """Return bodies moved to their pins, and pins and targets of each."""
         bodies, ties, begin = [], [], self._context.begin
         acting = any(_has_acting_faces(entry) for entry in self._entries)
@@ -97,10 +97,10 @@ class _SystemBuilder:
         return bodies, ties
 
     def _build_system(
-        self, welded: Welded, ties: Sequence[Sequence[Pins | Targets]]
+        self, welded: Welded, ties: Sequence[Sequence[Pins | PointTargets]]
     ) -> SpringSystem:
         spec, context = self._spec, self._context
-        every: list[Pins | Targets] = []
+        every: list[Pins | PointTargets] = []
         resistance = np.zeros(len(welded.body.positions))
         air, contact = None, None
         for entry, rows, entry_ties in zip(
@@ -122,7 +122,7 @@ class _SystemBuilder:
         system = SpringSystem(
             welded.body,
             pins=combined([tie for tie in every if isinstance(tie, Pins)]),
-            targets=combined([tie for tie in every if isinstance(tie, Targets)]),
+            targets=combined([tie for tie in every if isinstance(tie, PointTargets)]),
             gravity=spec.gravity,
             resistance=resistance,
             air=air,

@@ -43,7 +43,7 @@ class Pins:
 
 
 @dataclass(frozen=True, slots=True)
-class Targets:
+class PointTargets:
     """Target points that pull particles by zero-length springs.
 
     Attributes:
@@ -63,7 +63,7 @@ class Targets:
     times: ArrayLike | None = None
 
 
-Tied = TypeVar("Tied", Pins, Targets)
+Tied = TypeVar("Tied", Pins, PointTargets)
 
 
 def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:

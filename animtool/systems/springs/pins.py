@@ -17,7 +17,7 @@ from animtool.documents.fields import record_of
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.framework.tied import OnBody
-from animtool.systems.springs import Air, Pins, Targets
+from animtool.systems.springs import Air, Pins, PointTargets
 from animtool.systems.springs.bodies import BodyEntry, SpringBody
 from animtool.systems.springs.drawing import polar_rotations
 from animtool.systems.springs.spec import (
@@ -214,9 +214,9 @@ def _carrier(
     return carrier
 
 
-def ties_of(pins: Framed, points: FloatArray) -> list[Pins | Targets]:
+def ties_of(pins: Framed, points: FloatArray) -> list[Pins | PointTargets]:
     """Return pins and targets over time of a body at points ``(N, 3)`` [m]."""
-    ties: list[Pins | Targets] = []
+    ties: list[Pins | PointTargets] = []
     for pin, frame in pins:
         positions, model = frame.to_world(pin.inside(frame, points)), pin.model
         if model.stiffness is None:
@@ -225,7 +225,9 @@ def ties_of(pins: Framed, points: FloatArray) -> list[Pins | Targets]:
         each = np.ones(len(pin.particles))
         stiffness, damping = model.stiffness * each, model.damping * each
         ties.append(
-            Targets(pin.particles, positions, stiffness, damping, frame.sample_times)
+            PointTargets(
+                pin.particles, positions, stiffness, damping, frame.sample_times
+            )
         )
     return ties
 
@@ -262,7 +264,7 @@ def _gusts(wind: WindModel) -> FloatArray:
 
 def wind_ties(
     wind: WindModel, points: FloatArray, drags: FloatArray, span: tuple[float, float]
-) -> Targets:
+) -> PointTargets:
     """Return wind on particles as targets with damping and no stiffness.
 
     Particles start at points ``(N, 3)`` [m]. Drags ``(N,)`` [N s/m] are force per speed
@@ -284,4 +286,4 @@ def wind_ties(
     displacements = np.cumsum(speeds * np.diff(times)[:, None], axis=0)
     displacements = np.concatenate([np.zeros((1, 3)), displacements])
     numbers, positions = np.arange(len(points)), points + displacements[:, None]
-    return Targets(numbers, positions, np.zeros(len(points)), drags, times)
+    return PointTargets(numbers, positions, np.zeros(len(points)), drags, times)

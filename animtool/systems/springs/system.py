@@ -40,7 +40,7 @@ from animtool.systems.springs.checks import (
 from animtool.systems.springs.paths import (
     Path,
     Pins,
-    Targets,
+    PointTargets,
     Teleports,
     over_knots,
     position_at,
@@ -109,7 +109,7 @@ class SpringSystem(SecondOrder):
         body: Body,
         *,
         pins: Pins | None = None,
-        targets: Targets | None = None,
+        targets: PointTargets | None = None,
         gravity: ArrayLike = (0.0, 0.0, -9.81),
         drag: float = 0.0,
         resistance: ArrayLike = 0.0,
@@ -121,7 +121,7 @@ class SpringSystem(SecondOrder):
         self_contact: SelfContact | None = None,
     ) -> None:
         pins, air = pins or Pins(()), air or Air(drag=0.0, lift=0.0)
-        targets = targets or Targets((), np.zeros((0, 3)), 0.0)
+        targets = targets or PointTargets((), np.zeros((0, 3)), 0.0)
         self.pinned, drawn = (
             np.asarray(each.particles, np.int64).reshape(-1) for each in (pins, targets)
         )
@@ -333,7 +333,7 @@ class SpringSystem(SecondOrder):
         return SpringSystem(
             body,
             pins=Pins(self.pinned, position_at(stage.pins, t)),
-            targets=Targets(draws.particles, aims, draws.stiffness, draws.damping),
+            targets=PointTargets(draws.particles, aims, draws.stiffness, draws.damping),
             gravity=self.gravity,
             drag=drag,
         )

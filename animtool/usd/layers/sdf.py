@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf, Tf, Vt, Work
 
+from animtool import _kernels
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import FrameSpan, time_fraction
@@ -28,6 +29,7 @@ from animtool.core.files.reading import (
     too_large,
     unreadable,
 )
+from animtool.core.files.signatures import expects
 from animtool.core.process.supervisor import note_said, reading
 from animtool.core.rates import rate_from_float
 from animtool.core.readers import PACKAGE
@@ -38,6 +40,7 @@ from animtool.core.values import plain_value
 from animtool.maths import so3
 from animtool.usd.layers.finite import (
     Labels,
+    all_equal,
     check_data,
     check_rows,
     check_value,
@@ -46,6 +49,8 @@ from animtool.usd.layers.finite import (
 from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.package import unpacked
 
+# Of files whose name is right, which are therefore not the one that is meant.
+AS_USD = "name a USD file; animtool convert writes one of a rig, a clip or a capture"
 # USD maps binary layers into memory, and reads text layers completely.
 MAX_LAYER_BYTES = 1_000_000_000_000
 MAX_TEXT_LAYER_BYTES = 4_000_000_000
@@ -159,6 +164,7 @@ def asset_path(file: Path, folder: Path) -> str:
     return f"./{name}"
 
 
+@expects("USD001", "a USD file", AS_USD)
 def find_layer(path: Path) -> Any:
     """Open a layer by its path."""
     state = layer_state(path, recorded=True)
@@ -367,10 +373,6 @@ def quatf(row: FloatArray) -> Any:
     return Gf.Quatf(quaternion(row))
 
 
-# Products of quaternions above it are positive, whatever float32 rounds.
-SURE = 1e-3
-
-
 class SampleWriter:
     """Writer of an attribute's samples; a default only while values are constant.
 
@@ -406,7 +408,7 @@ class SampleWriter:
 
     def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
         """Add frames of values ``(F, …)``."""
-        rows = np.ascontiguousarray(self._continued(rows))
+        rows = self._continued(np.ascontiguousarray(rows))
         if self._letter:
             check_rows(rows, self._letter, self._labels, codes)
         if self._every:
@@ -416,7 +418,7 @@ class SampleWriter:
         elif self._first is None:
             self._first = rows[0].copy()
         if not self.sampled:
-            if (rows == self._first).all():
+            if self._first is not None and all_equal(rows, self._first):
                 self._buffered.append(codes)
                 return
             self.release()
@@ -429,10 +431,10 @@ class SampleWriter:
         if not self._quaternions or not rows.size:
             return rows
         last = rows[0] if self._last is None else self._last
-        # Mostly they continue as they are, which takes a tenth of turning them.
-        steps = np.einsum("...k,...k->...", rows[1:], rows[:-1])
-        first = np.einsum("...k,...k->...", rows[0], last)
-        if not (steps.min(initial=1.0) > SURE and first.min() > SURE):
+        if rows.dtype == np.float32 and rows.ndim == 3:
+            continued = _kernels.continue_signs(rows, last)
+            rows = rows if continued is None else continued
+        else:
             rows = so3.align_signs(rows, last).astype(rows.dtype)
         self._last = rows[-1]
         return rows

@@ -382,9 +382,9 @@ def _layer_job(
 
     target = open_target(layer, prim_path)
     stream = reorient(TakeStream.of(take), target.skeleton.rig.up)
-    carried = over_rig(stream, target.placement, None, str(layer), target.skeleton.rig)
-    take = carried.stream.collect()
-    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, over=carried)
+    placed = over_rig(stream, target.placement, None, str(layer), target.skeleton.rig)
+    take = placed.stream.collect()
+    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, over=placed)
     clock = replace(
         take.clock, fps=target.fps, step=take.clock.step * target.fps / take.clock.fps
     )
@@ -410,7 +410,7 @@ def _layer_job(
         chosen=mapping.source >= 0 if (mapping.source < 0).any() else None,
         shapes=mapping.shapes,
     )
-    notices = target.notices + carried.notices + mapping.notices
+    notices = target.notices + placed.notices + mapping.notices
     return job, written, notices
 
 

@@ -28,6 +28,9 @@ from animtool.usd.layers.sdf import (
     vector,
 )
 
+# Transforms of joints that are dense in memory at once: 10 MB in float64.
+DENSE_JOINTS = 1 << 17
+
 
 def round_blocks(
     blocks: Iterator[tuple[FloatArray, Motion]],
@@ -41,7 +44,7 @@ def round_blocks(
 
     size: what the rig's stage scales it by, where the error is seen.
     """
-    for codes, motion in blocks:
+    for codes, motion in _split(blocks, len(rig.joints)):
         translations, rotations, scales = motion.dense()
         translations /= meters_per_unit
         root = None
@@ -81,6 +84,17 @@ def round_blocks(
             _weights(motion, rig, codes),
             scales is not None and bool((scales != written_s).any()),
         )
+
+
+def _split(
+    blocks: Iterator[tuple[FloatArray, Motion]], joints: int
+) -> Iterator[tuple[FloatArray, Motion]]:
+    """Yield blocks in parts of `DENSE_JOINTS`: a clip comes as one block."""
+    size = max(1, DENSE_JOINTS // max(joints, 1))
+    for codes, motion in blocks:
+        for start in range(0, len(codes), size):
+            part = slice(start, start + size)
+            yield codes[part], motion.select(part)
 
 
 def _weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array | None:

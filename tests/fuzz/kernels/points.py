@@ -185,6 +185,13 @@ def _round(rng: Rng) -> dict[str, Any]:
     return {"points": rng.normal(scale=scale, size=shape), "unit": 0.01}
 
 
+def _signs(rng: Rng) -> dict[str, Any]:
+    joints = int(rng.integers(0, 9))
+    rows = rng.normal(size=(int(rng.integers(0, 90)), joints, 4)).astype(np.float32)
+    previous = rng.normal(size=(joints, 4)).astype(np.float32)
+    return {"rotations": rows, "previous": previous}
+
+
 def _noise(rng: Rng) -> dict[str, Any]:
     count = int(rng.integers(0, 9))
     return {
@@ -207,6 +214,7 @@ CALLS: dict[str, Maker] = {
     "add_sparse": _sparse,
     "point_extents": _extents,
     "round_points": _round,
+    "continue_signs": _signs,
     "curl_noise": _noise,
 }
 UNBOUNDED: frozenset[str] = frozenset()

@@ -165,3 +165,17 @@ def test_a_range_beyond_the_take_is_cut_and_said_so() -> None:
     assert [(one.code, one.path) for one in report.notices] == [("SCN013", str(clip))]
     with pytest.raises(OptionError, match="SCN013"):
         measure_tradeoffs(clip, BakeOptions(frame_range=FrameRange(70, 90)))
+
+
+def test_every_second_frame_is_half_the_rate() -> None:
+    clip = SUITE_FOLDER / "arm.clip.yaml"
+    samples, keys = measure_tradeoffs(
+        clip, BakeOptions(frame_range=FrameRange(1, 25, 2))
+    ).tables
+    (every, every_key) = measure_tradeoffs(
+        clip, BakeOptions(frame_range=FrameRange(1, 25))
+    ).tables
+    assert samples.chosen.setting["fps"] == every.chosen.setting["fps"] / 2
+    assert samples.chosen.steps == (every.chosen.steps + 1) // 2
+    assert samples.chosen.bytes < every.chosen.bytes
+    assert keys.span == every_key.span

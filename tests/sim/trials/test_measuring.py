@@ -15,6 +15,7 @@ from animtool.sim.trajectory import Status
 from animtool.sim.trials.measuring import measure
 from animtool.sim.trials.trial import (
     FINER,
+    CostMeasure,
     ErrorMeasure,
     Figure,
     Setting,
@@ -241,6 +242,20 @@ def test_a_method_that_takes_too_long_is_tried_no_finer() -> None:
     assert "50 s" in first[1].reason
     second = [row for row in table.rows if row.setting.method == "second"]
     assert all(row.error is not None for row in second)
+
+
+def test_time_marks_nothing_that_costs_bytes() -> None:
+    known = Known(converging)
+
+    def run(seconds: float) -> Callable[[Setting], TrialOutcome]:
+        return lambda one: replace(known.run(one), seconds=seconds, bytes=100)
+
+    trial = replace(known.trial(), cost=CostMeasure.BYTES)
+    quick, slow = (measure(replace(trial, run=run(t))) for t in (1e-3, 500.0))
+    assert [replace(row, seconds=0) for row in quick.rows] == [
+        replace(row, seconds=0) for row in slow.rows
+    ]
+    assert all(row.error is not None for row in slow.rows)
 
 
 def test_sensitive_motions_are_marked_by_their_figures() -> None:

@@ -10,7 +10,7 @@ import pytest
 from support.attached import sheet_rig, take_of
 
 from animtool.motion.take import TakeStream
-from animtool.rig.parts import HeldArray
+from animtool.rig.parts import LoadedArray
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.layers import ClothMotion
 from animtool.systems.attach.settings import SimulateOptions
@@ -28,7 +28,7 @@ def layered() -> Rig:
     taut = sheet_rig(SIZE, (*range(SIZE), *range(last, SIZE * SIZE)))
     loose = sheet_rig(SIZE)
     points = loose.meshes[0].points.load() + np.array([0.0, 0.0, GAP])
-    cape = replace(loose.meshes[0], name="cape", points=HeldArray(points))
+    cape = replace(loose.meshes[0], name="cape", points=LoadedArray(points))
     hung = replace(loose.attach[0], name="cape", mesh="cape")
     return replace(taut, meshes=(taut.meshes[0], cape), attach=(taut.attach[0], hung))
 

@@ -12,9 +12,10 @@ from support.broken_usd import BROKEN, NEAR, Case, write_good
 from support.suite import is_full, some_quick
 from support.usd import open_stage, validation_errors
 
-from animtool.core.errors import Severity
+from animtool.core.errors import FormatError, Severity
 from animtool.core.rules import builtin_rules
 from animtool.usd.checks import check_layer
+from animtool.usd.layers.sdf import find_layer
 from animtool.usd.layers.stderr import without_usd_warnings
 
 # Those of checks alone say what to do whatever the file is.
@@ -148,3 +149,19 @@ def test_all_layers_and_variants_are_searched_for_numbers(tmp_path: Path) -> Non
     many = [where for where in said if str(where).startswith("/Many")]
     assert len(many) == 5
     assert said[many[-1]].endswith("so are 4 more values of this prim")
+
+
+def test_a_text_file_of_ours_is_named(tmp_path: Path) -> None:
+    """Its first key says what it is, whatever the suffix."""
+    for name, hint in (
+        ("a.usda", "rename it to a.yaml"),
+        ("a.rig.yaml", "name a USD file; animtool convert writes one of a rig"),
+    ):
+        path = tmp_path / name
+        path.write_text("rig: animtool/1\nname: a\n", "utf-8")
+        with pytest.raises(FormatError) as caught:
+            find_layer(path)
+        (fault,) = caught.value.faults
+        assert fault.code == "USD001"
+        assert fault.message == "is an animtool file (YAML or JSON), not a USD file"
+        assert str(fault.hint).startswith(hint)

@@ -81,7 +81,7 @@ def kicked(take: Take, frames: int, degrees: float) -> Take:
 def test_a_fast_kick_is_no_jump(walking: Take) -> None:
     kick = kicked(walking, 12, 110.0)
     j = kick.motion.rotations.animated.tolist().index(kick.rig.index("LeftLeg"))
-    steps = np.linalg.norm(subject(kick).turns[:, j], axis=1)
+    steps = np.linalg.norm(subject(kick).rotation_steps[:, j], axis=1)
     assert np.degrees(steps.max()) > 20.0
     assert "MOT202" not in codes(kick)
     assert "MOT202" in codes(turned("LeftLeg", 20, slice(35, 36))(walking))

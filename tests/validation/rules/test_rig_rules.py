@@ -186,3 +186,17 @@ def test_a_drive_without_a_value_is_no_fault_of_those_that_read_it(
     assert fault.where == "controls[1].drives[0]"
     assert "where 'deep' is 0" in fault.message
     assert not any("inf" in fault.message for fault in validate(path))
+
+
+def test_names_with_spaces_are_one_warning(tmp_path: Path) -> None:
+    path = tmp_path / "page.rig.yaml"
+    joints = (
+        "- {name: lower arm, type: free}\n"
+        "- {name: wri st, type: fixed, parent: lower arm}\n"
+        "- {name: hand, type: fixed, parent: wri st}\n"
+    )
+    path.write_text(HEAD + joints, "utf-8")
+    (fault,) = [f for f in validate(path) if f.code in {"RIG107", "RIG221"}]
+    assert (fault.code, fault.severity) == ("RIG107", "warning")
+    assert fault.message == "2 of 3 joint names contain a space: 'lower arm'"
+    assert "lower_arm" in str(fault.hint)

@@ -1,0 +1,23 @@
+"""Plausibility of what users state about a take."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+from animtool.core.arguments import argument
+from animtool.core.errors import Fault, Severity
+
+# Captures and displays are slower; a larger rate is rather a number of another meaning.
+MAX_PLAUSIBLE_RATE = 2000
+
+
+def rate_warning(fps: Fraction, name: str = "fps") -> list[Fault]:
+    """Return a warning about an implausible number of frames a second (TAKE009)."""
+    if 1 <= fps <= MAX_PLAUSIBLE_RATE:
+        return []
+    message = (
+        f"{argument(name, f'{float(fps):g}')} is implausible; film has 24 frames a "
+        "second, captures up to 1000"
+    )
+    hint = "use the number of frames in one second, not their total or a frame time"
+    return [Fault("TAKE009", message, hint=hint, severity=Severity.WARNING)]
