@@ -40,7 +40,7 @@ class ChannelReader:
 
     def check(self, at: Location, model: CurveModel) -> None:
         """Record unordered times, and handles on the wrong side of their keys."""
-        self._check_times(at, key_times(model))
+        self._check_times(at, model, key_times(model))
         self._check_handles(at, model)
 
     def channel(
@@ -65,6 +65,9 @@ class ChannelReader:
             plain = self._plain(at, model, target, kind, unit)
             if plain is not None:
                 return plain
+            if model.keys.name:
+                self._refuse_array(at, model, target, turning, width)
+                return None
             each = [KeyModel.model_construct(**one) for one in model.keys.entries()]
             model = model.model_copy(update={"keys": each})
         interps = tuple(
@@ -123,7 +126,7 @@ class ChannelReader:
         return ClipChannel(
             target,
             keys.times,
-            self._quaternions(at, values) if turning else values * unit,
+            self._quaternions(at, values, keys.name) if turning else values * unit,
             (interp,) * count,
             ((tangent, tangent),) * count,
             none,
@@ -134,6 +137,18 @@ class ChannelReader:
             Extrapolation(model.pre),
             Extrapolation(model.post),
         )
+
+    def _refuse_array(
+        self, at: Location, model: CurveModel, target: str, turning: bool, width: int
+    ) -> None:
+        """Record why the keys of an array do not fit their target."""
+        keys = model.keys
+        assert isinstance(keys, PlainKeys)
+        self._check_interps(at, model, target, _ROTATING if turning else _SCALAR)
+        if keys.values.shape[1] != width:
+            message = f"rows of {keys.name!r} have {keys.values.shape[1] + 1} numbers "
+            message += f"instead of {width + 1}: a time, then the value"
+            self.document.add("CLIP007", (*at, "keys"), message)
 
     def _check_interps(
         self,
@@ -158,8 +173,11 @@ class ChannelReader:
             self.document.add("CLIP009", location, message, hint)
         return not wrong
 
-    def _check_times(self, at: Location, times: FloatArray) -> None:
+    def _check_times(self, at: Location, model: CurveModel, times: FloatArray) -> None:
         if (np.abs(times) <= MAX_FRAME).all() and (np.diff(times) > 0).all():
+            return
+        if isinstance(model.keys, PlainKeys) and model.keys.name:
+            self._refuse_times((*at, "keys"), model.keys)
             return
         for k in np.flatnonzero(np.abs(times) > MAX_FRAME).tolist():
             message = f"frame {times[k]:g} is beyond {MAX_FRAME:.0e}"
@@ -174,6 +192,19 @@ class ChannelReader:
             location = (*at, "keys", k, "t")
             hint = "key times must ascend"
             self.document.add("CLIP004", location, f"frame {times[k]:g} {what}", hint)
+
+    def _refuse_times(self, at: Location, keys: PlainKeys) -> None:
+        """Record the first wrong time of an array."""
+        times = keys.times
+        far = np.flatnonzero(np.abs(times) > MAX_FRAME)
+        if len(far):
+            message = f"frame {times[far[0]]:g} in row {far[0]} of {keys.name!r}"
+            self.document.add("CLIP004", at, f"{message} is beyond {MAX_FRAME:.0e}")
+            return
+        row = int(np.argmax(np.diff(times) <= 0)) + 1
+        message = f"frame {times[row]:g} in row {row} of {keys.name!r} follows frame "
+        hint = "key times must ascend"
+        self.document.add("CLIP004", at, f"{message}{times[row - 1]:g}", hint)
 
     def _check_handles(self, at: Location, model: CurveModel) -> None:
         """Refuse handles on the wrong side of their keys."""
@@ -286,9 +317,15 @@ class ChannelReader:
         (before, first), (behind, second) = sides
         return before, first, behind, second
 
-    def _quaternions(self, at: Location, values: FloatArray) -> FloatArray:
+    def _quaternions(
+        self, at: Location, values: FloatArray, array: str = ""
+    ) -> FloatArray:
         """Return unit (x, y, z, w) of [w, x, y, z]."""
         rotations, wrong = file_quaternions(values)
+        if array and wrong:
+            message = f"row {wrong[0]} of {array!r} is a quaternion of zero length"
+            self.document.add("RIG006", (*at, "keys"), message)
+            return rotations
         for k in wrong:
             message = f"quaternion {values[k].tolist()} has zero length"
             self.document.add("RIG006", (*at, "keys", k, "v"), message)

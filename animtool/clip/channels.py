@@ -71,12 +71,11 @@ local_rotation, scale
     if group in {"control", "shape"} and name:
         if rig is None:
             return group
-        props = rig.controls if group == "control" else rig.shapes
-        names = [prop.name for prop in props]
+        names = rig.control_names if group == "control" else rig.shape_names
         if name not in names:
-            return Fault(
-                "CLIP002", f"{name!r} is no {group}", hint=nearest(name, names)
-            )
+            props = rig.controls if group == "control" else rig.shapes
+            hint = nearest(name, [prop.name for prop in props])
+            return Fault("CLIP002", f"{name!r} is no {group}", hint=hint)
         return group
     if group != "joint" or not name:
         hint = "write control/NAME, shape/NAME or joint/NAME.PART"

@@ -8,6 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import NoReturn
 
+from animtool.clip.array_keys import with_array_keys
 from animtool.clip.channel_entries import ChannelReader
 from animtool.clip.channels import ClipChannel, ClipUnits, target_kind
 from animtool.clip.clip import Clip
@@ -74,7 +75,7 @@ def open_clip(path: Path | str) -> ClipFile:
 def clip_of_document(document: Document) -> ClipFile:
     """Return the clip file of a document; see `open_clip`."""
     check_version(document, "clip")
-    model = validated(document, ClipModel)
+    model = with_array_keys(document, validated(document, ClipModel))
     rig = None
     if model.rig is not None:
         roots = project_roots(document.path)
@@ -221,6 +222,8 @@ class _ClipReader:
         claimed.setdefault(claim, i)
 
     def _channel(self, at: Location, model: ChannelModel) -> ClipChannel | None:
+        if not len(model.keys):
+            return None
         self.curves.check(at, model)
         kind = self._kind((*at, "target"), model.target)
         if kind is None or self.document.is_placeholder((*at, "target")):

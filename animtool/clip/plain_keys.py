@@ -21,6 +21,7 @@ class PlainKeys:
 
     times: FloatArray  # ``(K,)`` [frames]
     values: FloatArray  # ``(K, D)``, as the file has them
+    name: str = ""  # reference to the array that they are from; empty for key lists
 
     def __len__(self) -> int:
         """Return how many there are."""

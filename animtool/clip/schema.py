@@ -83,9 +83,11 @@ class KeyModel(FileModel):
 
 if TYPE_CHECKING:
     Keys = list[KeyModel] | PlainKeys
+    ChannelKeys = Keys  # references to arrays are replaced at once
 else:
     # Those that are plain have no models: these would take most of the time.
     Keys = Annotated[list[KeyModel], WrapValidator(plain_or_each)]
+    ChannelKeys = Annotated[list[KeyModel] | str, WrapValidator(plain_or_each)]
 
 
 class _TargetModel(FileModel):
@@ -138,6 +140,11 @@ def key_times(model: CurveModel) -> FloatArray:
 
 class ChannelModel(CurveModel, _TargetModel):
     """The keys of one target."""
+
+    keys: Annotated[ChannelKeys, Len(1)] = key(
+        "One key or more, or the array `file.npz#name` of times and values.",
+        [{"t": 1.0, "v": 0.0}],
+    )
 
 
 class ClipModel(FileModel):

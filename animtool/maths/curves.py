@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from enum import IntEnum, StrEnum
+from typing import TypeVar
 
 import numpy as np
 
@@ -165,35 +166,65 @@ def key_handles(
     kinds = np.full(keys, int(SegmentKind.HOLD), np.int64)
     if keys == 1:
         return ins, outs, kinds
-    lengths = np.diff(slopes.times)
-    for k, interp in enumerate(interps[:-1]):
-        third = lengths[k] / 3
+    thirds = np.diff(slopes.times) / 3
+    for interp, rows in _groups(interps[:-1]):
         if interp in _KINDS:
-            kinds[k] = _KINDS[interp]
+            kinds[rows] = _KINDS[interp]
             continue
-        kinds[k] = SegmentKind.CUBIC
-        outs[k], ins[k + 1, 0] = third, -third
+        kinds[rows] = SegmentKind.CUBIC
+        third = thirds[rows]
+        outs[rows, 0], ins[rows + 1, 0] = third, -third
         if interp is Interp.CATMULL_ROM:
-            outs[k, 1:], ins[k + 1, 1:] = slopes.catmull_rom(k, third)
+            outs[rows, 1:], ins[rows + 1, 1:] = slopes.catmull_rom(rows, third[:, None])
             continue
-        for key, side in ((k, 1), (k + 1, 0)):
-            handles = outs if side else ins
-            free = (free_outs if side else free_ins)[key]
-            tangent = tangents[key][side]
-            signed = third if side else -third
+        for side, handles, free in ((1, outs, free_outs), (0, ins, free_ins)):
+            at, signed = rows + 1 - side, third if side else -third
             if interp is Interp.TCB:
-                handles[key, 1:] = slopes.tcb[side][key] * signed
-            elif tangent is not Tangent.FREE:
-                slope = slopes.by_rule(tangent, key, k)
-                handles[key] = [signed, *(slope * signed)]
-            elif interp is Interp.HERMITE:
-                slope = free[1:] / free[0] if free[0] else np.zeros(width)
-                handles[key] = [signed, *(slope * signed)]
-            else:
-                handles[key] = free
-                if free[0] != signed:
-                    kinds[k] = SegmentKind.BEZIER
+                handles[at, 1:] = slopes.tcb[side][at] * signed[:, None]
+                continue
+            for tangent, some in _tangent_groups(tangents, at, side):
+                key, length = at[some], signed[some]
+                if tangent is Tangent.FREE and interp is not Interp.HERMITE:
+                    handles[key] = free[key]
+                    kinds[rows[some][free[key, 0] != length]] = SegmentKind.BEZIER
+                    continue
+                slope = (
+                    _free_slopes(free[key])
+                    if tangent is Tangent.FREE
+                    else slopes.by_rule(tangent, key, rows[some])
+                )
+                handles[key, 0], handles[key, 1:] = length, slope * length[:, None]
     return ins, outs, kinds
+
+
+_Group = TypeVar("_Group")
+
+
+def _groups(values: Sequence[_Group]) -> Iterator[tuple[_Group, IntArray]]:
+    """Yield the distinct values of a sequence, each with its indices."""
+    if values.count(values[0]) == len(values):
+        yield values[0], np.arange(len(values))
+        return
+    for value in dict.fromkeys(values):
+        equal = np.fromiter((one == value for one in values), np.bool_, len(values))
+        yield value, np.flatnonzero(equal)
+
+
+def _tangent_groups(
+    tangents: Sequence[tuple[Tangent, Tangent]], keys: IntArray, side: int
+) -> Iterator[tuple[Tangent, IntArray]]:
+    """Yield the distinct tangents of keys on a side, each with indices of keys."""
+    if tangents.count(tangents[0]) == len(tangents):
+        yield tangents[0][side], np.arange(len(keys))
+    else:
+        yield from _groups([tangents[key][side] for key in keys.tolist()])
+
+
+def _free_slopes(handles: FloatArray) -> FloatArray:
+    """Return the slopes of handles ``(N, 1 + D)``; 0 for handles without a time."""
+    times = handles[:, :1]
+    slopes = handles[:, 1:] / np.where(times != 0, times, 1.0)
+    return np.where(times != 0, slopes, 0.0)
 
 
 def cubic_curves(

@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from animtool.core.array_types import ArrayLike, FloatArray, as_floats
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
 
 
 class Tangent(StrEnum):
@@ -260,29 +260,37 @@ class KeySlopes:
             self._tcb = tcb(self.times, self.values, self._weights)
         return self._tcb
 
-    def by_rule(self, tangent: Tangent, key: int, segment: int) -> FloatArray:
-        """Return the slope at a key of an adjacent segment ``(D,)``."""
+    def by_rule(
+        self, tangent: Tangent, keys: IntArray, segments: IntArray
+    ) -> FloatArray:
+        """Return the slopes ``(N, D)`` at keys of adjacent segments, each ``(N,)``."""
         if tangent is Tangent.FLAT:
-            return np.zeros(self.values.shape[1])
+            return np.zeros((len(keys), self.values.shape[1]))
         if tangent is Tangent.LINEAR:
-            rise = self.values[segment + 1] - self.values[segment]
-            return np.asarray(rise / (self.times[segment + 1] - self.times[segment]))
+            rises = self.values[segments + 1] - self.values[segments]
+            spans = self.times[segments + 1] - self.times[segments]
+            return np.asarray(rises / spans[:, None])
         rule = {
             Tangent.AUTO: nonuniform,
             Tangent.AUTO_CLAMPED: auto_clamped,
         }[tangent]
-        return np.asarray(self._slopes(rule.__name__, rule)[key])
+        return np.asarray(self._slopes(rule.__name__, rule)[keys])
 
-    def catmull_rom(self, k: int, third: float) -> tuple[FloatArray, FloatArray]:
-        """Return the handle values of a segment, after its start and before its end."""
+    def catmull_rom(
+        self, segments: IntArray, thirds: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return handle values ``(N, D)`` of segments, after starts and before ends.
+
+        ``segments`` ``(N,)``, ``thirds`` of their lengths ``(N, 1)``.
+        """
         if self._parametrization is Parametrization.UNIFORM:
             slopes = self._slopes("secant", secant)
-            return slopes[k] * third, -slopes[k + 1] * third
+            return slopes[segments] * thirds, -slopes[segments + 1] * thirds
         if self._paths is None:
             alpha = _ALPHA[self._parametrization]
             self._paths = catmull_rom_controls(self.values, alpha)
         ins, outs = self._paths
-        return outs[k], ins[k + 1]
+        return outs[segments], ins[segments + 1]
 
     def _slopes(self, name: str, rule: _Rule) -> FloatArray:
         if name not in self._by_rule:

@@ -288,6 +288,16 @@ class Rig:
         return [joint.name for joint in self.joints]
 
     @cached_property
+    def control_names(self) -> frozenset[str]:
+        """Names of the controls."""
+        return frozenset(control.name for control in self.controls)
+
+    @cached_property
+    def shape_names(self) -> frozenset[str]:
+        """Names of the shapes."""
+        return frozenset(shape.name for shape in self.shapes)
+
+    @cached_property
     def parents(self) -> IntArray:
         """Parent of each joint ``(J,)``, -1 for a root."""
         return np.array([joint.parent for joint in self.joints], np.int64)

@@ -4,7 +4,19 @@ from __future__ import annotations
 
 import re
 
-from support.measured_tables import PAGE, RATIOS, RESULTS, measured, renewed
+from support.measured_tables import (
+    PAGE,
+    RATIOS,
+    RESULTS,
+    ROOT,
+    is_older_form,
+    measured,
+    renewed,
+)
+
+# Tasks of the table whose ratios the README quotes, in its order.
+QUOTED = ("curves, all in one call", "joints in the world", "skin and shapes")
+FIGURE = re.compile(r"(\d[\d.,]*)\s+times")
 
 
 def test_the_table_is_of_the_results() -> None:
@@ -20,3 +32,18 @@ def test_its_plots_and_tables_are_committed() -> None:
     named = re.findall(r"bench/results/([\w.]+)", PAGE.read_text("utf-8"))
     assert len(set(named)) > 5
     assert all((RESULTS / name).is_file() for name in named)
+
+
+def test_the_readme_quotes_the_table_alone_and_results_of_the_present_form() -> None:
+    text = (ROOT / "README.md").read_text("utf-8")
+    figures = FIGURE.findall(text)
+    assert len(figures) == len(QUOTED)
+    ratios = {ratio.what: ratio for ratio in RATIOS}
+    for figure, what in zip(figures, QUOTED, strict=True):
+        assert figure == measured(ratios[what])
+        assert not is_older_form(ratios[what].file)
+
+
+def test_the_readme_has_no_other_time() -> None:
+    text = (ROOT / "README.md").read_text("utf-8")
+    assert re.findall(r"\d[\d.,]*\s*(?:seconds|ms|µs)(?!\w)", text) == []

@@ -76,12 +76,19 @@ def results_of(file: str) -> list[dict[str, str]]:
     return list(csv.DictReader(x for x in text.splitlines() if x[:1] != "#"))
 
 
+def is_older_form(file: str) -> bool:
+    """Return whether results were written by an earlier form of their benchmark."""
+    lines = (RESULTS / f"{file}.csv").read_text("utf-8").splitlines()
+    return any("older form" in line for line in lines if line[:1] == "#")
+
+
 def measured(ratio: Ratio) -> str:
     """Return how many times as long the other takes, with two digits."""
     key = {"section": ratio.section, "tool": ratio.tool, "measure": ratio.measure}
     (row,) = [each for each in results_of(ratio.file) if key.items() <= each.items()]
     loaded = ", under load" if row.get("load") == "under load" else ""
-    return f"{float(row['median']):.2g}{loaded}"
+    older = ", older form" if is_older_form(ratio.file) else ""
+    return f"{float(row['median']):.2g}{loaded}{older}"
 
 
 def table() -> str:

@@ -228,7 +228,10 @@ def _flips(channel: ClipChannel) -> IntArray:
 
 def _moving(channel: ClipChannel) -> BoolArray:
     """Return which keys but the last do not hold until the next ``(K - 1,)``."""
-    return np.array([how is not Interp.STEP for how in channel.interps[:-1]], bool)
+    interps = channel.interps[:-1]
+    if Interp.STEP not in interps:
+        return np.ones(len(interps), bool)
+    return np.array([how is not Interp.STEP for how in interps], bool)
 
 
 def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
@@ -238,18 +241,20 @@ def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
     before or after. Wrapped angles are reduced to ±180 or 0 to 360 degrees, and reverse
     before and after.
     """
-    steps = np.diff(channel.values, axis=0)
+    steps, moving = np.diff(channel.values, axis=0), _moving(channel)
     short = np.remainder(steps + math.pi, math.tau) - math.pi
-    wraps = (np.abs(steps) > ROUND) & (np.abs(short) > OPEN) & _moving(channel)[:, None]
+    wraps = (np.abs(steps) > ROUND) & (np.abs(short) > OPEN) & moving[:, None]
     limits = _range_of(channel, rig)
     far = [
         k
         for k, axis in np.argwhere(wraps).tolist()
         if _wrapped(channel, k, axis, float(short[k, axis]), limits)
     ]
+    # As `_flipped` needs, whose arithmetic is too slow for every key.
+    twisted = np.abs(steps[:, ::2]).min(axis=1) > FAR
     flipped = [
         k
-        for k in np.flatnonzero(_moving(channel)).tolist()
+        for k in np.flatnonzero(moving & twisted).tolist()
         if _flipped(channel, channel.values[k], channel.values[k + 1]) is not None
     ]
     return np.unique(np.array([*far, *flipped], np.int64))

@@ -68,7 +68,8 @@ class ClipSubject(DocumentSubject):
         """Steps between frames that are keyed as steps ``(F - 1,)``."""
         frames = np.array(self.frames)
         cuts = np.zeros(len(frames) - 1, bool)
-        for channel in self.clip.channels:
+        stepped = [c for c in self.clip.channels if Interp.STEP in c.interps]
+        for channel in stepped:
             for k, interp in enumerate(channel.interps[:-1]):
                 if interp is Interp.STEP:
                     at = channel.times[k + 1]

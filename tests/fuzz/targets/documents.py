@@ -46,6 +46,22 @@ MAP = (
     "- {source: 'mixamorig:Hips', target: hips}\n"
     "- {source: RightHand, target: hand_r}\nignored: {source: [Head], target: [neck]}\n"
 )
+# Keys in arrays, of which some are none.
+ARM = (
+    "rig: animtool/1\nname: arm\nup: Y\njoints:\n- {name: hip, type: free}\n"
+    "- {name: knee, parent: hip, type: pin, axis: [0, 0, 1]}\n"
+)
+ARM_CLIP = (
+    "clip: animtool/1\nrig: arm.rig.yaml\nfps: 24\nchannels:\n"
+    "- {target: joint/knee.angle, keys: arm.npz#one, interp: linear}\n"
+    "- {target: joint/hip.translation, keys: arm.npz#three}\n"
+    "- {target: joint/hip.rotation, keys: arm.npz#four, post: cycle}\n"
+)
+ARM_ARRAYS = {
+    **{"one": [[1, 0], [9, 30]], "three": [[1, 0, 0, 1], [5, 2, 0, 0]]},
+    **{"four": [[0, 1, 0, 0, 0], [7, 0, 1, 0, 0]], "keys": [[2, 1], [1, 1]]},
+    **{"flat": [0, 0, 0, 0, 0], "huge": [[0, 1e300]], "nan": [[0, float("nan")]]},
+}
 # Longer ones take more than some milliseconds, and say no more.
 LONGEST = 3000
 # What no line of a message may hold.
@@ -55,6 +71,7 @@ VALUES: list[Any] = [
     *("nan", ".inf", "1e999", "9" * 500, "a" * 5000, "\x1b]0;mine\x07", "\u202e"),
     *("a\n::error::mine", "##[error]", "\u2028", "é\u0301", "${a}", "${", "${a", "$${"),
     *("../../../../etc/passwd", "/dev/zero", "/", ".", "x.npz#a", "#", "x.bvh", "~"),
+    *("arm.npz", "arm.npz#flat", "arm.npz#huge", "arm.npz#nan", "arm.npz#four"),
     *("1..9999999", "1..", "{stem}", "{", "joint/a.rotation", "control/a", "shape/"),
     *([], {}, [[]], [{}], {"a": {}}, {"": ""}, [0] * 300, ["a"] * 300, {"name": "a"}),
     *("(" * 90, "-" * 900 + "a", "9**9**9", "a.b", "f(x)", "1 if a else 2", "a/0"),
@@ -119,6 +136,10 @@ def _seeds(folder: Path) -> Iterator[Seed]:
     (folder / "animtool.toml").write_text("", "utf-8")
     (folder / "hero.remap.yaml").write_text(REMAP, "utf-8")
     (folder / "hero.map.yaml").write_text(MAP, "utf-8")
+    (folder / "arm.rig.yaml").write_text(ARM, "utf-8")
+    (folder / "arm.clip.yaml").write_text(ARM_CLIP, "utf-8")
+    arrays = {name: np.array(rows, float) for name, rows in ARM_ARRAYS.items()}
+    np.savez(folder / "arm.npz", **arrays)
     for path in sorted(folder.rglob("*.yaml")):
         kind = path.name.split(".")[-2]
         if kind in KINDS and path.stat().st_size <= LONGEST:

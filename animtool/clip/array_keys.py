@@ -1,0 +1,69 @@
+"""Keys of clip channels that are arrays of npz files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from animtool.clip.plain_keys import PlainKeys
+from animtool.clip.schema import ClipModel
+from animtool.core.config import project_roots
+from animtool.core.files.reading import not_a_file_reason
+from animtool.documents.arrays import Archives
+from animtool.documents.document import Document, Location
+from animtool.documents.fields import MAX_NUMBER
+from animtool.documents.references import missing_hint, referred, split_reference
+
+# Name of the array where a reference has none.
+DEFAULT_ARRAY = "keys"
+
+
+def with_array_keys(document: Document, model: ClipModel) -> ClipModel:
+    """Return a clip whose references to arrays are replaced by their keys.
+
+    Channels whose array is faulty have no keys (CLIP016, DOC014, DOC015).
+    """
+    channels = list(model.channels)
+    with Archives() as archives:
+        for i, channel in enumerate(channels):
+            keys: object = channel.keys
+            if isinstance(keys, str):
+                loaded = _loaded(document, ("channels", i, "keys"), keys, archives)
+                channels[i] = channel.model_copy(update={"keys": loaded})
+    return model.model_copy(update={"channels": channels})
+
+
+def _loaded(
+    document: Document, at: Location, text: str, archives: Archives
+) -> PlainKeys | list[object]:
+    """Return the keys of a reference; none if faulty."""
+    name, array = split_reference(text, DEFAULT_ARRAY)
+    path = None if document.is_placeholder(at) else _file(document, at, name)
+    if path is None:
+        return []
+    try:
+        rows = archives.load(path, array)
+    except ValueError as error:
+        document.add("CLIP016", at, str(error))
+        return []
+    if rows.ndim != 2 or not len(rows) or rows.shape[1] < 2:
+        message = f"{text!r} has shape {rows.shape}, not (K, 1 + D)"
+        hint = "write a row for each key: its time, then its value"
+        document.add("CLIP016", at, message, hint)
+        return []
+    if not (np.abs(rows) <= MAX_NUMBER).all():
+        document.add("CLIP016", at, f"{text!r} has a number beyond {MAX_NUMBER:.0e}")
+        return []
+    times, values = (np.ascontiguousarray(part) for part in (rows[:, 0], rows[:, 1:]))
+    return PlainKeys(times, values, text)
+
+
+def _file(document: Document, at: Location, name: str) -> Path | None:
+    """Return the file of an array; None if missing or not allowed."""
+    path = referred(document, at, name, project_roots(document.path))
+    wrong = None if path is None else not_a_file_reason(path)
+    if wrong is None:
+        return path
+    document.add("DOC015", at, f"{name!r} {wrong}", missing_hint(document, name))
+    return None
