@@ -15,7 +15,7 @@ from animtool.edit.layers import LayerMode, blend, layer
 from animtool.edit.mirroring import Axis, mirror
 from animtool.edit.retiming import time_warp
 from animtool.edit.root_motion import RootMotionOptions
-from animtool.motion.keyed import Interpolation
+from animtool.motion.keyed import KeyInterpolation
 from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import Take, TakeStream
 
@@ -32,14 +32,14 @@ CALLS: dict[str, tuple[Callable[[str], Take], list[str]]] = {
              [*LayerMode]),
     "weights of a layer": (
         lambda how: layer(small(), other(), weight=PAIRS, interpolation=how),
-        [*Interpolation],
+        [*KeyInterpolation],
     ),
     "weights of a blend": (
         lambda how: blend(small(), other(), weight=PAIRS, interpolation=how),
-        [*Interpolation],
+        [*KeyInterpolation],
     ),
     "curve of time": (
-        lambda how: time_warp(small(), CURVE, how), [*Interpolation]
+        lambda how: time_warp(small(), CURVE, how), [*KeyInterpolation]
     ),
     "axis": (lambda axis: mirror(small(), axis), [*Axis]),
 }  # fmt: skip

@@ -1,8 +1,8 @@
-"""Captured takes cleaned: spikes out, and each joint filtered as its noise asks for.
+"""Cleaning of captured takes: spikes removed, each joint filtered by its noise.
 
-A spike is a frame, or a few, that what comes before, what comes after and the line
-between both disagree with, all to the same side. A step or a corner, as where a foot
-lands, agrees with one of the three and stays.
+A spike is one or a few frames that disagree, all to the same side, with the frames
+before, the frames after and the line between them. A step or a corner, such as a foot
+landing, agrees with one of the three and stays.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from animtool.maths.filters import (
     NOISE_ORDER,
     best_cutoff,
     lowpass,
-    lowpass_turns,
+    lowpass_rotations,
     noise_level,
-    noise_of_turns,
+    rotation_noise,
 )
 from animtool.motion.motion import Channel
 from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
@@ -33,26 +33,26 @@ from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
 
-# A spike is this many times what the frames around it change their speed by.
+# Least size of a spike, over the typical change of speed around it.
 SPIKE_FACTOR = 5.0
-# Frames on either side that say how rough a motion is.
+# Frames on either side for estimating roughness.
 AROUND = 8
-# What is smaller is no spike: a share of the rig's size, and of a quaternion.
-MIN_SHIFT, MIN_TURN = 1e-3, 5e-3
-# Noise below this share of the smallest spike is that of a file's digits.
+# Least size of a spike: a fraction of the rig's size, and a quaternion component.
+MIN_SHIFT, MIN_ROTATION = 1e-3, 5e-3
+# Noise below this fraction of the smallest spike is rounding of the file.
 NO_NOISE = 2e-4
-# A spike can hide one beside it, which is seen when the first is gone.
+# A spike can hide a neighbour, which is found once the first is removed.
 SEARCHES = 3
-# What goes across a spike holds what is slower than this share of the rate.
+# Interpolation across a spike keeps frequencies below this fraction of the rate.
 ACROSS = 0.2
 # Noise of good captures is below this [rad].
-USUAL_NOISE = math.radians(0.2)
+TYPICAL_NOISE = math.radians(0.2)
 MAX_NAMED = 6
 
 
 @dataclass(frozen=True, slots=True)
 class CleanedSignal:
-    """What was done to the translations or rotations of a joint."""
+    """Cleaning result of a joint's translations or rotations."""
 
     joint: str
     rotation: bool  # of its rotations, or of its translations
@@ -62,7 +62,7 @@ class CleanedSignal:
 
     @property
     def part(self) -> str:
-        """What of which joint it is."""
+        """Joint and channel, as text."""
         return f"{self.joint} {'rotation' if self.rotation else 'translation'}"
 
     @property
@@ -89,13 +89,13 @@ class _Cleaner:
             bad = _spikes(signal, self.options.spikes, least, rotation=rotation)
             if bad.any():
                 signal = bridged(signal, ~bad, rotation=rotation)
-            noise = (noise_of_turns if rotation else noise_level)(signal)
+            noise = (rotation_noise if rotation else noise_level)(signal)
             # Half an angle is in a quaternion.
-            moved = noise / 2 if rotation else noise
-            shakes = moved > NO_NOISE * least
+            tolerance = noise / 2 if rotation else noise
+            shakes = tolerance > NO_NOISE * least
             cutoff = self._cutoff(signal, rotation=rotation) if shakes else None
             if cutoff is not None:
-                run = lowpass_turns if rotation else lowpass
+                run = lowpass_rotations if rotation else lowpass
                 signal = run(signal, cutoff, self.rate)
             values[:, i] = signal
             frames = tuple(np.flatnonzero(bad).tolist())
@@ -112,12 +112,12 @@ class _Cleaner:
 
 
 def bridged(signal: FloatArray, known: BoolArray, *, rotation: bool) -> FloatArray:
-    """Return a signal ``(F, K)`` with the frames that are not known gone across."""
+    """Return a signal ``(F, K)`` with unknown frames interpolated."""
     if rotation:
         aligned = signal.copy()
         aligned[known] = so3.align_signs(signal[known], signal[known][0])
         signal = aligned
-    run = lowpass_turns if rotation else lowpass
+    run = lowpass_rotations if rotation else lowpass
     across = run(signal, ACROSS, 1.0, order=3, known=known)
     return np.where(known[:, None], signal, across)
 
@@ -128,17 +128,17 @@ def _spikes(
     """Return which frames of a signal ``(F, K)`` are part of a spike ``(F,)``."""
     bad = np.zeros(len(signal), np.bool_)
     for _ in range(SEARCHES if longest else 0):
-        found = np.zeros_like(bad)
+        spikes = np.zeros_like(bad)
         rough = SPIKE_FACTOR * _roughness(signal) + least
         for run, size in _runs(signal, longest, rotation=rotation):
-            # A long spike looks like a short one in the midst of it, too.
+            # A long spike also looks like a short one in its middle.
             for first in np.flatnonzero(size > rough[2 : 2 + len(size)]).tolist():
                 part = slice(first + 2, first + 2 + run)
-                if not found[part.start - 1 : part.stop + 1].any():
-                    found[part] = True
-        if not found.any() or (bad | found).mean() > 0.5:
+                if not spikes[part.start - 1 : part.stop + 1].any():
+                    spikes[part] = True
+        if not spikes.any() or (bad | spikes).mean() > 0.5:
             break
-        bad |= found
+        bad |= spikes
         signal = bridged(signal, ~bad, rotation=rotation)
     return bad
 
@@ -146,13 +146,13 @@ def _spikes(
 def _runs(
     signal: FloatArray, longest: int, *, rotation: bool
 ) -> Iterator[tuple[int, FloatArray]]:
-    """Yield how far each run of some frames is off, those of frame 2 on first."""
+    """Yield the deviation of each run of some frames, from frame 2 on."""
     for run in range(longest, 0, -1):
         count = len(signal) - run - 3
         if count < 1:
             continue
         at = [signal[k : k + count] for k in range(run + 4)]
-        if rotation:  # signs that a spike leaves behind are none of a turn
+        if rotation:  # sign flips after a spike are no rotation
             for k, other in (
                 (run + 2, 1),
                 (run + 3, run + 2),
@@ -161,12 +161,12 @@ def _runs(
             ):
                 at[k] = _signed(at[k], at[other])
         before, after = at[1], at[run + 2]
-        ahead, back = 2 * before - at[0], 2 * after - at[run + 3]
+        forward, backward = 2 * before - at[0], 2 * after - at[run + 3]
         step = (after - before) / (run + 1)
         sizes = []
         for away, line in (
-            (at[2] - ahead, at[2] - before - step),
-            (at[run + 1] - back, at[run + 1] - after + step),
+            (at[2] - forward, at[2] - before - step),
+            (at[run + 1] - backward, at[run + 1] - after + step),
         ):
             off = np.linalg.norm(line, axis=-1)
             along = np.sum(away * line, axis=-1) / np.where(off > 0, off, 1)
@@ -174,14 +174,14 @@ def _runs(
         yield run, np.min(sizes, axis=0)
 
 
-def _signed(turns: FloatArray, others: FloatArray) -> FloatArray:
-    """Return quaternions ``(F, 4)`` with the signs nearest to others."""
-    dots = np.sum(turns * others, axis=-1, keepdims=True)
-    return np.where(dots < 0, -turns, turns)
+def _signed(rotations: FloatArray, others: FloatArray) -> FloatArray:
+    """Return quaternions ``(F, 4)`` with signs nearest to others."""
+    dots = np.sum(rotations * others, axis=-1, keepdims=True)
+    return np.where(dots < 0, -rotations, rotations)
 
 
 def _roughness(signal: FloatArray) -> FloatArray:
-    """Return the usual change of speed about each frame ``(F,)``."""
+    """Return the typical change of speed around each frame ``(F,)``."""
     if len(signal) < 3:
         return np.zeros(len(signal))
     bent = np.linalg.norm(np.diff(signal, 2, axis=0), axis=-1)
@@ -201,10 +201,10 @@ def clean(
     keep_noise: bool = _DEFAULTS.keep_noise,
     cutoff: float | None = None,
 ) -> Take:
-    """Return a take without spikes, each joint filtered as its noise asks for.
+    """Return a take without spikes, each joint filtered by its noise.
 
-    Filters have no lag. A joint whose noise a filter would hardly lessen is not
-    filtered, so that a take without noise stays as it is. What was done is noted
+    Filters have no lag. A joint whose noise a filter would barely reduce is not
+    filtered, so that a take without noise stays unchanged. A note lists what was done
     (CAP101).
 
     Args:
@@ -215,7 +215,7 @@ def clean(
             translations and one for the rotations of each joint.
 
     Raises:
-        OptionError: A number makes no sense (CAP001).
+        OptionError: A number is out of range (CAP001).
     """
     options = CleanOptions(spikes, keep_noise, cutoff)
     for check in _checks(options).values():
@@ -225,14 +225,14 @@ def clean(
 
 
 def cleaned_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSignal]]:
-    """Return a take cleaned, and what was done to the joints that move."""
+    """Return a cleaned take, and the cleaning results of the joints that move."""
     motion = take.motion
     cleaner = _Cleaner(tuple(take.rig.names), float(take.clock.rate), options)
     shifts = cleaner.channel(motion.translations, MIN_SHIFT * rest_size(take.rig))
-    turns = cleaner.channel(motion.rotations, MIN_TURN)
-    dense = so3.align_signs(turns.values, turns.rest[turns.animated])
+    rotations = cleaner.channel(motion.rotations, MIN_ROTATION)
+    dense = so3.align_signs(rotations.values, rotations.rest[rotations.animated])
     motion = replace(
-        motion, translations=shifts, rotations=replace(turns, values=dense)
+        motion, translations=shifts, rotations=replace(rotations, values=dense)
     )
     return replace(take, motion=motion), cleaner.signals
 
@@ -240,7 +240,7 @@ def cleaned_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedS
 def notices(
     take: Take, signals: list[CleanedSignal], options: CleanOptions
 ) -> list[Fault]:
-    """Return what there is to say about a take that was cleaned."""
+    """Return notices about a cleaned take."""
     if (
         take.clock.count <= NOISE_ORDER
         and not options.keep_noise
@@ -266,7 +266,7 @@ def notices(
 
 
 def _filtered(signals: list[CleanedSignal], count: int) -> str:
-    """Return which cut-offs were chosen, and the noise that asked for them."""
+    """Return the chosen cut-offs, and the noise they are based on."""
     order = sorted(signals, key=lambda s: s.cutoff or 0.0)
     low, high = order[0], order[-1]
     text = (
@@ -274,18 +274,18 @@ def _filtered(signals: list[CleanedSignal], count: int) -> str:
         f"{low.cutoff:.3g} Hz ({low.joint}) to {high.cutoff:.3g} Hz ({high.joint})"
     )
     shift = max((s.noise for s in signals if not s.rotation), default=0.0)
-    turn = max((s.noise for s in signals if s.rotation), default=0.0)
-    return f"{text}; noise up to {length_text(shift)} and {math.degrees(turn):.2g} deg"
+    noise = max((s.noise for s in signals if s.rotation), default=0.0)
+    return f"{text}; noise up to {length_text(shift)} and {math.degrees(noise):.2g} deg"
 
 
 def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
-    """Return how bad a take was, and what was done to which joint, the worst first."""
+    """Return noise scores of a take, and the cleaned joints, worst first."""
     filtered = sorted(
         (s for s in signals if s.cutoff is not None), key=lambda s: s.cutoff or 0.0
     )
     spiky = sorted((s for s in signals if s.spikes), key=lambda s: -len(s.spikes))
     lost = len({frame for s in signals for frame in s.spikes})
-    turns = (s.noise for s in signals if s.rotation)
+    noises = (s.noise for s in signals if s.rotation)
     shifts = (s.noise for s in signals if not s.rotation)
     names = {
         "filtered": tuple(
@@ -297,9 +297,14 @@ def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
         (
             Score("position noise", max(shifts, default=0.0), ScoreUnit.LENGTH, 1e-3),
             Score(
-                "rotation noise", max(turns, default=0.0), ScoreUnit.ANGLE, USUAL_NOISE
+                "rotation noise",
+                max(noises, default=0.0),
+                ScoreUnit.ANGLE,
+                TYPICAL_NOISE,
             ),
-            Score("frames with spikes", lost / max(frames, 1), ScoreUnit.SHARE, 0.01),
+            Score(
+                "frames with spikes", lost / max(frames, 1), ScoreUnit.FRACTION, 0.01
+            ),
         ),
         {what: joints for what, joints in names.items() if joints},
     )

@@ -11,7 +11,7 @@ from animtool.core.record import dataclass
 @described
 @dataclass(frozen=True, slots=True)
 class CleanOptions:
-    """What to remove.
+    """Options of cleaning.
 
     Attributes:
         spikes: Longest spike that is removed [frames]; 0 leaves them.
@@ -45,7 +45,7 @@ class CleanOptions:
 @described
 @dataclass(frozen=True, slots=True)
 class TriangulateOptions:
-    """How points are triangulated.
+    """Options of triangulation.
 
     Attributes:
         noise: Standard deviation of a pixel's axis [px]; None measures it.
@@ -84,7 +84,7 @@ class TriangulateOptions:
 @described
 @dataclass(frozen=True, slots=True)
 class FaceOptions:
-    """How landmarks become weights."""
+    """Options of a face solve."""
 
     smooth: float = option(
         1.0,
@@ -111,7 +111,7 @@ class FaceOptions:
 @described
 @dataclass(frozen=True, slots=True)
 class FillOptions:
-    """What to repair.
+    """Which repairs to make.
 
     Attributes:
         keep_gaps: Whether gaps stay.
@@ -152,10 +152,10 @@ class FillOptions:
 @described
 @dataclass(frozen=True, slots=True)
 class SolveOptions:
-    """How to solve.
+    """Options of a marker solve.
 
     Attributes:
-        acceleration: Of joints that is usual [rad/s²]; less is smoother.
+        acceleration: Typical acceleration of joints [rad/s²]; less is smoother.
     """
 
     noise: float = option(

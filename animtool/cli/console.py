@@ -148,7 +148,7 @@ class Console:
         if form == "json":
             self.result_json(record)
             return
-        lines = template.text(record, whole=self.verbosity > 0)
+        lines = template.text(record, all_names=self.verbosity > 0)
         if template.is_result:
             self.result(*lines)
         else:

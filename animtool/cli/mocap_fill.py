@@ -76,14 +76,14 @@ def fill(
         options = FillOptions(**read_values(FillOptions, params))
         if template is None:
             return run_fill(read, options)
-        from animtool.capture.markers.skeleton import Subject
+        from animtool.capture.markers.skeleton import MarkerSubject
         from animtool.capture.solve.source import at_file, named_rig
         from animtool.capture.templates.file import load_template
         from animtool.scene.sources.onto_rig import open_rig
 
         loaded = load_template(template)
         wearer, notices = open_rig(named_rig(loaded, rig, template))
-        subject = Subject(wearer, loaded, static)
+        subject = MarkerSubject(wearer, loaded, static)
         filled, report = at_file(markers, lambda: run_fill(read, options, subject))
         report.notices[:0] = notices
         return filled, report

@@ -62,7 +62,7 @@ def _partial(coverage: dict[str, float]) -> list[str]:
 _TEMPLATE = Template(
     "animtool.capture.markers.label:LabelReport",
     (
-        "  {labelled} of {points} points named ({share:.1%}), {rejected} are not "
+        "  {labelled} of {points} points named ({fraction:.1%}), {rejected} are not "
         "markers; {runs} runs",
         Each("coverage:partial", ("  {self}",)),
     ),

@@ -114,7 +114,9 @@ def _remarks(report: CameraReport) -> str:
     """Return remarks on a camera: movement and disagreement."""
     from animtool.core.shot import frame_spans
 
-    said = [f"{'off' if m.kept else 'out'} {m.first + 1}-{m.end}" for m in report.moved]
+    said = [
+        f"{'off' if m.kept else 'out'} {m.first + 1}-{m.end}" for m in report.shifts
+    ]
     if report.disagrees:
         frames = [each.number for each in report.disagrees]
         said.append(f"disagrees {frame_spans(frames)}")
@@ -125,7 +127,8 @@ _TEMPLATE = Template(
     "animtool.capture.cameras.report:Triangulation",
     (
         "{output}: {markers:summary}",
-        "{found} of {seen} points that two cameras see ({share:hundredths2} %), "
+        "{triangulated} of {visible} points that two cameras see "
+        "({fraction:hundredths2} %), "
         "reprojection {error_px:.3f} px ({error_mm:.3f} mm)",
         Table(
             "cameras",

@@ -10,11 +10,11 @@ from animtool.cli.console import Console
 from animtool.cli.summary import PLAN
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.output import check_outputs
-from animtool.preview.build import Page, check_page_output, make_page, write_page
+from animtool.preview.build import PreviewPage, check_page_output, make_page, write_page
 from animtool.preview.options import PreviewOptions, ShowOptions
 from animtool.preview.pictures.kinds import picture_kind
 from animtool.preview.plan import page_steps
-from animtool.preview.serve import PageServer, Watched, follow
+from animtool.preview.serve import PageServer, WatchedPage, follow
 from animtool.preview.show import has_browser, open_browser, temporary_page
 from animtool.report.text import Each, Template
 from animtool.scene.bake.steps import Steps
@@ -91,7 +91,7 @@ def watch(
 ) -> None:
     """Serve a page until the command is interrupted."""
     opens = has_browser() if shows.opened is None else shows.opened
-    watched = Watched(lambda: make_page(files, options))
+    watched = WatchedPage(lambda: make_page(files, options))
     watched.build()
     assert watched.page is not None
     console.faults(watched.page.notices)
@@ -105,7 +105,7 @@ def watch(
         def failed(error: AnimtoolError) -> None:
             console.faults(error.faults)
 
-        def report_built(page: Page) -> None:
+        def report_built(page: PreviewPage) -> None:
             console.faults(page.notices)
             console.say(f"reloaded: page {watched.version}")
 

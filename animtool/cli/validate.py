@@ -167,7 +167,7 @@ def _say(
 
     console.faults(report.broken)
     verbose, calling = console.verbosity > 0, console.calling
-    text = written(report, choices.report_format, whole=verbose, calling=calling)
+    text = written(report, choices.report_format, repeats=verbose, calling=calling)
     if choices.output_file is None:
         console.document(text)
     else:

@@ -237,7 +237,7 @@ class _Job:
         if motion.scales is None:
             return []
         bare = replace(motion, weights=None)
-        unscaled = Channel.still(np.ones_like(motion.scales.rest))
+        unscaled = Channel.static(np.ones_like(motion.scales.rest))
         tracks = tracks_of(self.rig, bare, replace(bare, scales=unscaled))
         return [track for track in tracks if track.kind is ChannelKind.SCALE]
 

@@ -29,6 +29,7 @@ OLD_NAMES = {
     "animtool.systems.kinds": "animtool.systems.framework.kinds",
     "animtool.systems.simulation": "animtool.systems.framework.simulation",
     "animtool.systems.surfaces": "animtool.systems.framework.surfaces",
+    "animtool.systems.particles.places": "animtool.systems.particles.emitter_shapes",
     "animtool.take": "animtool.motion.take",
 }
 

@@ -1,4 +1,4 @@
-"""A take at and between its frames: curves are evaluated, samples joined straight."""
+"""Sampling of a take between frames: curves evaluated, samples interpolated."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
-from animtool.edit.travel import Places, nearby_places
+from animtool.edit.travel import FramePositions, nearby_positions
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion, MotionCurve
 from animtool.motion.take import Take
 
-# A sample this near to its curve, next to the larger of 1 and its own size, is the
-# curve's: what rounding leaves of times in the millions is less, and it is a tenth of
-# what a curve's value may be off [m], [rad], [1].
+# A sample this near to its curve, relative to the larger of 1 and its size, is on it:
+# rounding of times in the millions is less, and it is a tenth of a curve's tolerance
+# [m], [rad], [1].
 SAME = 1e-10
-# Curves are compared with samples in blocks of so many frames.
+# Frames per block of the comparison.
 BLOCK_FRAMES = 512
-# Times are rounded to so many decimals [frame]: what is left of a decimal that a
-# person wrote is that decimal again, so that a step is on its own side of its key.
+# Times are rounded to these decimals [frame], which restores decimals that users wrote,
+# so that a step stays on its side of its key.
 TIME_DECIMALS = 11
 
 CURVED = ("translations", "rotations", "scales", "weights", "controls")
@@ -31,11 +31,10 @@ CURVED = ("translations", "rotations", "scales", "weights", "controls")
 class Between:
     """A take that can be sampled at any time.
 
-    A row is a joint, a shape or a control of a channel. Where the take has a curve and
-    all samples of a row are the curve's, the row is evaluated between the frames. Other
-    rows, which have no curve or which a pass changed, go along straight lines, their
-    rotations along the shortest arc at constant speed. On a frame every row is its
-    sample exactly.
+    A row is a joint, a shape or a control of a channel. If the take has a curve and all
+    samples of a row are on it, the row is evaluated between frames. Other rows, which
+    have no curve or which a pass changed, are interpolated linearly, rotations along
+    the shortest arc at constant speed. On a frame every row is its sample exactly.
 
     Attributes:
         take: F frames.
@@ -48,7 +47,7 @@ class Between:
 
     @staticmethod
     def of(take: Take) -> Between:
-        """Return a take between its frames, its samples compared with its curve.
+        """Return a take for sampling between frames; compares samples with its curve.
 
         >>> from fractions import Fraction
         >>> from animtool.clip.clip import Clip
@@ -63,42 +62,41 @@ class Between:
         times, curved = take.clock.times, dict[str, BoolArray]()
         for begin in range(0, len(times), BLOCK_FRAMES):
             part = slice(begin, begin + BLOCK_FRAMES)
-            given, own = take.curve(times[part]), take.motion.select(part)
+            evaluated, sampled = take.curve(times[part]), take.motion.select(part)
             for name in CURVED:
-                same = _same_rows(getattr(own, name), getattr(given, name))
+                same = _same_rows(getattr(sampled, name), getattr(evaluated, name))
                 if same is not None:
                     curved[name] = curved.get(name, same) & same
         return Between(take, {k: rows for k, rows in curved.items() if rows.any()})
 
     def at(
-        self, places: Places, *, smooth: bool = False, shared: bool = False
+        self, at: FramePositions, *, smooth: bool = False, shared: bool = False
     ) -> Motion:
-        """Return the take at places between its frames.
+        """Return the take at positions between its frames.
 
-        smooth: rows of joints that are not evaluated go along curves of class C1;
-        shared: rows move that move from frame to frame, and no others, as blocks of
-        one motion have to share them.
+        smooth: rows of joints without curves follow splines of class C1; shared: the
+        animated rows are those of the take, as blocks of one motion have to share them.
         """
         motion = self.take.motion
-        found = motion.map(places.blend)
+        blended = motion.map(at.blend)
         if smooth:
             scales = motion.scales
-            found = replace(
-                found,
-                translations=places.curve(motion.translations),
-                rotations=places.curve(motion.rotations),
-                scales=None if scales is None else places.curve(scales),
+            blended = replace(
+                blended,
+                translations=at.curve(motion.translations),
+                rotations=at.curve(motion.rotations),
+                scales=None if scales is None else at.curve(scales),
             )
-        between = places.fractions > 0
+        between = at.fractions > 0
         if not self.curved or not between.any():
-            return found
-        times = self._times(places)[between]
-        return self._evaluated(found, between, times, shared=shared)
+            return blended
+        times = self._times(at)[between]
+        return self._evaluated(blended, between, times, shared=shared)
 
     def curve(self, shown: Callable[[FloatArray], FloatArray]) -> MotionCurve | None:
         """Return the curve of a take whose time t shows time ``shown(t)`` of this one.
 
-        None where no row is evaluated.
+        None if no row has a curve.
         """
         if not self.curved:
             return None
@@ -106,57 +104,57 @@ class Between:
         start, step = float(clock.start), float(clock.step)
 
         def sample(times: FloatArray) -> Motion:
-            return self.at(nearby_places((shown(times) - start) / step, clock.count))
+            return self.at(nearby_positions((shown(times) - start) / step, clock.count))
 
         return sample
 
-    def _times(self, places: Places) -> FloatArray:
-        """Return the time codes of places ``(N,)``."""
+    def _times(self, at: FramePositions) -> FloatArray:
+        """Return the time codes of positions ``(N,)``."""
         clock = self.take.clock
-        frames = places.frames + places.fractions
+        frames = at.frames + at.fractions
         times = float(clock.start) + frames * float(clock.step)
         return np.asarray(np.round(times, TIME_DECIMALS))
 
     def _evaluated(
-        self, found: Motion, between: BoolArray, times: FloatArray, *, shared: bool
+        self, blended: Motion, between: BoolArray, times: FloatArray, *, shared: bool
     ) -> Motion:
-        """Return a motion with its rows that have curves evaluated between frames."""
+        """Return a motion with the rows that have curves evaluated between frames."""
         assert self.take.curve is not None
-        given = self.take.curve(times)
+        evaluated = self.take.curve(times)
         changed: dict[str, Channel] = {}
         for name, rows in self.curved.items():
-            own: Channel = getattr(found, name)
-            channel: Channel = getattr(given, name)
-            moves = (own.rest != channel.rest).any(axis=-1)
+            linear: Channel = getattr(blended, name)
+            channel: Channel = getattr(evaluated, name)
+            moves = (linear.rest != channel.rest).any(axis=-1)
             moves[channel.animated] = True
             moves &= not shared
-            moves[own.animated] = True
+            moves[linear.animated] = True
             moving = np.flatnonzero(moves & rows)
-            whole, values = own.gather(moving), channel.gather(moving)
+            values_of_rows, values = linear.gather(moving), channel.gather(moving)
             if name == "rotations":
-                values = so3.align_to(values, whole[between])
-            whole[between] = values
-            changed[name] = own.put(moving, whole)
+                values = so3.align_to(values, values_of_rows[between])
+            values_of_rows[between] = values
+            changed[name] = linear.put(moving, values_of_rows)
         return replace(
-            found,
-            translations=changed.get("translations", found.translations),
-            rotations=changed.get("rotations", found.rotations),
-            scales=changed.get("scales", found.scales),
-            weights=changed.get("weights", found.weights),
-            controls=changed.get("controls", found.controls),
+            blended,
+            translations=changed.get("translations", blended.translations),
+            rotations=changed.get("rotations", blended.rotations),
+            scales=changed.get("scales", blended.scales),
+            weights=changed.get("weights", blended.weights),
+            controls=changed.get("controls", blended.controls),
         )
 
 
-def _same_rows(own: Channel | None, given: Channel | None) -> BoolArray | None:
-    """Return which rows of two channels have the same values in every frame ``(J,)``.
+def _same_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
+    """Return which rows of two channels have equal values in all frames ``(J,)``.
 
-    None where there is nothing to compare.
+    None if there is nothing to compare.
     """
-    if own is None or given is None or own.rest.shape != given.rest.shape:
+    if a is None or b is None or a.rest.shape != b.rest.shape:
         return None
-    moving = np.union1d(own.animated, given.animated)
-    same: BoolArray = _near(own.rest[None], given.rest[None])[0]
-    same[moving] = _near(own.gather(moving), given.gather(moving)).all(axis=0)
+    moving = np.union1d(a.animated, b.animated)
+    same: BoolArray = _near(a.rest[None], b.rest[None])[0]
+    same[moving] = _near(a.gather(moving), b.gather(moving)).all(axis=0)
     return same
 
 

@@ -1,8 +1,8 @@
-"""Two motions of one rig made into one: mixed, added, with continuous signs.
+"""Two motions of one rig combined: mixed or added, with continuous signs.
 
-What addition means for each kind of channel is said in `animtool.maths.additive`.
+Addition of each kind of channel is defined in `animtool.maths.additive`.
 
-What moves in neither stays stored once, unless the weight changes over time.
+Rows static in both stay stored once, unless the weight changes over time.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.edit.between import Between
-from animtool.edit.travel import even_places
+from animtool.edit.travel import even_positions
 from animtool.maths import additive, so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
@@ -44,7 +44,7 @@ Operation: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Operations:
-    """What is done to each kind of channel; ``numbers`` to weights and controls."""
+    """The operation on each kind of channel; ``numbers`` for weights and controls."""
 
     translations: Operation
     rotations: Operation
@@ -54,7 +54,7 @@ class Operations:
 
 @dataclass(frozen=True, slots=True)
 class Strength:
-    """How much of the second motion counts, and where."""
+    """Weight of the second motion, and the joints it affects."""
 
     weights: FloatArray  # [1] ``(F,)``
     steady: bool = True  # the weight never changes, in this block or another
@@ -63,7 +63,7 @@ class Strength:
 
 
 def check_same_rig(rig: Rig, other: Rig) -> None:
-    """Refuse two takes whose joints differ in names or parents (SCN017)."""
+    """Refuse two takes whose joints differ in name or parent (SCN017)."""
     if rig.names == other.names and np.array_equal(rig.parents, other.parents):
         return
     missing = sorted(set(rig.names) ^ set(other.names))
@@ -85,16 +85,16 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
 def combine(
     base: Motion, other: Motion, operations: Operations, strength: Strength
 ) -> Motion:
-    """Return one motion of two that have the same frames and rig.
+    """Return the combination of two motions with the same frames and rig.
 
     A motion without scales has scale 1, one without shape weights has 0; controls
-    are changed only where both have some.
+    change only if both motions have some.
     """
-    whole = strength.joints is None
+    everything = strength.joints is None
 
     def numbers(name: str) -> Channel | None:
         a, b = getattr(base, name), getattr(other, name)
-        if not whole or (a is None and b is None):
+        if not everything or (a is None and b is None):
             return _as_channel(a)
         if name == "controls" and (a is None or b is None):
             return _as_channel(a)
@@ -133,7 +133,7 @@ def _as_channel(value: object) -> Channel | None:
 
 
 def _neutral(like: Channel, value: float) -> Channel:
-    return Channel.still(np.full(like.rest.shape, value), len(like.values))
+    return Channel.static(np.full(like.rest.shape, value), len(like.values))
 
 
 def _joined(
@@ -145,11 +145,11 @@ def _joined(
         else np.array(strength.joints, np.int64)
     )
     moves = np.isin(chosen, np.union1d(a.animated, b.animated)) | (not strength.steady)
-    moving, still = chosen[moves], chosen[~moves]
+    moving, fixed = chosen[moves], chosen[~moves]
     weights = strength.weights[:, None, None]
     rest = a.rest.copy()
-    if len(still) and len(weights):
-        rest[still] = operation(a.rest[still][None], b.rest[still][None], weights[:1])[
+    if len(fixed) and len(weights):
+        rest[fixed] = operation(a.rest[fixed][None], b.rest[fixed][None], weights[:1])[
             0
         ]
     result = replace(a, rest=rest)
@@ -188,7 +188,7 @@ def subtract(source: Motion, base: Motion) -> Motion:
     return combine(source, base, _SUBTRACT, Strength(np.ones(source.frames)))
 
 
-def _whole(operation: additive.Difference) -> Operation:
+def _full_difference(operation: additive.Difference) -> Operation:
     def apply(source: FloatArray, base: FloatArray, _: FloatArray) -> FloatArray:
         return operation(source, base)
 
@@ -197,19 +197,18 @@ def _whole(operation: additive.Difference) -> Operation:
 
 _ADD = Operations(additive.shifted, additive.turned, additive.scaled, additive.shifted)
 _SUBTRACT = Operations(
-    _whole(additive.unshifted),
-    _whole(additive.unturned),
-    _whole(additive.unscaled),
-    _whole(additive.unshifted),
+    _full_difference(additive.unshifted),
+    _full_difference(additive.unturned),
+    _full_difference(additive.unscaled),
+    _full_difference(additive.unshifted),
 )
 
 
 def mix(base: Motion, other: Motion, strength: Strength) -> Motion:
-    """Return a motion on the way from one to another, weight 0 to 1.
+    """Return a motion between two, weight 0 to 1.
 
-    Rotations go along the shortest arc (slerp), the rest in a straight line; at
-    weight 0 and 1 the values are exactly those of one motion. Signs of rotations
-    may jump.
+    Rotations follow the shortest arc (slerp), other values are linear; at weight 0 and
+    1 the values are exactly those of one motion. Signs of rotations may jump.
 
     >>> from animtool.motion.take import Channel
     >>> zero, one = (Channel.from_dense(np.full((1, 1, 3), x)) for x in (0.0, 1.0))
@@ -227,7 +226,7 @@ def _line(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
 
 def _arc(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
     between = so3.slerp(a, b, weight[..., 0])
-    # What both hold alike stays as it is, to the last bit.
+    # Equal values stay unchanged to the last bit.
     kept = (weight == 0) | (a == b).all(axis=-1, keepdims=True)
     return np.where(kept, a, np.where(weight == 1, b, between))
 
@@ -242,14 +241,14 @@ def other_frames(
     count: int,
     delay: Fraction = Fraction(0),
 ) -> Motion:
-    """Return another take at ``count`` frames of a rate [1/s], held at its ends.
+    """Return another take at ``count`` frames of a rate [1/s], clamped at its ends.
 
-    First frames coincide, whatever the time codes say; ``delay`` starts it later
-    [frame]. What it has curves of is evaluated. Given as `Between`, it may be asked for
-    block by block: all share the rows that move.
+    First frames coincide, whatever the time codes; ``delay`` starts it later [frame].
+    Its curves are evaluated. As a `Between` it may be read block by block: all blocks
+    share the animated rows.
     """
     between = other if isinstance(other, Between) else Between.of(other)
     clock = between.take.clock
     index = np.arange(first, first + count)
-    places = even_places(index, -delay, clock.rate / rate, clock.count)
-    return between.at(places, shared=between is other)
+    positions = even_positions(index, -delay, clock.rate / rate, clock.count)
+    return between.at(positions, shared=between is other)

@@ -1,4 +1,4 @@
-"""Frames that options name, in the time codes of a take."""
+"""Frames in options, as time codes of a take."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from animtool.core.errors import Fault, OptionError
 
 
 def exact(number: float, name: str) -> Fraction:
-    """Return the fraction that a person meant by a decimal.
+    """Return the fraction that a decimal literal means.
 
     Raises:
         OptionError: It is not finite (SCN013).
@@ -24,7 +24,7 @@ def exact(number: float, name: str) -> Fraction:
 
 
 def check_range(first: float | None, last: float | None) -> None:
-    """Refuse a range of frames that is reversed; None is the end of a take."""
+    """Refuse a reversed range of frames; None is an end of the take."""
     ends = [
         exact(end, name)
         for end, name in ((first, "first"), (last, "last"))
@@ -37,7 +37,7 @@ def check_range(first: float | None, last: float | None) -> None:
 
 
 def frame_refusal(message: str, hint: str | None = None) -> OptionError:
-    """Return the error of a frame that a take has not."""
+    """Return the error for a frame outside a take."""
     return OptionError(Fault("SCN013", message, hint=hint))
 
 

@@ -1,4 +1,4 @@
-"""Takes over each other: layers, blends and differences."""
+"""Layering of takes: layers, blends and differences."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from animtool.edit.combine import (
 )
 from animtool.edit.frames import check_count, exact, frame_index
 from animtool.edit.tree import joints_matching
-from animtool.motion.keyed import Interpolation, Weight, chosen, weights_at
+from animtool.motion.keyed import KeyInterpolation, Weight, chosen, weights_at
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     MOTION_PARTS,
@@ -43,7 +43,7 @@ from animtool.rig.skeleton import Rig
 
 @dataclass(frozen=True, slots=True)
 class BlendOptions:
-    """What is blended with, and when.
+    """The other take of a blend, its weight and timing.
 
     Attributes:
         take: File of the other take.
@@ -54,7 +54,7 @@ class BlendOptions:
 
     take: Path | None = None
     weight: float | tuple[tuple[float, float], ...] = 0.5
-    interpolation: Interpolation = Interpolation.LINEAR
+    interpolation: KeyInterpolation = KeyInterpolation.LINEAR
     delay: float = 0.0
 
 
@@ -63,13 +63,13 @@ def blend(
     other: Take,
     *,
     weight: Weight = 0.5,
-    interpolation: Interpolation | str = Interpolation.LINEAR,
+    interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
     delay: float = 0.0,
 ) -> Take:
     """Return the weighted mean of two takes, on the clock of the first.
 
-    The result lasts from the first frame of ``take`` to the end of the later of
-    the two; each is held at its ends. The other starts ``delay`` later.
+    The result runs from the first frame of ``take`` to the end of the later one; each
+    is clamped at its ends. The other starts ``delay`` later.
 
     Args:
         take: F frames, whose clock the result has.
@@ -91,13 +91,13 @@ def blend(
     length = (other.clock.count - 1) * clock.rate / other.clock.rate
     count = max(clock.count, 1 + math.floor(late + length))
     check_count(count)
-    whole = replace(clock, count=count)
-    weights = weights_at(weight, whole.times, interpolation)
+    full_clock = replace(clock, count=count)
+    weights = weights_at(weight, full_clock.times, interpolation)
     strength = Strength(weights, isinstance(weight, (int, float)))
     one = other_frames(take, clock.rate, 0, count)
     two = other_frames(other, clock.rate, 0, count, late)
     motion = continuous(mix(one, two, strength)).map(Channel.compact)
-    return replace(take, clock=whole, motion=motion)
+    return replace(take, clock=full_clock, motion=motion)
 
 
 def _blended(take: Take, options: BlendOptions, context: PassContext) -> Take:
@@ -146,9 +146,9 @@ class DifferenceOptions:
 def difference(
     take: Take, base: Take | None = None, frame: float | None = None
 ) -> Take:
-    """Return the additive take that makes ``take`` when it is put on ``base``.
+    """Return the additive take that turns ``base`` into ``take``.
 
-    The layer pass puts it back, with the convention of `animtool.maths.additive`.
+    The layer pass adds it back, with the convention of `animtool.maths.additive`.
 
     Args:
         take: F frames.
@@ -161,13 +161,13 @@ def difference(
             (SCN017), or a scale of it is 0 (SCN023).
     """
     below = rest_take(take.rig, take.clock) if base is None else base
-    return _without(TakeStream.of(take), _base(below, frame)).collect()
+    return _subtract_stream(TakeStream.of(take), _base(below, frame)).collect()
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
-    """Return one frame of a rig at rest, on the rate of a clock."""
-    still = Channel.still
-    motion = Motion(still(rig.rest_translations), still(rig.rest_rotations))
+    """Return a one-frame take of a rig at rest, on the rate of a clock."""
+    constant = Channel.static
+    motion = Motion(constant(rig.rest_translations), constant(rig.rest_rotations))
     return Take(rig, replace(clock, count=1), motion)
 
 
@@ -186,7 +186,7 @@ def _base(base: Take, frame: float | None) -> Take:
     return base
 
 
-def _without(stream: TakeStream, base: Take) -> TakeStream:
+def _subtract_stream(stream: TakeStream, base: Take) -> TakeStream:
     check_same_rig(stream.rig, base.rig)
     return replace(stream, blocks=_blocks(stream, base))
 
@@ -209,7 +209,7 @@ def _subtracted(
         base = rest_take(stream.rig, Clock(stream.fps, start, stream.step, 1))
     else:
         base = context.take(options.base, "base")
-    return _without(stream, _base(base, options.frame))
+    return _subtract_stream(stream, _base(base, options.frame))
 
 
 DIFFERENCE = Pass(
@@ -223,7 +223,7 @@ DIFFERENCE = Pass(
 
 
 class LayerMode(StrEnum):
-    """What a layer does to what is below it."""
+    """How a layer combines with the take below it."""
 
     ADDITIVE = "additive"
     OVERRIDE = "override"
@@ -231,7 +231,7 @@ class LayerMode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LayerOptions:
-    """What is put on top, where and how strongly.
+    """The layer take, its joints and weight.
 
     Attributes:
         take: File of the other take.
@@ -249,7 +249,7 @@ class LayerOptions:
     take: Path | None = None
     mode: LayerMode = LayerMode.OVERRIDE
     weight: float | tuple[tuple[float, float], ...] = 1.0
-    interpolation: Interpolation = Interpolation.LINEAR
+    interpolation: KeyInterpolation = KeyInterpolation.LINEAR
     joints: tuple[str, ...] = ()
     children: bool = False
     delay: float = 0.0
@@ -261,15 +261,15 @@ def layer(
     *,
     mode: LayerMode | str = LayerMode.OVERRIDE,
     weight: Weight = 1.0,
-    interpolation: Interpolation | str = Interpolation.LINEAR,
+    interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
     joints: str | Sequence[str] = (),
     children: bool = False,
     delay: float = 0.0,
 ) -> Take:
-    """Return a take with another on top.
+    """Return a take with another layered on top.
 
     The result has the frames of ``take``. The other take starts with it, ``delay``
-    later, is resampled to its rate and held at its own ends.
+    later, is resampled to its rate and clamped at its ends.
 
     Args:
         take: F frames, whose clock and rig the result has.
@@ -294,7 +294,7 @@ def layer(
         other,
         chosen(LayerMode, mode, "mode"),
         weight,
-        chosen(Interpolation, interpolation, "interpolation"),
+        chosen(KeyInterpolation, interpolation, "interpolation"),
         _limited(take.rig, joints, children),
         delay,
     )
@@ -310,7 +310,7 @@ class _Plan:
     other: Take
     mode: LayerMode
     weight: Weight
-    interpolation: Interpolation
+    interpolation: KeyInterpolation
     joints: list[int] | None
     delay: float
 
@@ -348,7 +348,7 @@ def _layered(
         context.take(options.take),
         chosen(LayerMode, options.mode, "mode"),
         options.weight,
-        chosen(Interpolation, options.interpolation, "interpolation"),
+        chosen(KeyInterpolation, options.interpolation, "interpolation"),
         _limited(stream.rig, options.joints, options.children),
         options.delay,
     )

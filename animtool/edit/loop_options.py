@@ -1,4 +1,4 @@
-"""Which cycle is repeated, and how often."""
+"""Options of loops."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class LoopOptions:
 
     Attributes:
         find: Look for the best cycle between ``first`` and ``last``.
-        shortest: Least length of a cycle that is looked for [s].
+        shortest: Least length of the cycle [s].
         longest: Most [s].
     """
 

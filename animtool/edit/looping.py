@@ -1,10 +1,10 @@
-"""A take repeated without a seam.
+"""Seamless repetition of a take.
 
-Towards the end two corrections are added, quintics of the time s from 0 to 1:
-one that brings the pose there and arrives without speed, and one that brings the
-speed and arrives without offset. Both begin with neither, nor acceleration, so
-that what comes before the blend stays as it is (the idea of D. Bollo,
-Inertialization: high-performance animation transitions in Gears of War, 2018).
+Towards the end two corrections are added, quintics of the time s from 0 to 1: one
+removes the pose offset and arrives without speed, the other corrects the speed and
+arrives without offset. Both start with no offset, speed or acceleration, so that frames
+before the blend stay unchanged (the idea of D. Bollo, Inertialization: high-performance
+animation transitions in Gears of War, 2018).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from animtool.edit.combine import continuous
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.frames import check_count, check_range, frame_index
 from animtool.edit.loop_options import LoopOptions
-from animtool.edit.travel import Travel, nearby_places, travel_of
+from animtool.edit.travel import CycleTravel, cycle_travel, nearby_positions
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
@@ -42,20 +42,20 @@ from animtool.rig.skeleton import Joint, Rig
 _Value = TypeVar("_Value", bound=np.generic)
 Onward: TypeAlias = Callable[[FloatArray], FloatArray]
 
-# Where a cycle is the whole of its take, its ends tell speeds apart only roughly. A
-# change of speed no larger than this share of the largest within is then taken for
-# the motion's own: an even cycle stays as it is, whose fastest part takes nine
+# If a cycle spans the full take, speeds at its ends are only approximate. A
+# change of speed below this fraction of the largest within is then taken as
+# natural: an even cycle stays unchanged if its fastest part takes nine
 # frames or more (by Bernstein's inequality).
-OWN_CHANGE = 0.25
+NATURAL_CHANGE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class SeamBlend:
-    """A cycle within some frames, and how much of each correction its frames take."""
+    """A cycle within some frames, and the blend weights of its corrections."""
 
     length: int  # frames of the cycle, L
     before: int  # whether there is a frame before the cycle (1) or none (0)
-    behind: int  # whether there is one behind the frame that shows the first pose again
+    behind: int  # whether there is one after the frame that shows the first pose again
     pose: FloatArray  # how much of the offset at the end [1] ``(L, 1, 1)``
     speed: FloatArray  # how much of the missing speed [frame] ``(L, 1, 1)``
 
@@ -71,19 +71,19 @@ class SeamBlend:
 
     @property
     def late(self) -> slice:
-        """The frames that are blended: the last of the cycle."""
+        """The blended frames: the last of the cycle."""
         (frames,) = np.nonzero(self.pose[:, 0, 0])
         return slice(int(frames[0]) if len(frames) else self.length, self.length)
 
     def cycle(self, values: npt.NDArray[_Value]) -> npt.NDArray[_Value]:
-        """Return the frames of the cycle and the one behind it ``(L + 1, ...)``."""
+        """Return the frames of the cycle and the one after it ``(L + 1, ...)``."""
         return values[self.before : self.before + self.length + 1]
 
     def ends(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the frames by which speed is known at the start and at the end.
+        """Return the frames that determine speed at the start and at the end.
 
-        They are the frames on either side where both ends have them; else, if the
-        cycle is all there is, the three frames that it has at each end.
+        They are the frames on either side if both ends have them; else, if the cycle
+        spans the full take, three frames at each end.
         """
         around = self.before + self.behind
         if around:
@@ -93,7 +93,7 @@ class SeamBlend:
 
 
 def closed_lines(values: FloatArray, blend: SeamBlend, onward: Onward) -> FloatArray:
-    """Return a cycle of vectors that runs into what comes after it ``(L, A, K)``."""
+    """Return a cycle of vectors that continues into its successor ``(L, A, K)``."""
     cycle = blend.cycle(values)
     start, end = blend.ends(values)
     missing = _missing_speed(
@@ -108,8 +108,10 @@ def closed_lines(values: FloatArray, blend: SeamBlend, onward: Onward) -> FloatA
     return closed
 
 
-def closed_turns(values: FloatArray, blend: SeamBlend, onward: Onward) -> FloatArray:
-    """Return a cycle of rotations that runs into what comes after it ``(L, A, 4)``."""
+def closed_rotations(
+    values: FloatArray, blend: SeamBlend, onward: Onward
+) -> FloatArray:
+    """Return a cycle of rotations that continues into its successor ``(L, A, 4)``."""
     cycle = blend.cycle(values)
     start, end = blend.ends(values)
     gap = so3.multiply(so3.conjugate(cycle[-1]), onward(cycle[:1])[0])
@@ -131,7 +133,7 @@ def _missing_speed(
     measure: Callable[[], FloatArray],
     blend: SeamBlend,
 ) -> FloatArray:
-    """Return the speed ``(A, K)`` [a frame] that the end of a cycle lacks.
+    """Return the speed ``(A, K)`` [a frame] missing at the end of a cycle.
 
     ``measure`` returns the steps from frame to frame ``(L, A, K)``.
     """
@@ -145,14 +147,14 @@ def _missing_speed(
     missing = starting[0] - ending[1] - mean_rate
     size = np.linalg.norm(missing, axis=-1, keepdims=True)
     changes = np.linalg.norm(np.diff(steps, axis=0), axis=-1).max(axis=0)
-    beyond = np.maximum(size - OWN_CHANGE * changes[:, None], 0)
+    beyond = np.maximum(size - NATURAL_CHANGE * changes[:, None], 0)
     return np.asarray(missing * (beyond / np.where(size > 0, size, 1)))
 
 
 def mapped_numbers(
     track: Track, known: Transforms, function: Callable[[FloatArray], FloatArray]
 ) -> Transforms:
-    """Return transforms with a function applied to everything that is a number.
+    """Return transforms with a function applied to all numeric attributes.
 
     ``function`` ``(F, A, K)``.
     """
@@ -171,37 +173,37 @@ def mapped_numbers(
             numbers(values) if attribute.width else values
             for attribute, values in zip(track.attributes, known.values, strict=True)
         ),
-        known.held,
+        known.clamped,
     )
 
 
 def gridded(track: Track, known: Transforms) -> Track:
-    """Return a track that is known at times 0, 1, 2 ..., and is held at its ends.
+    """Return a track sampled at times 0, 1, 2 ..., clamped at its ends.
 
-    Between two of them rotations go along the shortest arc and numbers in a straight
-    line; choices last until the next.
+    Between samples rotations follow the shortest arc, numbers are linear and tokens are
+    held.
     """
     count = len(known)
 
     def sample(times: FloatArray) -> Transforms:
-        places = nearby_places(times, count)
+        positions = nearby_positions(times, count)
 
         def between(values: FloatArray) -> FloatArray:
             every = np.arange(values.shape[1])
-            return places.blend(Channel(values[0], every, values)).values
+            return positions.blend(Channel(values[0], every, values)).values
 
         mapped = mapped_numbers(track, known, between)
         values = tuple(
-            mapped.values[i] if attribute.width else known.values[i][places.frames]
+            mapped.values[i] if attribute.width else known.values[i][positions.frames]
             for i, attribute in enumerate(track.attributes)
         )
-        held = None if known.held is None else known.held[places.frames]
-        return replace(mapped, values=values, held=held)
+        static = None if known.clamped is None else known.clamped[positions.frames]
+        return replace(mapped, values=values, clamped=static)
 
     return replace(track, sample=sample)
 
 
-# Ends that differ by more than this share of what the cycle moves are seen to slide.
+# Ends that differ by more than this fraction of the cycle's extent visibly slide.
 POOR_SEAM = 0.2
 
 
@@ -216,16 +218,15 @@ def loop(
     repeats: int = _DEFAULTS.repeats,
     blend: int = _DEFAULTS.blend,
 ) -> Take:
-    """Return a cycle of the take, repeated; `find_cycle` looks for one.
+    """Return a cycle of the take, repeated; `find_cycle` searches for one.
 
-    The frame ``last`` is the first of the next cycle and is not shown itself. Over
-    the ``blend`` frames before it, what the cycle lacks of the first pose and of
-    the speed there is added, so that neither jumps; speeds are known best where the
-    take has frames on either side of the cycle. What carries the character
-    keeps its travel: each cycle goes on, over the ground and about the up axis,
-    from where the one before it ended. That is a root, or the topmost joint that
-    travels below a root that stands still. Tracks keep their own travel likewise. A
-    take of one frame stays as it is.
+    The frame ``last`` is the first of the next cycle and is not shown itself. Over the
+    ``blend`` frames before it, the missing offset and speed are added, so that neither
+    jumps; speeds are most accurate if the take has frames on either side of the cycle.
+    The joint that carries the character keeps its travel: each cycle continues, on the
+    ground and about the up axis, from the end of the previous one. That is a root, or
+    the topmost moving joint below a static root. Tracks keep their travel likewise. A
+    take of one frame stays unchanged.
 
     Args:
         take: F frames.
@@ -254,7 +255,7 @@ def loop(
     before, behind = int(i > 0), int(j < clock.count - 1)
     seam = SeamBlend.over(length, blend, before, behind)
     within, around = slice(i, j + 1), slice(i - before, j + behind + 1)
-    cycle = _Cycling(travel_of(take.rig, take.motion.select(within)), seam, repeats)
+    cycle = _Cycling(cycle_travel(take.rig, take.motion.select(within)), seam, repeats)
     motion = cycle.motion(take.motion.select(around))
     tracks = take.tracks
     if tracks:
@@ -271,10 +272,9 @@ def loop(
 def _looped_tracks(
     take: Take, motion: Motion, around: slice, seam: SeamBlend, repeats: int
 ) -> tuple[Motion, tuple[Track, ...]]:
-    """Return the looped motion with the times of looped tracks, and these.
+    """Return the looped motion with the times of looped tracks, and the tracks.
 
-    Each goes on as a root does, and is a function of time no more: its times are the
-    frames of the loop.
+    Each continues as a root does, and is sampled at the loop's frames.
     """
     times = take.motion.track_times
     assert times is not None
@@ -294,38 +294,38 @@ def _looped_track(
     track: Track, known: Transforms, up: UpAxis, seam: SeamBlend, repeats: int
 ) -> Track:
     root = Rig("track", (Joint("root", -1),), up=up)
-    place = Motion(
+    motion = Motion(
         Channel.from_dense(known.translations[:, None]),
         Channel.from_dense(known.rotations[:, None]),
     )
     ends = slice(seam.before, seam.before + seam.length + 1)
-    cycle = _Cycling(travel_of(root, place.select(ends)), seam, repeats)
-    moved = cycle.motion(place)
+    cycle = _Cycling(cycle_travel(root, motion.select(ends)), seam, repeats)
+    looped_motion = cycle.motion(motion)
 
     def closed(values: FloatArray) -> FloatArray:
-        once = closed_lines(values, seam, lambda same: same)
-        return np.concatenate([once] * repeats)
+        cycle_values = closed_lines(values, seam, lambda same: same)
+        return np.concatenate([cycle_values] * repeats)
 
     mapped = mapped_numbers(track, known, closed)
-    held = tuple(
+    looped_values = tuple(
         values if attribute.width else np.tile(seam.cycle(values)[:-1], repeats)
         for attribute, values in zip(track.attributes, mapped.values, strict=True)
     )
     looped = replace(
         mapped,
-        translations=moved.translations.dense()[:, 0],
-        rotations=moved.rotations.dense()[:, 0],
-        values=held,
-        held=None
-        if known.held is None
-        else np.tile(seam.cycle(known.held)[:-1], repeats),
+        translations=looped_motion.translations.dense()[:, 0],
+        rotations=looped_motion.rotations.dense()[:, 0],
+        values=looped_values,
+        clamped=None
+        if known.clamped is None
+        else np.tile(seam.cycle(known.clamped)[:-1], repeats),
     )
     return gridded(track, looped)
 
 
 @dataclass(frozen=True, slots=True)
 class _Cycling:
-    travel: Travel
+    travel: CycleTravel
     blend: SeamBlend
     repeats: int
 
@@ -351,17 +351,17 @@ class _Cycling:
         return replace(channel, values=self.repeated(cycle, onward))
 
     def rotations(self, channel: Channel) -> Channel:
-        turns = self.travel.turns[channel.animated]
+        travel = self.travel.rotations[channel.animated]
 
         def onward(values: FloatArray) -> FloatArray:
-            return so3.multiply(turns, values)
+            return so3.multiply(travel, values)
 
-        cycle = closed_turns(channel.values, self.blend, onward)
+        cycle = closed_rotations(channel.values, self.blend, onward)
         return replace(channel, values=self.repeated(cycle, onward))
 
     def repeated(self, cycle: FloatArray, onward: Onward) -> FloatArray:
         parts = [cycle]
-        # One step a repeat: each is the travel of the one before it.
+        # One step per repeat: each adds the travel to the previous one.
         for _ in range(self.repeats - 1):
             parts.append(onward(parts[-1]))
         return np.concatenate(parts)
@@ -392,12 +392,12 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
     else:
         return take
     result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
-    context.notices.extend(said_of(cycle, searched=options.find))
+    context.notices.extend(cycle_notices(cycle, searched=options.find))
     return result
 
 
-def said_of(cycle: Cycle, *, searched: bool) -> list[Fault]:
-    """Return what is worth saying of a cycle."""
+def cycle_notices(cycle: Cycle, *, searched: bool) -> list[Fault]:
+    """Return the notices about a cycle."""
     ends = (
         f"frames {cycle.first:g} and {cycle.last:g} differ by "
         f"{1000 * cycle.apart:.2f} mm, {100 * cycle.share:.0f}% of the motion "

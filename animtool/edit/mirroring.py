@@ -1,4 +1,4 @@
-"""Left and right of a take change places, controls too."""
+"""Mirroring of a take: left and right exchanged, controls too."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from animtool.rig.kinematics import rest_size, rest_world
 from animtool.rig.sides import SidePairs, pair_sides, unpaired_sides
 from animtool.rig.skeleton import Rig
 
-# How far a control is moved to see what it does, as a share of its range [1].
+# Test change of a control, as a fraction of its range [1].
 NUDGE = 0.1
-# Effects that differ by less are the same [rad], [m].
+# Effects that differ by less are equal [rad], [m].
 SAME_EFFECT = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class ControlMirror:
-    """How values of each control look on its partner."""
+    """How values of each control map to its partner."""
 
     partners: IntArray  # index of each one's partner ``(C,)``
-    # 1 where both go the same way, -1 where they go opposite ways ``(C,)``.
+    # 1 for equal signs, -1 for opposite signs ``(C,)``.
     signs: FloatArray
     pivots: FloatArray  # the values that stay where signs change ``(C,)``
 
@@ -54,30 +54,31 @@ class ControlMirror:
         shapes: IntArray,
         normal: FloatArray,
     ) -> ControlMirror:
-        """Return what a rig's controls do in a mirror.
+        """Return how a rig's controls are mirrored.
 
-        A control and its partner go opposite ways where the mirror image of what one
-        does to joints and shapes is nearer to what the other does when it goes back:
-        a control that turns the head to the left above 0, to the right below it.
+        A control and its partner have opposite signs if the mirror image of one's
+        effect on joints and shapes is nearer to the other's negative effect: a control
+        that turns the head left above 0 and right below it.
 
         ``partners`` ``(C,)``, ``joints`` ``(J,)``, ``shapes`` ``(S,)``, ``normal``
         ``(3,)``.
         """
-        # Axes of rotation turn the other way round.
+        # A mirror reverses axes of rotation.
         across = np.concatenate([-normal, normal])
         turned = rest_world(rig).linear[0]
 
-        def effect(c: int, way: float) -> FloatArray:
-            return _flat(_effect(rig, c, way, turned))
+        def effect(c: int, sign: float) -> FloatArray:
+            return _flat(_effect(rig, c, sign, turned))
 
         signs = np.ones(len(partners))
         for i, partner in enumerate(partners.tolist()):
-            moved, weights = _effect(rig, i, 1.0, turned)
-            seen = _flat(((moved * across)[joints], weights[shapes]))
-            if not seen.any():
+            displaced, weights = _effect(rig, i, 1.0, turned)
+            flat_effect = _flat(((displaced * across)[joints], weights[shapes]))
+            if not flat_effect.any():
                 continue
             on, back = (
-                np.linalg.norm(seen - effect(partner, way)) for way in (1.0, -1.0)
+                np.linalg.norm(flat_effect - effect(partner, sign))
+                for sign in (1.0, -1.0)
             )
             if back < on - SAME_EFFECT:
                 signs[i] = -1.0
@@ -85,13 +86,13 @@ class ControlMirror:
         return ControlMirror(partners, signs, pivots)
 
     def __call__(self, values: FloatArray, c: IntArray) -> FloatArray:
-        """Return values ``(..., A, 1)`` of controls as their partners have them."""
+        """Return values ``(..., A, 1)`` of controls mapped to their partners."""
         turned = self.pivots[self.partners[c], None] - (values - self.pivots[c, None])
         return np.where(self.signs[c, None] < 0, turned, values)
 
 
 def _pivot(control: Control) -> float:
-    """Return 0, or the default of a control whose range is without 0."""
+    """Return 0, or the default of a control whose range excludes 0."""
     if control.low is None or control.high is None:
         return 0.0
     return 0.0 if control.low <= 0 <= control.high else control.default
@@ -102,22 +103,21 @@ def _flat(effect: tuple[FloatArray, FloatArray]) -> FloatArray:
 
 
 def _effect(
-    rig: Rig, c: int, way: float, turned: FloatArray
+    rig: Rig, c: int, sign: float, turned: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what a control does when it moves a little one way, 1 or -1.
+    """Return the effect of a small change of a control, in direction 1 or -1.
 
-    That is to each joint in the world ``(J, 6)``, a rotation vector [rad] and a
-    translation [m]; and to each shape ``(S,)``. ``turned`` are joints at rest, world
-    ``(J, 3, 3)``.
+    On each joint in the world ``(J, 6)``, a rotation vector [rad] and a translation
+    [m]; and on each shape ``(S,)``. ``turned`` are joints at rest, world ``(J, 3, 3)``.
     """
     control = rig.controls[c]
     span = 1.0
     if control.low is not None and control.high is not None:
         span = control.high - control.low
-    still = np.array([_pivot(control)])
-    moved = still + way * NUDGE * span
-    before = evaluate_controls(rig.controls, {control.name: still}).targets
-    after = evaluate_controls(rig.controls, {control.name: moved}).targets
+    start = np.array([_pivot(control)])
+    displaced = start + sign * NUDGE * span
+    before = evaluate_controls(rig.controls, {control.name: start}).targets
+    after = evaluate_controls(rig.controls, {control.name: displaced}).targets
     local, weights = np.zeros((len(rig.joints), 6)), np.zeros(len(rig.shapes))
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
     for target in after:
@@ -155,7 +155,7 @@ class Axis(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MirrorOptions:
-    """Where the mirror stands, and what it swaps.
+    """The mirror plane, and the joints it exchanges.
 
     Attributes:
         axis: Normal of the mirror's plane.
@@ -208,8 +208,8 @@ def _tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
 def _stated(rig: Rig, pairs: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     for name in (name for pair in pairs for name in pair):
         joint_index(rig, name, "pairs")
-    own = [(j.name, str(getattr(j, "mirror", ""))) for j in rig.joints]
-    return [*pairs, *((a, b) for a, b in own if b in rig.names)]
+    stated = [(j.name, str(getattr(j, "mirror", ""))) for j in rig.joints]
+    return [*pairs, *((a, b) for a, b in stated if b in rig.names)]
 
 
 def _mirrored(
@@ -243,7 +243,7 @@ def _mirrored(
 
 
 def _kept(rig: Rig, partners: IntArray) -> BoolArray:
-    """Return which joints have no partner, and a parent that has one ``(J,)``."""
+    """Return which joints have no partner but a parent that has one ``(J,)``."""
     parents = rig.parents
     alone = partners == np.arange(len(partners))
     return np.asarray(alone & (parents >= 0) & (partners[parents] != parents))
@@ -252,7 +252,7 @@ def _kept(rig: Rig, partners: IntArray) -> BoolArray:
 def _strays(
     kind: str, names: Sequence[str], pairs: SidePairs, kept: BoolArray | None = None
 ) -> Iterator[Fault]:
-    """Yield a warning about parts of one side that have no partner."""
+    """Yield a warning about joints of one side without a partner."""
     alone = {*pairs.strays, *([] if kept is None else np.flatnonzero(kept).tolist())}
     if not alone:
         return
@@ -285,10 +285,10 @@ def _asymmetries(
     roots = np.arange(len(positions))
     for i, joint in enumerate(rig.joints):
         roots[i] = roots[joint.parent] if joint.parent >= 0 else i
-    own = positions - positions[roots]
+    offsets = positions - positions[roots]
     size = rest_size(rig)
     across = np.where(np.arange(3) == axis, -1.0, 1.0)
-    away = np.linalg.norm(own[partners] * across - own, axis=1) * looked_at
+    away = np.linalg.norm(offsets[partners] * across - offsets, axis=1) * looked_at
     worst = int(away.argmax())
     if not away[worst] > SYMMETRIC * size:
         return
@@ -304,7 +304,7 @@ def _asymmetries(
 
 
 def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) -> None:
-    """Refuse stated pairs whose parents are no partners."""
+    """Refuse stated pairs whose parents are not partners."""
     faults = []
     for a, b in pairs:
         above = [rig.joints[rig.index(name)].parent for name in (a, b)]
@@ -335,7 +335,7 @@ def _check_tree(rig: Rig, partners: IntArray, kept: BoolArray) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Glass:
-    """How values of each joint look on its partner."""
+    """How values of each joint map to its partner."""
 
     partners: IntArray
     kept: BoolArray  # those that keep their values (J,)
@@ -359,7 +359,7 @@ class _Glass:
         p = self.partners[j]
         turned = so3.multiply(self.above[j], values)
         turned = so3.multiply(turned, so3.conjugate(self.world[j]))
-        # A mirror turns axes of rotation the other way round.
+        # A mirror reverses axes of rotation.
         turned = turned * np.append(-self.normal, 1.0)
         turned = so3.multiply(so3.conjugate(self.above[p]), turned)
         turned = so3.multiply(turned, self.world[p])
@@ -368,8 +368,8 @@ class _Glass:
     def translations(self, values: FloatArray, j: IntArray) -> FloatArray:
         p = self.partners[j]
         away = so3.rotate(self.above[j], values - self.rest[j]) * self.normal
-        moved = self.rest[p] + so3.rotate(so3.conjugate(self.above[p]), away)
-        return np.where(self.kept[j, None], values, moved)
+        reflected = self.rest[p] + so3.rotate(so3.conjugate(self.above[p]), away)
+        return np.where(self.kept[j, None], values, reflected)
 
     def scales(self, values: FloatArray, j: IntArray) -> FloatArray:
         ours, theirs = (so3.to_matrix(self.world[k]) for k in (j, self.partners[j]))
@@ -383,11 +383,11 @@ def _blocks(
 ) -> Iterator[Motion]:
     for block in stream.blocks:
         yield Motion(
-            _seen(block.translations, glass.partners, glass.translations),
-            _seen(block.rotations, glass.partners, glass.rotations),
+            _mirrored_channel(block.translations, glass.partners, glass.translations),
+            _mirrored_channel(block.rotations, glass.partners, glass.rotations),
             None
             if block.scales is None
-            else _seen(block.scales, glass.partners, glass.scales),
+            else _mirrored_channel(block.scales, glass.partners, glass.scales),
             _swapped(block.weights, shapes, lambda values, _: values),
             _swapped(block.controls, controls.partners, controls),
             block.track_times,
@@ -399,10 +399,10 @@ def _swapped(
 ) -> Channel | None:
     if channel is None or len(partners) != len(channel.rest):
         return channel
-    return _seen(channel, partners, look)
+    return _mirrored_channel(channel, partners, look)
 
 
-def _seen(channel: Channel, partners: IntArray, look: _Look) -> Channel:
+def _mirrored_channel(channel: Channel, partners: IntArray, look: _Look) -> Channel:
     everyone = np.arange(len(channel.rest))
     rest = look(channel.rest, everyone)[partners]
     values = look(channel.values, channel.animated)

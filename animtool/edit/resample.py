@@ -1,4 +1,4 @@
-"""Sampling a take at other times than its own."""
+"""Resampling of takes at other times."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from animtool.core.shot import FrameRange
 from animtool.edit.between import Between
 from animtool.edit.frames import check_count
 from animtool.edit.straight import straight_notices
-from animtool.edit.travel import Places, even_places
+from animtool.edit.travel import FramePositions, even_positions
 from animtool.maths import filters, so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
@@ -37,19 +37,19 @@ BLOCK_FRAMES = 512
 
 @dataclass(frozen=True, slots=True)
 class SampleTimes:
-    """When to sample a take, exact."""
+    """Sample times of a take, exact."""
 
     first: Fraction  # time code of the first frame
     last: Fraction  # time code of the last frame
     # Time code of every sample ``(N,)``, ascending; sub-frame samples may lie before
-    # the first or behind the last frame.
+    # the first or after the last frame.
     codes: FloatArray
     frames: IntArray  # frame of the source at or before each sample ``(N,)``
     fractions: FloatArray  # how far on to the next, in [0, 1) ``(N,)``
     # Number of samples of the source between whole frames of the result that are not
     # kept.
     between: int = 0
-    # What the source lasts beyond the last whole frame [time codes].
+    # Remainder of the source after the last full frame [time codes].
     dropped: Fraction = Fraction(0)
 
 
@@ -63,7 +63,7 @@ def plan_samples(
     keep_samples: bool = False,
     hold: bool = False,
 ) -> SampleTimes:
-    """Return when to sample a take whose first frame becomes time code ``start``.
+    """Return the sample times of a take that starts at time code ``start``.
 
     Args:
         clock: The source's own.
@@ -85,28 +85,28 @@ def plan_samples(
     if keep_samples:
         return _kept_samples(clock, start, 1 / ratio, frame_range)
     # Frames count from the whole time code at or before the take's first frame.
-    origin, ahead = start, Fraction(0)
+    origin, shift = start, Fraction(0)
     planned = range(int(span) + 1)
     if frame_range is not None:
         origin = Fraction(math.floor(start))
-        ahead = origin - start
+        shift = origin - start
         planned = _within(frame_range, start, span, hold=hold)
     if len(planned) * max(1, len(offsets)) > MAX_FRAMES:
         raise _refusal(f"{len(planned)} frames at {float(fps):g} fps are too many")
     first, last = origin + planned[0], origin + planned[-1]
     index = np.arange(planned[0], planned[-1] + 1, planned.step)
     each = [
-        even_places(index, ahead + offset, ratio, clock.count)
+        even_positions(index, shift + offset, ratio, clock.count)
         for offset in offsets or (0,)
     ]
     codes = np.stack([_codes(first + o, planned) for o in offsets or (0,)])
     order = np.argsort(codes.T.ravel(), kind="stable")
-    frames = np.stack([places.frames for places in each]).T.ravel()[order]
-    fractions = np.stack([places.fractions for places in each]).T.ravel()[order]
-    end = span - ahead  # of the take, counted as the frames are
-    whole = math.floor(end)
-    to_the_end = not hold and planned[-1] == whole
-    if frame_range is not None and frame_range.last <= origin + whole:
+    frames = np.stack([positions.frames for positions in each]).T.ravel()[order]
+    fractions = np.stack([positions.fractions for positions in each]).T.ravel()[order]
+    end = span - shift  # of the take, counted as the frames are
+    last_frame = math.floor(end)
+    to_the_end = not hold and planned[-1] == last_frame
+    if frame_range is not None and frame_range.last <= origin + last_frame:
         to_the_end = False
     return SampleTimes(
         first,
@@ -114,26 +114,26 @@ def plan_samples(
         codes.T.ravel()[order],
         frames,
         fractions,
-        _between(planned, ahead, ratio, clock.count, frames[fractions == 0]),
-        end - whole if to_the_end else Fraction(0),
+        _between(planned, shift, ratio, clock.count, frames[fractions == 0]),
+        end - last_frame if to_the_end else Fraction(0),
     )
 
 
 def _between(
-    frames: range, ahead: Fraction, ratio: Fraction, count: int, taken: IntArray
+    frames: range, shift: Fraction, ratio: Fraction, count: int, taken: IntArray
 ) -> int:
-    """Return how many samples lie between whole frames, and are not taken.
+    """Return the number of source samples between result frames that are dropped.
 
-    ``ahead`` [frame].
+    ``shift`` [frame].
     """
-    begin = max(frames[0], math.ceil(-ahead))
-    end = min(frames[-1], math.floor((count - 1) / ratio - ahead))
+    begin = max(frames[0], math.ceil(-shift))
+    end = min(frames[-1], math.floor((count - 1) / ratio - shift))
     if end < begin:
         return 0
-    low = max(0, math.ceil((frames[0] + ahead) * ratio))
-    high = min(count - 1, math.floor((frames[-1] + ahead) * ratio))
-    places = even_places(np.arange(begin, end + 1), ahead, ratio, count)
-    kept = np.union1d(places.frames[places.fractions == 0], taken)
+    low = max(0, math.ceil((frames[0] + shift) * ratio))
+    high = min(count - 1, math.floor((frames[-1] + shift) * ratio))
+    positions = even_positions(np.arange(begin, end + 1), shift, ratio, count)
+    kept = np.union1d(positions.frames[positions.fractions == 0], taken)
     return high - low + 1 - int(((kept >= low) & (kept <= high)).sum())
 
 
@@ -148,9 +148,9 @@ def _codes(first: Fraction, frames: range) -> FloatArray:
 def _within(
     frame_range: FrameRange, start: Fraction, span: Fraction, *, hold: bool
 ) -> range:
-    """Return a range's frames that the take has, counted from ``floor(start)``.
+    """Return the range's frames that the take covers, from ``floor(start)``.
 
-    With ``hold`` those that it has not are among them.
+    With ``hold``, all frames of the range.
     """
     origin = math.floor(start)
     step = frame_range.step
@@ -194,7 +194,7 @@ def _kept_samples(
 
 
 def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
-    """Return the note that part of a frame > 0 [time codes] is left out at the end."""
+    """Return the note that a fraction of a frame [time codes] is cut at the end."""
     message = (
         f"the take ends {float(dropped):.3g} frames ({float(dropped / fps):.3g} s) "
         f"after its last whole frame, {frame_label(last)}; that part is cut off"
@@ -207,40 +207,40 @@ def sample(
 ) -> Iterator[tuple[FloatArray, Motion]]:
     """Yield time codes and motion at sample times, block by block.
 
-    A sample on a frame of the source is that frame exactly; between frames
-    rotations go along the shortest arc at constant speed (slerp), the rest in a
-    straight line. With ``smooth`` joints go along curves of class C1; weights and
-    controls, which may have bounds, do not. What the take has curves of is evaluated.
+    A sample on a frame of the source is that frame exactly; between frames rotations
+    follow the shortest arc at constant speed (slerp), other values are linear. With
+    ``smooth`` joints follow splines of class C1; weights and controls, which may have
+    bounds, do not. Curves of the take are evaluated.
     """
     between = take if isinstance(take, Between) else Between.of(take)
     last = None
-    # Only of the whole is it known what curves move, as blocks have to share it.
+    # Blocks share their animated rows, which depend on the complete take.
     length = max(1, len(times.codes)) if between.curved else BLOCK_FRAMES
     for begin in range(0, len(times.codes), length):
         part = slice(begin, begin + length)
-        at = Places(times.frames[part], times.fractions[part])
+        at = FramePositions(times.frames[part], times.fractions[part])
         motion = between.at(at, smooth=smooth)
         if smooth:
-            turns = motion.rotations
-            signed = so3.align_signs(turns.values, last)
+            rotations = motion.rotations
+            signed = so3.align_signs(rotations.values, last)
             motion, last = (
-                replace(motion, rotations=replace(turns, values=signed)),
+                replace(motion, rotations=replace(rotations, values=signed)),
                 signed[-1],
             )
         yield times.codes[part], motion
 
 
-# A filter before fewer frames a second leaves half at this share of them, a 400th of
-# what would show as slower than a quarter of them, and the rest nearly as it is.
-CUTOFF_SHARE, FILTER_ORDER = 0.35, 4
+# Before downsampling, the filter halves amplitudes at this fraction of the new rate and
+# leaves a 400th of what would alias below a quarter of it.
+CUTOFF_FRACTION, FILTER_ORDER = 0.35, 4
 
 
-def slowed(motion: Motion, cutoff: float, rate: float) -> Motion:
-    """Return a motion without what is faster than a cut-off [Hz], times as they are."""
+def lowpassed(motion: Motion, cutoff: float, rate: float) -> Motion:
+    """Return a motion low-pass filtered at a cut-off [Hz], times unchanged."""
 
     def slow(channel: Channel) -> Channel:
         turning = channel is motion.rotations
-        run = filters.lowpass_turns if turning else filters.lowpass
+        run = filters.lowpass_rotations if turning else filters.lowpass
         values = run(channel.values, cutoff, rate, order=FILTER_ORDER)
         return replace(channel, values=values)
 
@@ -252,7 +252,7 @@ def resampled(
 ) -> Take:
     """Return the take with a sample on every time code at another rate.
 
-    What the take lasts after its last whole frame is left out, and noted (TAKE006).
+    The remainder after its last full frame is cut, with a note (TAKE006).
 
     Args:
         take: F frames.
@@ -271,8 +271,8 @@ def resampled(
     times = plan_samples(take.clock, fps, take.clock.start)
     source, rate = take, take.clock.rate
     if lowpass and fps < rate:
-        cutoff = CUTOFF_SHARE * float(fps)
-        source = replace(take, motion=slowed(take.motion, cutoff, float(rate)))
+        cutoff = CUTOFF_FRACTION * float(fps)
+        source = replace(take, motion=lowpassed(take.motion, cutoff, float(rate)))
     between = Between.of(source)
     motion = Motion.concatenate(
         [block for _, block in sample(between, times, smooth=smooth)]
@@ -280,7 +280,7 @@ def resampled(
     start, ratio = take.clock.start, float(take.clock.fps / fps)
     clock, notices = Clock(fps, start, Fraction(1), motion.frames), take.notices
     if not smooth:
-        at = Places(times.frames, times.fractions)
+        at = FramePositions(times.frames, times.fractions)
         notices = (*notices, *straight_notices(between, at))
     if times.dropped:
         notices = (*notices, dropped_notice(times.dropped, fps, times.last))
@@ -296,7 +296,7 @@ def resampled(
 
 @dataclass(frozen=True, slots=True)
 class ResampleOptions:
-    """The rate wanted.
+    """The new rate.
 
     Attributes:
         fps: Frames a second, such as ``24``, ``23.976`` or ``24000/1001``; none

@@ -1,4 +1,4 @@
-"""Takes cut to a range of frames, or at another speed."""
+"""Takes trimmed, or played at another speed."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from animtool.edit.between import Between
 from animtool.edit.combine import continuous
 from animtool.edit.frames import check_count, check_range, exact, frame_refusal
 from animtool.edit.straight import straight_notices
-from animtool.edit.travel import Places, even_places, nearby_places
-from animtool.motion.keyed import Interpolation, Keys, key_arrays, keyed
+from animtool.edit.travel import FramePositions, even_positions, nearby_positions
+from animtool.motion.keyed import KeyInterpolation, Keys, key_arrays, keyed
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     RETIMED_PARTS,
@@ -31,13 +31,13 @@ from animtool.motion.passes import (
 )
 from animtool.motion.take import Take, TakeStream
 
-# Time codes are written to a few digits; a frame this near [frame] is meant.
+# Time codes have few digits; a frame this near [frame] is meant.
 ON_FRAME = Fraction(1, 1_000_000)
 
 
 @dataclass(frozen=True, slots=True)
 class TrimOptions:
-    """Which frames to keep.
+    """The frames to keep.
 
     Attributes:
         first: First time code to keep; None is the take's own.
@@ -51,8 +51,8 @@ class TrimOptions:
 def trim(take: Take, first: float | None = None, last: float | None = None) -> Take:
     """Return the frames of a take from one time code to another, both included.
 
-    Frames stay as they are and keep their time codes; where a time code lies
-    between two frames, the range begins behind it or ends before it.
+    Frames and their time codes stay unchanged; if a time code lies between two frames,
+    the range starts after it or ends before it.
 
     Args:
         take: F frames.
@@ -75,8 +75,8 @@ def _trimmed(
     low, high = 0, None
     if options.first is not None:
         away = (exact(options.first, "first") - start) / stream.step
-        whole = math.floor(away + ON_FRAME) if in_shot else math.ceil(away - ON_FRAME)
-        low = max(0, whole)
+        full = math.floor(away + ON_FRAME) if in_shot else math.ceil(away - ON_FRAME)
+        low = max(0, full)
     if options.last is not None:
         away = (exact(options.last, "last") - start) / stream.step
         high = math.ceil(away - ON_FRAME) if in_shot else math.floor(away + ON_FRAME)
@@ -84,9 +84,9 @@ def _trimmed(
         raise frame_refusal(
             f"there is no frame from {_shown(options.first, start)} to {options.last:g}"
         )
-    moved = stream.start if low == 0 else start + low * stream.step
+    new_start = stream.start if low == 0 else start + low * stream.step
     return replace(
-        stream, start=moved, blocks=_kept(stream, low, high, start, in_shot=in_shot)
+        stream, start=new_start, blocks=_kept(stream, low, high, start, in_shot=in_shot)
     )
 
 
@@ -102,7 +102,7 @@ def _kept(
     stream: TakeStream, low: int, high: int | None, start: Fraction, *, in_shot: bool
 ) -> Iterator[Motion]:
     count = 0
-    # The source is read to its end, as its notices are complete only then.
+    # The source is read to its end, which completes its notices.
     for block in stream.blocks:
         begin = max(0, low - count)
         end = block.frames if high is None else min(block.frames, high + 1 - count)
@@ -136,7 +136,7 @@ TRIM = Pass(
 
 @dataclass(frozen=True, slots=True)
 class TimeScaleOptions:
-    """How fast the take plays.
+    """The playback speed.
 
     Attributes:
         speed: Factor: 2 is twice as fast, negative is backwards.
@@ -150,12 +150,12 @@ class TimeScaleOptions:
 def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     """Return the take at another speed, sampled on its own frame grid.
 
-    What it has curves of is evaluated between its frames; the rest goes in straight
-    lines, and a notice says by how much these may be off (TAKE007).
+    Curves are evaluated between frames; other values are linear, and a note estimates
+    their error (TAKE007).
 
-    Time code t of the result shows ``pivot + (t - pivot) · speed`` of the take.
-    The speed is taken as the decimal it is written as, so that frames which
-    coincide are the source's exactly.
+    Time code t of the result shows ``pivot + (t - pivot) · speed`` of the take. The
+    speed is taken as the decimal it is written as, so that coinciding frames are
+    exactly the source's.
 
     Args:
         take: F frames.
@@ -178,12 +178,12 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
         raise frame_refusal(f"at speed {speed:g} no frame remains")
     check_count(high - low + 1)
     index = np.arange(low, high + 1)
-    places = even_places(index, centre / rate - centre, rate, clock.count)
+    positions = even_positions(index, centre / rate - centre, rate, clock.count)
     pivoted, factor = float(fixed), float(rate)
     return _retimed(
         take,
         replace(clock, start=clock.start + low * clock.step, count=len(index)),
-        places,
+        positions,
         lambda times: pivoted + (times - pivoted) * factor,
     )
 
@@ -191,10 +191,10 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
 def _retimed(
     take: Take,
     clock: Clock,
-    places: Places,
+    positions: FramePositions,
     shown: Callable[[FloatArray], FloatArray],
 ) -> Take:
-    """Return a take with its frames at places between its own.
+    """Return a take with its frames at positions between its own.
 
     clock: of the result, whose time t shows time ``shown(t)`` of the take.
     """
@@ -202,8 +202,8 @@ def _retimed(
     return replace(
         take,
         clock=clock,
-        motion=continuous(between.at(places)).map(Channel.compact),
-        notices=(*take.notices, *straight_notices(between, places)),
+        motion=continuous(between.at(positions)).map(Channel.compact),
+        notices=(*take.notices, *straight_notices(between, positions)),
         curve=between.curve(shown),
     )
 
@@ -246,7 +246,7 @@ TIME_SCALE = Pass(
 
 @dataclass(frozen=True, slots=True)
 class TimeWarpOptions:
-    """The curve of time.
+    """The time curve.
 
     Attributes:
         curve: Pairs ``[frame of the result, frame of the take]``, the former
@@ -255,20 +255,20 @@ class TimeWarpOptions:
     """
 
     curve: tuple[tuple[float, float], ...] = ()
-    interpolation: Interpolation = Interpolation.LINEAR
+    interpolation: KeyInterpolation = KeyInterpolation.LINEAR
 
 
 def time_warp(
     take: Take,
     curve: Keys,
-    interpolation: Interpolation | str = Interpolation.LINEAR,
+    interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
 ) -> Take:
     """Return the take retimed, from the curve's first frame to its last.
 
-    The result has the frames of the take's own grid, carried on beyond its ends
-    where the curve reaches there. The curve may go back in time or stand still. What
-    the take has curves of is evaluated between its frames; the rest goes in straight
-    lines, and a notice says by how much these may be off (TAKE007).
+    The result has the frames of the take's own grid, extended beyond its ends if the
+    curve reaches there. The curve may run backwards or be constant. Curves of the take
+    are evaluated between its frames; other values are linear, and a note estimates
+    their error (TAKE007).
 
     Args:
         take: F frames.
@@ -295,8 +295,8 @@ def time_warp(
     def shown(times: FloatArray) -> FloatArray:
         return keyed(key_times, values, times, interpolation)
 
-    places = nearby_places((shown(at.times) - start) / step, clock.count)
-    return _retimed(take, at, places, shown)
+    positions = nearby_positions((shown(at.times) - start) / step, clock.count)
+    return _retimed(take, at, positions, shown)
 
 
 def _check_inside(clock: Clock, values: FloatArray) -> None:

@@ -1,4 +1,4 @@
-"""Giving the travel of the hips to a root joint above them, and taking it back."""
+"""Root motion: hip travel moved to a root joint above, and back."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.core.record import dataclass
 from animtool.edit.combine import continuous
 from animtool.edit.travel import (
     above,
-    place_of,
+    joint_frame,
     rest_rotation,
     traveller,
     twist,
@@ -26,7 +26,7 @@ from animtool.motion.take import Take
 
 
 class RootMode(StrEnum):
-    """Which way the travel goes."""
+    """Direction of the transfer."""
 
     EXTRACT = "extract"
     RECOMPOSE = "recompose"
@@ -59,11 +59,11 @@ class RootMotionOptions:
 def extract_root(
     take: Take, root: str = "root", axes: str = "", *, yaw: bool = True, hips: str = ""
 ) -> Take:
-    """Return the take with the travel of the hips given to a root joint above them.
+    """Return the take with hip travel moved to a root joint above.
 
-    A joint of the rig named ``root`` takes it in place of what it did; else one is
-    added right above the hips. What is below keeps its world transforms. The yaw is
-    undefined where the hips are upside down.
+    A joint named ``root`` takes it in place of its own motion; if the rig has none, one
+    is added right above the hips. Joints below keep their world transforms. The yaw is
+    undefined while the hips are upside down.
 
     Args:
         take: F frames.
@@ -89,14 +89,14 @@ def extract_root(
     if joint not in take.rig.upwards(hip)[1:]:
         name = take.rig.names[hip]
         raise _refusal(f"{root!r} is not above {name!r}", "choose other hips")
-    place = _root_path(take, joint, hip, axes.lower(), yaw)
-    return _compact(set_joint(take, joint, place))
+    placing = _root_path(take, joint, hip, axes.lower(), yaw)
+    return _compact(set_joint(take, joint, placing))
 
 
 def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Take:
-    """Return the take without a root joint, whose motion its children take over.
+    """Return the take without a root joint; its children take over its motion.
 
-    What is below keeps its world transforms.
+    Joints below keep their world transforms.
 
     Args:
         take: F frames.
@@ -113,10 +113,10 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
     if joint not in rig.parents:
         raise _refusal(f"{root!r} has no joint below it", "name one above the hips")
     entry = rig.joints[joint]
-    still = Placing(np.zeros((1, 3)), so3.IDENTITY[None])
+    identity = Placing(np.zeros((1, 3)), so3.IDENTITY[None])
     if keep:
-        still = Placing(np.array([entry.translation]), np.array([entry.rotation]))
-    done = set_joint(take, joint, still)
+        identity = Placing(np.array([entry.translation]), np.array([entry.rotation]))
+    done = set_joint(take, joint, identity)
     return _compact(done if keep else removed(done, joint))
 
 
@@ -154,25 +154,25 @@ def _hips(take: Take, root: str, hips: str) -> int:
 
 
 def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing:
-    """Return the local transform by which the root joint carries the hips' travel."""
+    """Return the local transform of the root joint that carries the hips' travel."""
     rig, motion = take.rig, take.motion
     up = np.array(rig.up.vector)
     chosen = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
-    hips, own = place_of(rig, motion, hip), place_of(rig, motion, root)
+    hips, root_frame = joint_frame(rig, motion, hip), joint_frame(rig, motion, root)
     frame = above(rig, motion, root)
     if (np.linalg.det(frame.linear) == 0).any():
         name = rig.names[root]
         raise _refusal(f"a joint above {name!r} has a scale of 0", "set another scale")
-    position = np.where(chosen, hips.position, own.position)
+    position = np.where(chosen, hips.position, root_frame.position)
     offset = (position - frame.position)[..., None]
-    places = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
-    turns = motion.rotations.gather(np.array([root]))[:, 0]
+    translations = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
+    rotations = motion.rotations.gather(np.array([root]))[:, 0]
     if yaw:
         rest = so3.conjugate(rest_rotation(rig, hip))
-        turn = twist(so3.multiply(hips.rotation, rest), up)
-        whole = so3.multiply(turn, rest_rotation(rig, root))
-        turns = so3.multiply(so3.conjugate(frame.rotation), whole)
-    return Placing(places, turns)
+        yaw_rotation = twist(so3.multiply(hips.rotation, rest), up)
+        full_rotation = so3.multiply(yaw_rotation, rest_rotation(rig, root))
+        rotations = so3.multiply(so3.conjugate(frame.rotation), full_rotation)
+    return Placing(translations, rotations)
 
 
 def _compact(take: Take) -> Take:

@@ -1,4 +1,4 @@
-"""By how much straight lines between the frames of a take may be off."""
+"""Error estimate of linear interpolation between the frames of a take."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import angle_text, length_text, plain
 from animtool.core.record import dataclass
 from animtool.edit.between import Between
-from animtool.edit.travel import Places
+from animtool.edit.travel import FramePositions
 from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.rig.kinematics import rest_size
 
-# What is off by less is not said: a tenth of a degree moves the end of a limb by less
-# than markers tremble, 3 parts in 10,000 of a body are half a millimetre of a person,
-# and a weight is seen from about a hundredth on [rad], [1], [1].
+# Smaller errors are not reported: a tenth of a degree moves the end of a limb by less
+# than marker noise, 3 parts in 10,000 of a body are half a millimetre, and a weight is
+# visible from about a hundredth [rad], [1], [1].
 NEGLIGIBLE_ANGLE = np.radians(0.1)
-NEGLIGIBLE_SHARE = 3e-4
+NEGLIGIBLE = 3e-4
 NEGLIGIBLE_WEIGHT = 5e-3
-# Of samples, so many are looked at in one go.
+# Samples per block.
 BLOCK_FRAMES = 4096
 
 
@@ -38,13 +38,13 @@ class StraightError:
     size: float  # estimate [m], [rad], [1]
 
 
-def straight_errors(between: Between, places: Places) -> list[StraightError]:
-    """Return the largest error of each kind of channel that goes in straight lines.
+def straight_errors(between: Between, positions: FramePositions) -> list[StraightError]:
+    """Return the largest interpolation error of each kind of channel.
 
-    A smooth curve f leaves the straight line between two frames by at most s (1 - s)
-    / 2 · |f''| at the share s of the way; f'' is taken from the differences of the
-    frames around. Rotations likewise, by the change of the turn from frame to frame.
-    A motion that jumps is off by more than a smooth one would be.
+    A smooth curve f deviates from the line between two frames by at most s (1 - s) / 2
+    · |f''| at the fraction s; f'' is taken from differences of neighbouring frames.
+    Rotations likewise, from the change of angular velocity. A motion that jumps
+    deviates more than a smooth one.
     """
     motion = between.take.motion
     errors = []
@@ -55,24 +55,24 @@ def straight_errors(between: Between, places: Places) -> list[StraightError]:
         straight = np.ones(len(channel.animated), bool)
         if name in between.curved:
             straight = ~between.curved[name][channel.animated]
-        found = _largest(channel, np.flatnonzero(straight), places)
-        if found is not None:
-            frame, column, size = found
+        largest = _largest(channel, np.flatnonzero(straight), positions)
+        if largest is not None:
+            frame, column, size = largest
             row = int(channel.animated[column])
             errors.append(StraightError(name, row, frame, size))
     return errors
 
 
-def straight_notices(between: Between, places: Places) -> list[Fault]:
-    """Return the note of what straight lines may be off by (TAKE007), if it matters."""
+def straight_notices(between: Between, positions: FramePositions) -> list[Fault]:
+    """Return the note of the estimated interpolation error (TAKE007), if it matters."""
     take = between.take
     rig = take.rig
     least = {
-        "translations": NEGLIGIBLE_SHARE * (rest_size(rig) or 1.0),
+        "translations": NEGLIGIBLE * (rest_size(rig) or 1.0),
         "rotations": NEGLIGIBLE_ANGLE,
     }
     said = []
-    for error in straight_errors(between, places):
+    for error in straight_errors(between, positions):
         if error.size <= least.get(error.channel, NEGLIGIBLE_WEIGHT):
             continue
         size = plain(error.size)
@@ -102,28 +102,28 @@ def straight_notices(between: Between, places: Places) -> list[Fault]:
 
 
 def _largest(
-    channel: Channel, columns: IntArray, places: Places
+    channel: Channel, columns: IntArray, positions: FramePositions
 ) -> tuple[float, int, float] | None:
     """Return frame, column and size of the largest error of some columns."""
-    (inside,) = np.nonzero(places.fractions > 0)
+    (inside,) = np.nonzero(positions.fractions > 0)
     count = len(channel.values)
     if not len(inside) or not len(columns) or count < 3:
         return None
     worst: tuple[float, int, float] | None = None
     for at in _blocks(inside):
-        frames, share = places.frames[at], places.fractions[at]
-        # The bends at the frame before and behind each place.
+        frames, fraction = positions.frames[at], positions.fractions[at]
+        # Curvature at the frames before and after each position.
         low = int(np.clip(frames.min(), 1, count - 2))
         high = int(np.clip(frames.max() + 1, 1, count - 2))
         bends = _bends(channel.values[low - 1 : high + 2][:, columns])
         before, behind = (
             bends[np.clip(one, low, high) - low] for one in (frames, frames + 1)
         )
-        sizes = np.maximum(before, behind) * (share * (1 - share) / 2)[:, None]
+        sizes = np.maximum(before, behind) * (fraction * (1 - fraction) / 2)[:, None]
         i, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
         size = float(sizes[i, column])
         if worst is None or size > worst[2]:
-            worst = float(frames[i] + share[i]), int(columns[column]), size
+            worst = float(frames[i] + fraction[i]), int(columns[column]), size
     return worst
 
 

@@ -1,4 +1,4 @@
-"""Leaving out the samples that the others give back, for files that stay small."""
+"""Thinning of samples that interpolation restores, for smaller files."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from animtool.clip.reduction.points import (
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.edit.travel import places_between
+from animtool.edit.travel import positions_between
 from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-# A split this share of a stretch from its ends at least, so that stretches halve.
+# Least distance of a split from the ends of an interval, as a fraction of it.
 SPLIT_MARGIN = 0.125
-# Each pass may leave out every second sample that is left; few find any to leave out.
+# Each pass may drop every second remaining sample; few find any.
 JOINING = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Thinned:
-    """Which samples stay, and what leaving out the others does."""
+    """Which samples are kept, and the resulting error."""
 
     samples: int  # number of samples before
     kept: IntArray  # indices of those that stay, ascending ``(N,)``
@@ -39,7 +39,7 @@ class Thinned:
 
     @property
     def count(self) -> int:
-        """Number of samples that stay."""
+        """Number of kept samples."""
         return len(self.kept)
 
 
@@ -51,32 +51,32 @@ def thin_samples(
     *,
     joint_tolerances: Mapping[str, float] | None = None,
 ) -> Thinned:
-    """Return which samples ``(F,)`` play a motion within a tolerance > 0 [m].
+    """Return which samples ``(F,)`` reproduce a motion within a tolerance > 0 [m].
 
-    Between two samples USD moves translations, scales and weights in straight lines and
-    rotations along the shortest arc. A stretch whose samples are beyond the tolerance
-    is split at the worst of them (Douglas and Peucker, 1973); then samples that turn
-    out not to be needed are left out again. The measure is that of
+    Between two samples USD interpolates translations, scales and weights linearly, and
+    rotations along the shortest arc. An interval beyond the tolerance is split at its
+    worst sample (Douglas and Peucker, 1973); then samples that turn out not to be
+    needed are dropped again. The measure is that of
     `animtool.clip.reduction.reduce.reduce_motion`: points that each joint carries, in
-    the world, at every sample. The first and last sample stay. ``joint_tolerances`` are
-    by names of joints or patterns such as ``hand_*`` > 0 [m], that of weights
-    is `WEIGHT_TOLERANCE` [1].
+    the world, at every sample. The first and last sample are kept. ``joint_tolerances``
+    are by names of joints or patterns such as ``hand_*`` > 0 [m], that of weights is
+    `WEIGHT_TOLERANCE` [1].
     """
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
     measure = _Measure(rig, codes, motion, bounds)
     kept = _split(measure, np.unique([0, len(codes) - 1]))
-    for turn in range(JOINING):
-        kept = _joined(measure, kept, turn % 2)
+    for round_ in range(JOINING):
+        kept = _joined(measure, kept, round_ % 2)
     return measure.report(kept)
 
 
 def _split(measure: _Measure, kept: IntArray) -> IntArray:
-    """Add samples until every stretch between two of them is within the tolerance."""
+    """Add samples until every interval is within the tolerance."""
     frames = np.setdiff1d(np.arange(len(measure.codes)), kept)
     while len(frames):
         ratios = measure.ratios(kept, frames)
-        stretch = np.searchsorted(kept, frames) - 1
-        starts = np.flatnonzero(np.diff(stretch, prepend=-1))
+        interval = np.searchsorted(kept, frames) - 1
+        starts = np.flatnonzero(np.diff(interval, prepend=-1))
         worst = np.maximum.reduceat(ratios, starts)
         beyond = worst > 1
         if not beyond.any():
@@ -85,7 +85,7 @@ def _split(measure: _Measure, kept: IntArray) -> IntArray:
         peaks = np.flatnonzero(ratios == worst[of_frame])
         _, first = np.unique(of_frame[peaks], return_index=True)
         chosen = frames[peaks[first]][beyond]
-        low, high = kept[stretch[starts[beyond]]], kept[stretch[starts[beyond]] + 1]
+        low, high = kept[interval[starts[beyond]]], kept[interval[starts[beyond]] + 1]
         margin = ((high - low) * SPLIT_MARGIN).astype(np.int64)
         chosen = np.clip(chosen, low + margin, high - margin)
         frames = np.setdiff1d(frames[beyond[of_frame]], chosen)
@@ -94,22 +94,22 @@ def _split(measure: _Measure, kept: IntArray) -> IntArray:
 
 
 def _joined(measure: _Measure, kept: IntArray, skip: int) -> IntArray:
-    """Return the samples without those of every second that are not needed."""
+    """Return the samples without every second one that is not needed."""
     trial = np.arange(1 + skip, len(kept) - 1, 2)
     if not len(trial):
         return kept
     fewer = np.delete(kept, trial)
     frames = np.setdiff1d(np.arange(kept[trial[0] - 1], kept[trial[-1] + 1]), fewer)
     ratios = measure.ratios(fewer, frames)
-    # Every stretch of the trial has a frame: the sample that it leaves out.
-    stretch = np.searchsorted(kept[trial - 1], frames, side="right") - 1
+    # Every interval of the trial has a frame: the sample that it drops.
+    interval = np.searchsorted(kept[trial - 1], frames, side="right") - 1
     worst = np.zeros(len(trial))
-    np.maximum.at(worst, stretch, ratios)
+    np.maximum.at(worst, interval, ratios)
     return np.delete(kept, trial[worst <= 1])
 
 
 class _Measure:
-    """How far the samples that stay put everything else from where it was."""
+    """Error of the motion restored from the kept samples."""
 
     def __init__(
         self,
@@ -125,7 +125,7 @@ class _Measure:
 
     def errors(self, kept: IntArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
-        at = places_between(self.codes[kept], self.codes[frames])
+        at = positions_between(self.codes[kept], self.codes[frames])
         blended = self.motion.select(kept).map(at.blend)
         truth = WorldTransforms(self.truth.positions[frames], self.truth.linear[frames])
         world = blended.world(self.rig)
@@ -143,7 +143,7 @@ class _Measure:
         return np.asarray(np.maximum(largest, weights / WEIGHT_TOLERANCE))
 
     def report(self, kept: IntArray) -> Thinned:
-        """Return what came of it."""
+        """Return the result for the kept samples."""
         count = len(self.codes)
         joints, weights = self.errors(kept, np.arange(count))
         if not joints.shape[1]:

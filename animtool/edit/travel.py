@@ -1,4 +1,4 @@
-"""Where joints of a take are, and how far and along what they travel."""
+"""World frames of joints, positions between frames, and travel of cycles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.rig.skeleton import JointType, Rig
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class JointFrame:
     """A joint in the world, in every frame."""
 
     position: FloatArray  # its origin ``(F, 3)`` [m]
@@ -24,39 +24,39 @@ class Place:
     linear: FloatArray  # linear part with scales ``(F, 3, 3)``; column c is its axis c
 
 
-def above(rig: Rig, motion: Motion, joint: int) -> Place:
-    """Return the frame that a joint's own transform is in: its parent, or the world."""
+def above(rig: Rig, motion: Motion, joint: int) -> JointFrame:
+    """Return the world frame of a joint's local transform: its parent, or the world."""
     return _followed(motion, rig.upwards(joint)[:0:-1])
 
 
-def place_of(rig: Rig, motion: Motion, joint: int) -> Place:
-    """Return where a joint is in every frame."""
+def joint_frame(rig: Rig, motion: Motion, joint: int) -> JointFrame:
+    """Return a joint's world frame in every frame."""
     return _followed(motion, rig.upwards(joint)[::-1])
 
 
 def rest_rotation(rig: Rig, joint: int) -> FloatArray:
     """Return the rotation of a joint in the world at rest ``(4,)``."""
-    whole = so3.IDENTITY
+    rotation = so3.IDENTITY
     for one in rig.upwards(joint)[::-1]:
-        whole = so3.multiply(whole, rig.joints[one].rotation)
-    return whole
+        rotation = so3.multiply(rotation, rig.joints[one].rotation)
+    return rotation
 
 
-def _followed(motion: Motion, joints: list[int]) -> Place:
+def _followed(motion: Motion, joints: list[int]) -> JointFrame:
     position = np.zeros((motion.frames, 3))
     rotation = np.tile(so3.IDENTITY, (motion.frames, 1))
     linear = np.tile(np.eye(3), (motion.frames, 1, 1))
     for joint in joints:
-        step, turn = (
+        step, local_rotation = (
             channel.gather(np.array([joint]))[:, 0]
             for channel in (motion.translations, motion.rotations)
         )
         position = position + np.einsum("fij,fj->fi", linear, step)
-        rotation = so3.multiply(rotation, turn)
-        linear = linear @ so3.to_matrix(turn)
+        rotation = so3.multiply(rotation, local_rotation)
+        linear = linear @ so3.to_matrix(local_rotation)
         if motion.scales is not None:
             linear = linear * motion.scales.gather(np.array([joint]))
-    return Place(position, rotation, linear)
+    return JointFrame(position, rotation, linear)
 
 
 def twist(rotation: FloatArray, up: FloatArray) -> FloatArray:
@@ -71,23 +71,23 @@ def twist(rotation: FloatArray, up: FloatArray) -> FloatArray:
     return so3.normalize(np.concatenate([along, rotation[..., 3:]], axis=-1))
 
 
-# A place this near to a frame [frame] is meant to be the frame: what rounding
-# leaves of a time code in the millions is less.
+# A position this near to a frame [frame] is the frame: the rounding
+# error of a time code in the millions is smaller.
 ON_FRAME = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
-    """Where samples lie: at or between two frames."""
+class FramePositions:
+    """Sample positions: at or between two frames."""
 
     frames: IntArray  # frame at or before each sample ``(N,)``
     fractions: FloatArray  # how far on to the next, in [0, 1) ``(N,)``
 
     def blend(self, channel: Channel) -> Channel:
-        """Return the channel at the places.
+        """Return the channel at these positions.
 
-        On a frame it is that frame exactly; between two, rotations (K = 4) go along
-        the shortest arc, the rest in a straight line.
+        On a frame it is that frame exactly; between two, rotations (K = 4) follow the
+        shortest arc, other values are linear.
         """
         values = channel.values[self.frames]
         between = self.fractions > 0
@@ -101,12 +101,12 @@ class Places:
         return Channel(channel.rest, channel.animated, values)
 
     def curve(self, channel: Channel) -> Channel:
-        """Return the channel at the places, of a curve through its frames.
+        """Return the channel at these positions, on a spline through its frames.
 
         The cubic of four frames (E. Catmull and R. Rom, A class of local interpolating
-        splines, 1974), of class C1; rotations (K = 4) by their components, at unit
-        length. On a frame it is that frame exactly. A take of fewer than three frames
-        is blended.
+        splines, 1974), of class C1; rotations (K = 4) by their components, normalised.
+        On a frame it is that frame exactly. A take of fewer than three frames is
+        blended.
         """
         values, count = channel.values, len(channel.values)
         if count < 3:
@@ -114,8 +114,8 @@ class Places:
         # The parabola of the last three frames goes on beyond the ends.
         before = 3 * values[:1] - 3 * values[1:2] + values[2:3]
         after = 3 * values[-1:] - 3 * values[-2:-1] + values[-3:-2]
-        turns = values.shape[-1] == 4
-        if turns:
+        is_rotation = values.shape[-1] == 4
+        if is_rotation:
             values = so3.align_signs(values)
             before, after = so3.normalize(before), so3.normalize(after)
         longer = np.concatenate([before, values, after])
@@ -126,85 +126,87 @@ class Places:
         curve = b + t / 2 * (
             c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))
         )
-        rows[between] = so3.normalize(curve) if turns else curve
+        rows[between] = so3.normalize(curve) if is_rotation else curve
         return Channel(channel.rest, channel.animated, rows)
 
 
-def even_places(
+def even_positions(
     index: IntArray, offset: Fraction | int, ratio: Fraction, count: int
-) -> Places:
-    """Return the places ``(index + offset) · ratio`` of a take of ``count`` frames.
+) -> FramePositions:
+    """Return positions ``(index + offset) · ratio`` in ``count`` frames.
 
-    They are exact, and held at the ends of the take.
+    They are exact, and clamped at the ends of the take.
 
-    >>> even_places(np.arange(4), 0, Fraction(1, 2), 9).fractions.tolist()
+    >>> even_positions(np.arange(4), 0, Fraction(1, 2), 9).fractions.tolist()
     [0.0, 0.5, 0.0, 0.5]
     """
     shift = Fraction(offset)
     scale = ratio.denominator * shift.denominator
     step = ratio.numerator * shift.denominator
-    ahead = ratio.numerator * shift.numerator
+    start = ratio.numerator * shift.numerator
     most = max(abs(int(index[0])), abs(int(index[-1]))) + 1
-    if max(scale, abs(step) * most + abs(ahead)) < 2**62:
-        exact = index.astype(np.int64) * step + ahead
+    if max(scale, abs(step) * most + abs(start)) < 2**62:
+        exact = index.astype(np.int64) * step + start
         frames, left = np.divmod(exact, scale)
         fractions = left / float(scale)
     else:
         pairs = [divmod((int(i) + shift) * ratio, 1) for i in index]
-        frames = np.array([min(max(whole, -1), count) for whole, _ in pairs], np.int64)
+        frames = np.array([min(max(frame, -1), count) for frame, _ in pairs], np.int64)
         fractions = np.array([float(left) for _, left in pairs])
-    return _held(frames, fractions, count)
+    return _clamped(frames, fractions, count)
 
 
-def nearby_places(positions: ArrayLike, count: int) -> Places:
-    """Return the places of positions ``(N,)`` [frame], 0 the first.
+def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
+    """Return the frame positions of numbers ``(N,)`` [frame], 0 the first.
 
-    What is within 1e-9 of a frame is on it; the ends of the take are held.
+    A number within 1e-9 of a frame is on it; the ends of the take are clamped.
 
-    >>> nearby_places([-3.0, 1.25, 1 + 1e-12], 4).frames.tolist()
+    >>> nearby_positions([-3.0, 1.25, 1 + 1e-12], 4).frames.tolist()
     [0, 1, 1]
     """
-    held = np.clip(np.asarray(positions, np.float64), 0, count - 1)
-    nearest = np.round(held)
-    held = np.where(np.abs(held - nearest) <= ON_FRAME, nearest, held)
-    frames = np.floor(held).astype(np.int64)
-    return _held(frames, held - frames, count)
+    clamped = np.clip(np.asarray(positions, np.float64), 0, count - 1)
+    nearest = np.round(clamped)
+    clamped = np.where(np.abs(clamped - nearest) <= ON_FRAME, nearest, clamped)
+    frames = np.floor(clamped).astype(np.int64)
+    return _clamped(frames, clamped - frames, count)
 
 
-def places_between(codes: FloatArray, at: ArrayLike) -> Places:
-    """Return the places of times ``(N,)`` among the times of samples ``(F,)``.
+def positions_between(codes: FloatArray, at: ArrayLike) -> FramePositions:
+    """Return positions of times ``(N,)`` among the times of samples ``(F,)``.
 
-    The ends are held.
+    Times are clamped at the ends.
 
-    >>> places_between(np.array([1.0, 2.0, 4.0]), [1.0, 3.0, 9.0]).fractions.tolist()
+    >>> positions_between(np.array([1.0, 2.0, 4.0]), [1.0, 3.0, 9.0]).fractions.tolist()
     [0.0, 0.5, 0.0]
     """
     times = np.clip(np.asarray(at, np.float64), codes[0], codes[-1])
     frames = np.searchsorted(codes, times, side="right") - 1
-    following = np.minimum(frames + 1, len(codes) - 1)
-    spans = np.where(following > frames, codes[following] - codes[frames], 1.0)
-    return _held(frames, (times - codes[frames]) / spans, len(codes))
+    after = np.minimum(frames + 1, len(codes) - 1)
+    spans = np.where(after > frames, codes[after] - codes[frames], 1.0)
+    return _clamped(frames, (times - codes[frames]) / spans, len(codes))
 
 
-def _held(frames: IntArray, fractions: FloatArray, count: int) -> Places:
+def _clamped(frames: IntArray, fractions: FloatArray, count: int) -> FramePositions:
     outside = (frames < 0) | (frames >= count - 1)
-    return Places(np.clip(frames, 0, count - 1), np.where(outside, 0.0, fractions))
+    return FramePositions(
+        np.clip(frames, 0, count - 1), np.where(outside, 0.0, fractions)
+    )
 
 
-# A joint that moves by less than this share of the rig's size, or turns by less
-# than this many radians, stands still: files round, and captures tremble.
-STILL = 1e-3
+# A joint that moves by less than this fraction of the rig's size, or rotates by less
+# than this [rad], is static: files round, and captures jitter.
+STATIC = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Travel:
-    """How each joint's local transform goes on from one cycle to the next.
+class CycleTravel:
+    """How each joint's local transform continues from one cycle to the next.
 
-    ``translation`` becomes ``linear · translation + shift``, and ``rotation``
-    becomes ``turn · rotation``. Joints that do not travel have identities.
+    ``translation`` becomes ``linear · translation + shift``, and ``rotation`` becomes
+    ``rotations[j] · rotation``. Joints that do not travel have identities.
     """
 
-    turns: FloatArray  # ``(J, 4)``
+    rotations: FloatArray  # ``(J, 4)``
     linear: FloatArray  # ``(J, 3, 3)``
     shifts: FloatArray  # ``(J, 3)`` [m]
 
@@ -212,27 +214,27 @@ class Travel:
 def traveller(
     rig: Rig, motion: Motion, root: int, *, below: bool = False
 ) -> int | None:
-    """Return the joint whose motion is that of the whole character, from a root down.
+    """Return the joint that carries the full character, from a root down.
 
-    It is the root where that moves. Else it is a free joint whose translation moves
-    and which has joints above that stand still only: of several, the one with most
-    joints below it, then the first. None where nothing travels.
+    It is the root if that moves. Else it is a free joint with animated translation
+    below static joints only: of several, the one with most joints below it, then the
+    first. None if nothing travels.
     """
-    if not below and (_slides(rig, motion, root) or _turns(motion, root)):
+    if not below and (_slides(rig, motion, root) or _rotates(motion, root)):
         return root
     travellers = _travellers(rig, motion, root)
     return max(travellers, key=lambda j: (_weight(rig, j), -j), default=None)
 
 
-def travel_of(rig: Rig, motion: Motion) -> Travel:
-    """Return how a cycle goes on, from its first frame to its last.
+def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
+    """Return the travel of a cycle, from its first frame to its last.
 
-    What a character does over the ground and about the up axis goes on; what it
-    does in height, and in leaning, comes back. Each root goes its own way, and what
-    hangs from one that stands still goes with the joint that `traveller` finds.
+    Motion on the ground and about the up axis accumulates; height and lean return. Each
+    root travels independently, and joints below a static root move with the joint that
+    `traveller` returns.
     """
     count = len(rig.joints)
-    travel = Travel(
+    travel = CycleTravel(
         np.tile(so3.IDENTITY, (count, 1)),
         np.tile(np.eye(3), (count, 1, 1)),
         np.zeros((count, 3)),
@@ -243,34 +245,34 @@ def travel_of(rig: Rig, motion: Motion) -> Travel:
         if chief is None:
             continue
         joints = [root] if chief == root else _travellers(rig, motion, root)
-        turn, slide = _ground_step(rig, ends, chief)
+        rotation, slide = _ground_step(rig, ends, chief)
         for joint in joints:
-            _carry(travel, joint, rig, ends, turn, slide)
+            _carry(travel, joint, rig, ends, rotation, slide)
     return travel
 
 
 def _ground_step(rig: Rig, ends: Motion, joint: int) -> tuple[FloatArray, FloatArray]:
-    """Return the world's turn ``(4,)`` and slide ``(3,)`` from first frame to last."""
+    """Return world rotation ``(4,)`` and slide ``(3,)`` from first to last frame."""
     up = np.array(rig.up.vector)
-    place = place_of(rig, ends, joint)
-    whole = so3.multiply(place.rotation[1], so3.conjugate(place.rotation[0]))
-    turn = twist(whole, up)
-    slide = place.position[1] - so3.rotate(turn, place.position[0])
-    return turn, slide - (slide @ up) * up
+    frame = joint_frame(rig, ends, joint)
+    change = so3.multiply(frame.rotation[1], so3.conjugate(frame.rotation[0]))
+    rotation = twist(change, up)
+    slide = frame.position[1] - so3.rotate(rotation, frame.position[0])
+    return rotation, slide - (slide @ up) * up
 
 
 def _carry(
-    travel: Travel,
+    travel: CycleTravel,
     joint: int,
     rig: Rig,
     ends: Motion,
-    turn: FloatArray,
+    world_rotation: FloatArray,
     slide: FloatArray,
 ) -> None:
-    """Write the world's step as one in the frame of a joint's parent."""
+    """Store the world step as one in the frame of a joint's parent."""
     if rig.joints[joint].parent < 0:
-        travel.turns[joint], travel.shifts[joint] = turn, slide
-        travel.linear[joint] = so3.to_matrix(turn)
+        travel.rotations[joint], travel.shifts[joint] = world_rotation, slide
+        travel.linear[joint] = so3.to_matrix(world_rotation)
         return
     frame = above(rig, ends, joint)
     position, rotation, linear = (
@@ -278,36 +280,38 @@ def _carry(
     )
     if np.linalg.det(linear) == 0:
         return
-    travel.turns[joint] = so3.multiply(
-        so3.multiply(so3.conjugate(rotation), turn), rotation
+    travel.rotations[joint] = so3.multiply(
+        so3.multiply(so3.conjugate(rotation), world_rotation), rotation
     )
-    moved = so3.rotate(turn, position) + slide - position
-    travel.linear[joint] = np.linalg.solve(linear, so3.to_matrix(turn) @ linear)
-    travel.shifts[joint] = np.linalg.solve(linear, moved)
+    shift = so3.rotate(world_rotation, position) + slide - position
+    travel.linear[joint] = np.linalg.solve(
+        linear, so3.to_matrix(world_rotation) @ linear
+    )
+    travel.shifts[joint] = np.linalg.solve(linear, shift)
 
 
 def _travellers(rig: Rig, motion: Motion, root: int) -> list[int]:
-    """Return the free joints below a root that move first on the way down."""
+    """Return the topmost moving free joints below a root."""
     travellers: list[int] = []
-    still = {root}
+    static = {root}
     for j, joint in enumerate(rig.joints):
-        if joint.parent not in still:
+        if joint.parent not in static:
             continue
         if joint.type is JointType.FREE and _slides(rig, motion, j):
             travellers.append(j)
-        elif not _turns(motion, j):
-            still.add(j)
+        elif not _rotates(motion, j):
+            static.add(j)
     return travellers
 
 
 def _slides(rig: Rig, motion: Motion, joint: int) -> bool:
     reach = np.ptp(motion.translations.gather(np.array([joint])), axis=0)
-    return bool(np.linalg.norm(reach) > STILL * rest_size(rig))
+    return bool(np.linalg.norm(reach) > STATIC * rest_size(rig))
 
 
-def _turns(motion: Motion, joint: int) -> bool:
+def _rotates(motion: Motion, joint: int) -> bool:
     values = motion.rotations.gather(np.array([joint]))
-    return bool(so3.angle_between(values, values[:1]).max() > STILL)
+    return bool(so3.angle_between(values, values[:1]).max() > STATIC)
 
 
 def _weight(rig: Rig, joint: int) -> int:

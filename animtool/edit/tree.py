@@ -1,4 +1,4 @@
-"""Joints put into the tree of a take, taken out, and hung from others."""
+"""Changes to the joint tree of a take: joints inserted, removed and attached."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def joint_index(rig: Rig, name: str, option: str) -> int:
 def joints_matching(
     rig: Rig, patterns: str | Sequence[str], *, children: bool = False
 ) -> list[int]:
-    """Return the joints that names or glob patterns choose, ascending.
+    """Return the joints that match names or glob patterns, ascending.
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0), Joint("c", -1)))
@@ -62,9 +62,9 @@ def _unknown(rig: Rig, name: str, option: str) -> OptionError:
     return OptionError(Fault("SCN012", message, hint=hint))
 
 
-# Scales, and angles [rad], that differ by less are the same: they come from files
-# in float32 at best, half at worst, and what is moved by 1e-9 is seen by none.
-ALIKE = 1e-9
+# Scales, and angles [rad], that differ by less are equal: they come from files
+# in float32 at best, half at worst, and 1e-9 is invisible.
+EQUAL = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,39 +75,41 @@ class Placing:
     rotations: FloatArray
 
 
-def set_joint(take: Take, joint: int, place: Placing) -> Take:
-    """Return the take with a joint moved, its children left where they are."""
+def set_joint(take: Take, joint: int, placing: Placing) -> Take:
+    """Return the take with a joint moved, its children left in place."""
     motion = take.motion
     children = np.flatnonzero(take.rig.parents == joint)
     family = np.concatenate([[joint], children])
-    places = motion.translations.gather(family)
+    translations = motion.translations.gather(family)
     rotations = motion.rotations.gather(family)
-    back = so3.conjugate(place.rotations)
-    turn = so3.multiply(back, rotations[:, 0])[:, None]
-    turns = so3.angle_between(place.rotations, rotations[:, 0]) > ALIKE
-    scale = _scale(take, joint, turns)[:, None]
-    shift = so3.rotate(back, places[:, 0] - place.translations)[:, None]
-    places[:, 1:] = (so3.rotate(turn, scale * places[:, 1:]) + shift) / scale
-    rotations[:, 1:] = so3.multiply(turn, rotations[:, 1:])
-    places[:, 0], rotations[:, 0] = place.translations, place.rotations
+    back = so3.conjugate(placing.rotations)
+    rotation = so3.multiply(back, rotations[:, 0])[:, None]
+    rotates = so3.angle_between(placing.rotations, rotations[:, 0]) > EQUAL
+    scale = _scale(take, joint, rotates)[:, None]
+    shift = so3.rotate(back, translations[:, 0] - placing.translations)[:, None]
+    translations[:, 1:] = (
+        so3.rotate(rotation, scale * translations[:, 1:]) + shift
+    ) / scale
+    rotations[:, 1:] = so3.multiply(rotation, rotations[:, 1:])
+    translations[:, 0], rotations[:, 0] = placing.translations, placing.rotations
     return replace(
         take,
         motion=replace(
             motion,
-            translations=motion.translations.put(family, places),
+            translations=motion.translations.put(family, translations),
             rotations=motion.rotations.put(family, rotations),
         ),
     )
 
 
 def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
-    """Return the scale of a joint ``(F, 3)``, one number where it is turned."""
+    """Return the scale of a joint ``(F, 3)``, uniform where the joint rotates."""
     scales = take.motion.scales
     if scales is None:
         return np.ones((1, 3))
-    own = scales.gather(np.array([joint]))[:, 0]
-    spread = np.ptp(own, axis=-1) > ALIKE * np.abs(own).max(axis=-1)
-    if (own == 0).any() or (spread & turned).any():
+    values = scales.gather(np.array([joint]))[:, 0]
+    spread = np.ptp(values, axis=-1) > EQUAL * np.abs(values).max(axis=-1)
+    if (values == 0).any() or (spread & turned).any():
         name = take.rig.names[joint]
         raise OptionError(
             Fault(
@@ -117,13 +119,13 @@ def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
                 hint="scale its children instead",
             )
         )
-    return own
+    return values
 
 
 def inserted(take: Take, name: str, above: int) -> Take:
-    """Return the take with a new joint that does nothing right above another.
+    """Return the take with a new static joint right above another.
 
-    The new joint takes the other's index, and the other the one behind it.
+    The new joint takes the other's index, and the other the next one.
     """
     joints = [
         replace(j, parent=j.parent + (j.parent >= above)) for j in take.rig.joints
@@ -143,9 +145,9 @@ def inserted(take: Take, name: str, above: int) -> Take:
 
 
 def removed(take: Take, joint: int) -> Take:
-    """Return the take without a joint that is at the origin of its parent, unturned.
+    """Return the take without a joint at its parent's origin and orientation.
 
-    Its children hang from its parent and take over its scale and its rest pose.
+    Its children move to its parent and take over its scale and rest pose.
     """
     take = _unscaled(take, joint)
     rig = take.rig
@@ -182,20 +184,20 @@ def removed(take: Take, joint: int) -> Take:
 
 
 def _unscaled(take: Take, joint: int) -> Take:
-    """Return the take with a joint's scale given to its children."""
+    """Return the take with a joint's scale moved to its children."""
     scales = take.motion.scales
     if scales is None:
         return take
-    own = _scale(take, joint, np.ones(1, np.bool_))[:, None]
+    scale = _scale(take, joint, np.ones(1, np.bool_))[:, None]
     children = np.flatnonzero(take.rig.parents == joint)
-    places = take.motion.translations
+    translations = take.motion.translations
     family = np.concatenate([[joint], children])
-    sizes = scales.gather(family) * own
+    sizes = scales.gather(family) * scale
     sizes[:, 0] = 1.0
     motion = replace(
         take.motion,
         scales=scales.put(family, sizes),
-        translations=places.put(children, places.gather(children) * own),
+        translations=translations.put(children, translations.gather(children) * scale),
     )
     return replace(take, motion=motion)
 
@@ -219,15 +221,15 @@ def _rest(joint: Joint) -> Pose:
 
 
 def _below(above: Pose, pose: Pose) -> Pose:
-    """Return a pose below another as one in the frame of that other's parent."""
-    place = so3.rotate(above.rotation, pose.translation) + above.translation
-    x, y, z = place.tolist()
+    """Return a pose below another, in the frame of that other's parent."""
+    translation = so3.rotate(above.rotation, pose.translation) + above.translation
+    x, y, z = translation.tolist()
     a, b, c, w = so3.multiply(above.rotation, pose.rotation).tolist()
     return Pose((x, y, z), (a, b, c, w))
 
 
 def _bind(rig: Rig, joint: int) -> dict[str, Pose]:
-    """Return the bind poses of a rig whose joint is taken out."""
+    """Return the bind poses of a rig without a joint."""
     gone = rig.joints[joint]
     bind = {name: pose for name, pose in rig.bind.items() if name != gone.name}
     for one in rig.joints:
@@ -238,7 +240,7 @@ def _bind(rig: Rig, joint: int) -> dict[str, Pose]:
 
 
 def _referred(rig: Rig) -> set[str]:
-    """Return the names of joints that the rest of a rig speaks of."""
+    """Return the joints that other parts of a rig refer to."""
     skins = [mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None]
     chains = [(chain.root, chain.tip) for chain in rig.chains]
     groups = [*skins, *chains, *(one.joints for one in rig.attach)]
@@ -264,7 +266,7 @@ def _referred(rig: Rig) -> set[str]:
 
 @dataclass(frozen=True, slots=True)
 class HangOptions:
-    """What hangs where.
+    """The joint, and the rope particle that carries it.
 
     Attributes:
         joint: A free joint of the rig; what is below it goes along.
@@ -316,25 +318,25 @@ def hang(
         raise _refusal(f"{message}its parent", "joint", "make it `type: free`")
     at, world = np.array([j]), take.world()
     _check_scales(take, world, j)
-    turn = world.rotations[:, j]
+    rotation = world.rotations[:, j]
     down = _axis(take, j) if axis is None else np.asarray(axis, np.float64)
     if down.any():
         along = ends[:, 1] - ends[:, 0]
-        turn = so3.multiply(_shortest(so3.rotate(turn, down), along), turn)
-    places, turns = _local(world, rig.joints[j].parent, ends[:, 1], turn)
-    turns = so3.align_signs(turns)
+        rotation = so3.multiply(_shortest(so3.rotate(rotation, down), along), rotation)
+    positions, rotations = _local(world, rig.joints[j].parent, ends[:, 1], rotation)
+    rotations = so3.align_signs(rotations)
     return replace(
         take,
         motion=replace(
             motion,
-            translations=motion.translations.put(at, places[:, None]).compact(),
-            rotations=motion.rotations.put(at, turns[:, None]).compact(),
+            translations=motion.translations.put(at, positions[:, None]).compact(),
+            rotations=motion.rotations.put(at, rotations[:, None]).compact(),
         ),
     )
 
 
 def _axis(take: Take, joint: int) -> FloatArray:
-    """Return what points down at rest, in the frame of a joint."""
+    """Return the axis that points down at rest, in a joint's frame."""
     down = -np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[take.rig.up]]
     rest = rest_world(take.rig).rotations[0, joint]
     return np.asarray(so3.rotate(so3.conjugate(rest), down))
@@ -344,7 +346,7 @@ def _shortest(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the shortest rotations ``(F, 4)`` of directions to others ``(F, 3)``."""
     sizes = [np.linalg.norm(v, axis=1, keepdims=True) for v in (before, after)]
     # A segment without length has no direction.
-    still = (sizes[0] == 0) | (sizes[1] == 0)
+    no_length = (sizes[0] == 0) | (sizes[1] == 0)
     a, b = (
         np.divide(v, size, out=np.zeros_like(v), where=size > 0)
         for v, size in zip((before, after), sizes, strict=True)
@@ -358,23 +360,23 @@ def _shortest(before: FloatArray, after: FloatArray) -> FloatArray:
     parallel = np.linalg.norm(across, axis=1, keepdims=True) < 1e-12
     axis = np.where(parallel, other, across)
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
-    return so3.exp(np.where(still, 0.0, axis * angle))
+    return so3.exp(np.where(no_length, 0.0, axis * angle))
 
 
 def _local(
-    world: WorldTransforms, parent: int, places: FloatArray, turns: FloatArray
+    world: WorldTransforms, parent: int, positions: FloatArray, rotations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return world transforms of a joint in the space of its parent."""
     if parent < 0:
-        return places, turns
+        return positions, rotations
     inverse = np.linalg.inv(world.linear[:, parent])
-    local = np.einsum("fij,fj->fi", inverse, places - world.positions[:, parent])
+    local = np.einsum("fij,fj->fi", inverse, positions - world.positions[:, parent])
     undo = so3.conjugate(world.rotations[:, parent])
-    return np.ascontiguousarray(local), so3.multiply(undo, turns)
+    return np.ascontiguousarray(local), so3.multiply(undo, rotations)
 
 
 def _check_scales(take: Take, world: WorldTransforms, joint: int) -> None:
-    """Refuse a joint below one that is scaled to 0: no value brings it anywhere."""
+    """Refuse a joint below a zero scale: no local value can place it."""
     parent = take.rig.joints[joint].parent
     if parent < 0:
         return

@@ -1,4 +1,4 @@
-"""Inverse kinematics: poses that bring joints to goals, limits kept."""
+"""Inverse kinematics: poses that reach goals within joint limits."""
 
 from __future__ import annotations
 

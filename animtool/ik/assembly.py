@@ -1,4 +1,4 @@
-"""From a rig, goals and a pose to the chain of the joints that move."""
+"""Builds the kinematic chain of the moving joints from a rig, goals and a pose."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.ik.chain import BALL, GAP, PIN, SLIDE, Chain
-from animtool.ik.driver_programs import FOLLOWS_PROGRAM, Programs, Source
+from animtool.ik.driver_programs import FOLLOWS_PROGRAM, CoordinateSource, Programs
 from animtool.ik.goals import Goal
 from animtool.ik.limbs import limb_joints
 from animtool.maths import so3
@@ -27,7 +27,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 
 @dataclass
 class _Frame:
-    """A joint's place in the frame of the node that carries it, lengths in metres."""
+    """A joint's frame relative to its parent node [m]."""
 
     node: int
     translation: FloatArray
@@ -38,8 +38,8 @@ class _Frame:
         return _Frame(self.node, moved, so3.multiply(self.rotation, rotation))
 
 
-class _Builder:
-    """Nodes and coordinates, as they are found."""
+class _ChainBuilder:
+    """Collects the nodes and coordinates of a chain."""
 
     def __init__(self, rig: Rig, pose: FloatArray) -> None:
         self.rig = rig
@@ -53,8 +53,8 @@ class _Builder:
         self.columns: list[int] = []
         self.lengths: list[bool] = []
         self.periods: list[tuple[float, float]] = []
-        self.turns: list[tuple[int, FloatArray]] = []
-        self.places: dict[int, int] = {}
+        self.ball_rotations: list[tuple[int, FloatArray]] = []
+        self.leader_columns: dict[int, int] = {}
         self.balls: dict[int, int] = {}
         self.programs = Programs(rig, pose) if rig.is_driven else None
 
@@ -63,7 +63,7 @@ class _Builder:
         joint: int,
         frame: _Frame,
     ) -> _Frame:
-        """Append a joint's nodes to those of its rest frame; return its own frame."""
+        """Append a joint's nodes below its rest frame; return the joint's frame."""
         spec = self.rig.joints[joint]
         match spec.type:
             case JointType.PIN | JointType.PRISMATIC:
@@ -76,21 +76,23 @@ class _Builder:
         self.balls[joint] = len(self.columns)
         return self._ball(self.slices[joint].start, spec, frame)
 
-    def sources(self) -> dict[int, Source]:
-        """Return where the joints of the chain are that drivers may read."""
-        found = {j: Source(place) for j, place in self.balls.items()}
+    def sources(self) -> dict[int, CoordinateSource]:
+        """Return the chain coordinates that drivers may read, by joint."""
+        sources = {j: CoordinateSource(column) for j, column in self.balls.items()}
         for j, joint in enumerate(self.rig.joints):
             if joint.type in {JointType.PIN, JointType.PRISMATIC}:
                 leader, gain, shift = _leader(self.rig, j)
-                if leader in self.places:
-                    found[j] = Source(self.places[leader], gain, shift)
-        return found
+                if leader in self.leader_columns:
+                    sources[j] = CoordinateSource(
+                        self.leader_columns[leader], gain, shift
+                    )
+        return sources
 
     def _node(
         self,
         kind: int,
         frame: _Frame,
-        turn: FloatArray,
+        rotation: FloatArray,
         coordinate: int,
         *,
         follows: int = 0,
@@ -98,11 +100,11 @@ class _Builder:
         limit: tuple[float, float, float, float] = (-np.inf, np.inf, 0.0, 0.0),
     ) -> _Frame:
         self.nodes.append([kind, frame.node, coordinate, follows])
-        self.rests.append(so3.to_matrix(so3.multiply(frame.rotation, turn)))
+        self.rests.append(so3.to_matrix(so3.multiply(frame.rotation, rotation)))
         self.offsets.append(frame.translation)
         self.gains.append(gain)
         self.limits.append(limit)
-        return _Frame(len(self.nodes) - 1, np.zeros(3), so3.conjugate(turn))
+        return _Frame(len(self.nodes) - 1, np.zeros(3), so3.conjugate(rotation))
 
     def _slide(self, column: int, frame: _Frame, axis: FloatArray) -> _Frame:
         self.columns.append(column)
@@ -115,17 +117,19 @@ class _Builder:
         spec = self.rig.joints[joint]
         kind = PIN if spec.type is JointType.PIN else SLIDE
         if self.programs is not None and joint in self.programs.plan.joints:
-            turn = _z_onto(np.asarray(spec.axis, np.float64))
+            rotation = _z_onto(np.asarray(spec.axis, np.float64))
             program = self.programs.ask(joint)
-            return self._node(kind, frame, turn, program, follows=FOLLOWS_PROGRAM)
-        turn = _z_onto(np.asarray(spec.axis, np.float64))
-        if leader in self.places:
-            place = self.places[leader]
-            return self._node(kind, frame, turn, place, follows=1, gain=(gain, shift))
+            return self._node(kind, frame, rotation, program, follows=FOLLOWS_PROGRAM)
+        rotation = _z_onto(np.asarray(spec.axis, np.float64))
+        if leader in self.leader_columns:
+            column = self.leader_columns[leader]
+            return self._node(
+                kind, frame, rotation, column, follows=1, gain=(gain, shift)
+            )
         low, high = self.ranges.get(leader, (-np.inf, np.inf))
         lead = self.rig.joints[leader]
         length = lead.type is JointType.PRISMATIC
-        place = self.places[leader] = len(self.columns)
+        column = self.leader_columns[leader] = len(self.columns)
         self.columns.append(self.slices[leader].start)
         self.lengths.append(length)
         free = not length and high - low >= 2 * np.pi - GAP and gain == 1.0
@@ -133,26 +137,26 @@ class _Builder:
         self.periods.append((low, high) if bounded else (-np.inf, np.inf))
         limit = (-np.inf, np.inf) if free else (low, high)
         return self._node(
-            kind, frame, turn, place, gain=(gain, shift), limit=(*limit, 0.0, 0.0)
+            kind, frame, rotation, column, gain=(gain, shift), limit=(*limit, 0.0, 0.0)
         )
 
     def _ball(self, column: int, spec: Joint, frame: _Frame) -> _Frame:
-        turn, limit = so3.IDENTITY, (np.inf, np.inf, -np.inf, np.inf)
+        rotation, limit = so3.IDENTITY, (np.inf, np.inf, -np.inf, np.inf)
         if isinstance(spec.limits, BallLimit):
             twist_axis, first, second = spec.limits.axes
             basis = np.stack([first, second, twist_axis], axis=1)
-            turn = so3.from_matrix(basis)
+            rotation = so3.from_matrix(basis)
             swing = spec.limits.swing or (np.inf, np.inf)
             twist = spec.limits.twist or (-np.inf, np.inf)
             if twist[1] - twist[0] >= 2 * np.pi - GAP:
                 twist = (-np.inf, np.inf)
             limit = (*swing, *twist)
-        place = len(self.columns)
+        first_column = len(self.columns)
         self.columns += range(column, column + 4)
         self.lengths += [False] * 4
         self.periods += [(-np.inf, np.inf)] * 4
-        self.turns.append((place, so3.conjugate(turn)))
-        return self._node(BALL, frame, turn, place, limit=limit)
+        self.ball_rotations.append((first_column, so3.conjugate(rotation)))
+        return self._node(BALL, frame, rotation, first_column, limit=limit)
 
 
 def _z_onto(axis: FloatArray) -> FloatArray:
@@ -163,11 +167,11 @@ def _z_onto(axis: FloatArray) -> FloatArray:
 
 
 def _leader(rig: Rig, joint: int) -> tuple[int, float, float]:
-    """Return whose coordinate moves a joint, with gain and offset."""
+    """Return the joint that leads a mimic joint, with gain and offset."""
     gain, shift = 1.0, 0.0
-    seen = set()
-    while (mimic := rig.joints[joint].mimic) is not None and joint not in seen:
-        seen.add(joint)
+    visited = set()
+    while (mimic := rig.joints[joint].mimic) is not None and joint not in visited:
+        visited.add(joint)
         shift += gain * mimic.offset
         gain *= mimic.gain
         joint = rig.index(mimic.joint)
@@ -175,7 +179,7 @@ def _leader(rig: Rig, joint: int) -> tuple[int, float, float]:
 
 
 def _ranges(rig: Rig) -> dict[int, tuple[float, float]]:
-    """Return how far coordinates may go, by joint, their followers' limits kept too."""
+    """Return coordinate limits by joint, narrowed by the limits of mimic joints."""
     ranges: dict[int, tuple[float, float]] = {}
     for j, joint in enumerate(rig.joints):
         if not isinstance(joint.limits, RangeLimit):
@@ -196,12 +200,12 @@ def _ranges(rig: Rig) -> dict[int, tuple[float, float]]:
 def assemble(
     rig: Rig, goals: Sequence[Goal], moving: set[int], pose: FloatArray
 ) -> tuple[Chain, list[Fault]]:
-    """Return the chain of the moving joints, the others standing in a pose ``(Q,)``.
+    """Return the chain of the moving joints; the others are fixed at a pose ``(Q,)``.
 
-    Of each goal at least one joint above it moves.
+    At least one joint above each goal moves.
     """
     local = local_from_coordinates(rig, pose[None])
-    builder = _Builder(rig, pose)
+    builder = _ChainBuilder(rig, pose)
     frames: dict[int, _Frame] = {}
     above = {j for goal in goals for j in rig.upwards(rig.index(goal.joint))}
     for j in sorted(above):
@@ -214,7 +218,7 @@ def assemble(
         else:
             frames[j] = parent.carry(local.translations[0, j], local.rotations[0, j])
     for j in sorted(moving - above):
-        # Joints that only move others, which follow them: where they are is open.
+        # Joints that act only through mimic joints: their position is irrelevant.
         builder.add(j, _Frame(-1, np.zeros(3), so3.IDENTITY))
     limbs, faults = _limbs(rig, goals, moving, frames, local)
     return _finish(builder, rig, goals, frames, limbs), faults
@@ -227,7 +231,7 @@ def _limbs(
     frames: dict[int, _Frame],
     local: LocalTransforms,
 ) -> tuple[list[tuple[int, int]], list[Fault]]:
-    """Return the nodes at the root and in the middle of each goal's limb."""
+    """Return the root and middle node of each goal's limb."""
     if not any(goal.pole > 0 for goal in goals):
         return [(-1, -1)] * len(goals), []
     world = forward(rig, local.translations, local.rotations)
@@ -253,7 +257,7 @@ def _limbs(
 
 
 def _finish(
-    builder: _Builder,
+    builder: _ChainBuilder,
     rig: Rig,
     goals: Sequence[Goal],
     frames: dict[int, _Frame],
@@ -268,20 +272,22 @@ def _finish(
     length = _length(builder, ends, points)
     nodes = np.array(builder.nodes, np.int64).reshape(-1, 4)
     scales = np.where(builder.lengths, length, 1.0)
-    own = np.where(nodes[:, 0] == SLIDE, length, 1.0)
+    node_scales = np.where(nodes[:, 0] == SLIDE, length, 1.0)
     programs = nodes[:, 3] == FOLLOWS_PROGRAM
-    # Programs come to metres and radians.
-    of = np.where(programs, 1.0, scales[np.where(programs, 0, nodes[:, 2])])
+    # Programs return metres and radians.
+    coordinate_scales = np.where(
+        programs, 1.0, scales[np.where(programs, 0, nodes[:, 2])]
+    )
     gains = np.array(builder.gains)
     limits = np.array(builder.limits)
     single = nodes[:, 0] != BALL
-    limits[single, :2] /= of[single, None]
+    limits[single, :2] /= coordinate_scales[single, None]
     numbers = np.concatenate(
         [
             np.array(builder.rests).reshape(-1, 9),
             np.array(builder.offsets) / length,
-            (gains[:, 0] * of / own)[:, None],
-            (gains[:, 1] / own)[:, None],
+            (gains[:, 0] * coordinate_scales / node_scales)[:, None],
+            (gains[:, 1] / node_scales)[:, None],
             limits,
         ],
         axis=1,
@@ -318,7 +324,7 @@ def _finish(
         np.array(builder.columns, np.int64),
         scales,
         np.array(builder.periods, np.float64),
-        tuple(builder.turns),
+        tuple(builder.ball_rotations),
         sum(widths[kind] for kind, _, _, follows in builder.nodes if not follows),
         length,
     )
@@ -330,14 +336,16 @@ def _levels(goals: Sequence[Goal]) -> list[int]:
     return [ranks.index(goal.priority) for goal in goals]
 
 
-def _length(builder: _Builder, ends: list[_Frame], points: list[FloatArray]) -> float:
-    """Return the longest way along the bones to a goal, or of the slides, or 1."""
-    ways = np.zeros(len(builder.nodes))
+def _length(
+    builder: _ChainBuilder, ends: list[_Frame], points: list[FloatArray]
+) -> float:
+    """Return the longest bone path to a goal, else the longest slide, else 1 [m]."""
+    distances = np.zeros(len(builder.nodes))
     for n, (_, parent, _, _) in enumerate(builder.nodes):
         if parent >= 0:
-            ways[n] = ways[parent] + np.linalg.norm(builder.offsets[n])
+            distances[n] = distances[parent] + np.linalg.norm(builder.offsets[n])
     longest = max(
-        float(ways[end.node] + np.linalg.norm(point))
+        float(distances[end.node] + np.linalg.norm(point))
         for end, point in zip(ends, points, strict=True)
     )
     if longest > 0:

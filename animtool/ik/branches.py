@@ -1,4 +1,4 @@
-"""Other ways through a interval of a clip, and the best path that they make."""
+"""Alternative solution branches over an interval of a clip, and the best path."""
 
 from __future__ import annotations
 
@@ -17,55 +17,53 @@ from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
 from animtool.ik.solving import solve
 
-# What a frame that misses its goals costs, in squared radians: more than any jump.
+# Cost of a frame that misses its goals, in squared radians: more than any jump.
 MISSED = 1e4
 # Weight of goals of the next priority number [1].
-GIVES_WAY = 1e-2
+PRIORITY_FACTOR = 1e-2
 # Poses that cost no more than this much more miss their goals by as much, see `price`.
 NO_WORSE = 1e-3
-# Poses nearer than this are one branch [rad], [share of the length].
+# Poses nearer than this belong to one branch [rad], [fraction of the length].
 SAME = 1e-3
-# Steps of a frame from anywhere, and from the one beside it; a branch that needs more
-# ends there.
+# Iterations from any start, and from the neighbouring frame; a branch that needs
+# more ends there.
 DESCENT, STEPS = 100, 30
-# Solutions looked for at each place along a whole clip, and branches side by side.
+# Solutions searched at each sample of a clip, and branches kept in parallel.
 STRANDS, LAYERS = 12, 8
-# A branch is followed so many frames at a time, as it may end in any.
+# A branch is followed this many frames at a time, as it may end at any of them.
 AT_A_TIME = 48
-# Random turns of joints that no limits hold [rad], of one seed after the other.
+# Standard deviations of random rotations of joints without limits [rad], in turn.
 SPREAD = (0.5, 1.5, 3.0)
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Consecutive frames, to be passed through some other way."""
+    """Consecutive frames for which another branch of solutions is searched."""
 
-    problem: Problem  # what is asked
+    problem: Problem  # goals and joints
     targets: Targets  # of all F frames of the clip
-    frames: range  # of the interval, the first of which is where paths part
-    broken: int  # the frame that is not to be come to by a jump
-    poses: FloatArray  # the path as it is, chain coordinates ``(L, C)``
-    costs: FloatArray  # of what it misses, see `price` ``(L,)``
-    # The motion that the path is a change of ``(L, C)``; one pose repeated where it is
-    # none.
+    frames: range  # of the interval; paths diverge at the first
+    broken: int  # the frame to reach without a jump
+    poses: FloatArray  # the current path, chain coordinates ``(L, C)``
+    costs: FloatArray  # of its misses, see `price` ``(L,)``
+    # Source motion that the path changes ``(L, C)``; one pose repeated without one.
     reference: FloatArray
-    # How far a joint may go from frame to frame as if it were near ``(L - 1,)``; what
-    # is beyond is avoided.
+    # Largest joint step that is not penalised, for each frame pair ``(L - 1,)``.
     easy: FloatArray
-    # Poses of all frames that the problem's ``rest_weight`` draws to ``(F, Q)``.
+    # Preferred poses of all frames, weighted by ``rest_weight`` ``(F, Q)``.
     wished: FloatArray
-    options: IkOptions  # how frames are solved
+    options: IkOptions  # solver options of a frame
 
     @property
     def chain(self) -> Chain:
-        """The joints as the solver takes them."""
+        """The kinematic chain of the problem."""
         return self.problem.chain
 
     def solved(
         self, starts: FloatArray, frames: IntArray, steps: int = DESCENT
     ) -> tuple[FloatArray, FloatArray]:
-        """Return poses ``(B, C)`` for starts in frames of the clip, and their cost."""
-        rows = self.problem.chain.into_rig(starts, self._whole(len(starts)))
+        """Return poses ``(B, C)`` solved from starts at frames of a clip, and costs."""
+        rows = self.problem.chain.into_rig(starts, self._empty_rows(len(starts)))
         chosen = replace(self.options, warm=False, restarts=0, iterations=steps)
         result = self._solve(rows, frames, chosen)
         poses = self.chain.from_rig(result.coordinates)
@@ -73,9 +71,9 @@ class Interval:
         return poses, price(misses, result.converged)
 
     def tracked(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
-        """Return poses that follow one through rows, and how many reach their goals."""
+        """Return poses tracked from one pose through rows, and how many reach goals."""
         chosen = replace(self.options, warm=True, restarts=0, iterations=STEPS)
-        start = self.problem.chain.into_rig(pose[None], self._whole(1))[0]
+        start = self.problem.chain.into_rig(pose[None], self._empty_rows(1))[0]
         poses = np.zeros((len(rows), len(pose)))
         for first in range(0, len(rows), AT_A_TIME):
             some = slice(first, min(first + AT_A_TIME, len(rows)))
@@ -94,43 +92,43 @@ class Interval:
         wished = self.wished[frames]
         return solve(self.problem, starts, targets, options, prefer=wished)
 
-    def _whole(self, count: int) -> FloatArray:
+    def _empty_rows(self, count: int) -> FloatArray:
         return np.zeros((count, self.problem.coordinates))
 
     def changed(self, poses: FloatArray, row: int) -> FloatArray:
-        """Return how poses in a row differ from the reference ``(..., D)``."""
+        """Return the difference of poses from a reference row ``(..., D)``."""
         return difference(self.chain, self.reference[row], poses)
 
 
 def weighed(problem: Problem, misses: FloatArray, targets: Targets) -> FloatArray:
-    """Return what misses ``(F, E, 4)`` [m], [rad] count in a search ``(F, E, 4)`` [1].
+    """Return misses ``(F, E, 4)`` [m], [rad] weighted for a search ``(F, E, 4)`` [1].
 
-    As in the solver, goals count by their weights, and those that give way hardly
-    against the others; what counts most in a frame counts as it is, in shares of the
-    length.
+    As in the solver, misses are scaled by goal weights, and goals of lower priority
+    count little. The largest weight of a frame is normalised to 1; lengths are
+    fractions of the problem's length.
     """
     counts = np.array([goal.weights for goal in problem.goals])
-    counts = counts * GIVES_WAY ** problem.chain.goals[:, 3:4]
+    counts = counts * PRIORITY_FACTOR ** problem.chain.goals[:, 3:4]
     if targets.weights is not None:
         counts = counts * np.asarray(targets.weights, np.float64)
     most = counts.max(axis=(-2, -1), keepdims=True)
     counts = np.divide(counts, most, out=np.zeros_like(counts), where=most > 0)
-    found = misses / by_unit(problem.length, 1.0)
-    # What counts nothing may be infinite.
-    return np.asarray(np.where(counts > 0, found, 0.0) * counts, np.float64)
+    relative_misses = misses / by_unit(problem.length, 1.0)
+    # Misses of weight 0 may be infinite.
+    return np.asarray(np.where(counts > 0, relative_misses, 0.0) * counts, np.float64)
 
 
 def price(misses: FloatArray, reached: BoolArray) -> FloatArray:
-    """Return the cost of misses as `weighed`, 0 where goals are reached ``(F,)``."""
+    """Return the cost of weighted misses, 0 where goals are reached ``(F,)``."""
     cost = MISSED * (1.0 + (misses**2).sum(axis=(1, 2)))
     return np.where(reached, 0.0, cost)
 
 
 def forgiving(costs: FloatArray, slack: float) -> FloatArray:
-    """Return costs of paths ``(K, L)`` that miss goals by as little as the best do.
+    """Return costs of paths ``(K, L)``, equal for misses near the smallest.
 
-    In each frame, what misses its goals by no more than ``slack`` [share of the length]
-    beyond the least costs as little as that.
+    In each frame, a path whose miss exceeds the smallest by at most ``slack``
+    [fraction of the length] costs as little as that one.
     """
     least = costs.min(axis=0)
     limit = np.where(least > 0, MISSED * (1.0 + (missed_by(least) + slack) ** 2), 0.0)
@@ -138,19 +136,18 @@ def forgiving(costs: FloatArray, slack: float) -> FloatArray:
 
 
 def missed_by(costs: FloatArray) -> FloatArray:
-    """Return how far poses of some cost miss their goals, see `price`."""
+    """Return the miss that a cost stands for; the inverse of `price`."""
     return np.sqrt(np.maximum(costs / MISSED - 1.0, 0.0))
 
 
 def branches(
     interval: Interval, count: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return paths through a interval ``(K, L, C)`` and the cost of their misses.
+    """Return candidate paths through an interval ``(K, L, C)``, and costs ``(K, L)``.
 
-    The path as it is; what other solutions of the broken frame and of the last come to,
-    followed through time both ways; and paths that pass from the first to each of these
-    little by little, brought to the goals. Costs are ``(K, L)``, 0 where goals are
-    reached.
+    They are the current path; other solutions of the broken frame, tracked forward and
+    backward in time; and blends from the current path to each of these, projected onto
+    the goals. Costs are 0 where goals are reached.
     """
     at = interval.broken - interval.frames.start
     starts = [interval.poses[at], interval.poses[at - 1]]
@@ -160,9 +157,9 @@ def branches(
     kept = _distinct(interval.chain, solutions[cost == 0])
     if not len(kept):
         kept = solutions[np.argsort(cost, kind="stable")[:1]]
-    tracks, costs = follow_both_ways(interval, kept, at)
-    own = interval.poses[None]
-    paths = [own, tracks]
+    tracks, costs = follow_in_both_directions(interval, kept, at)
+    current = interval.poses[None]
+    paths = [current, tracks]
     prices = [interval.costs[None], costs]
     for path, cost in _passing(interval, tracks, at):
         paths.append(path[None])
@@ -173,10 +170,10 @@ def branches(
 def branch_tracks(
     interval: Interval, rows: IntArray, count: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return paths through a whole interval ``(K, L, C)``, as of `branches`.
+    """Return candidate paths from solutions at some rows ``(K, L, C)``; see `branches`.
 
-    The path as it is, and for each of some rows the poses there and beside it and the
-    nearest of other solutions, each followed both ways through time to the ends.
+    They are the current path and, for each of the rows, its pose, that of the row
+    before and the nearest other solutions, each tracked to both ends of the interval.
     """
     paths, prices = [interval.poses[None]], [interval.costs[None]]
     for row in rows.tolist():
@@ -188,7 +185,7 @@ def branch_tracks(
         kept = _distinct(interval.chain, solutions[cost <= cost.min() + NO_WORSE])
         away = np.abs(difference(interval.chain, home, kept)).max(axis=1)
         kept = kept[np.argsort(away, kind="stable")[:STRANDS]]
-        tracks, costs = follow_both_ways(interval, kept, row, STEPS)
+        tracks, costs = follow_in_both_directions(interval, kept, row, STEPS)
         paths.append(tracks)
         prices.append(costs)
     return np.concatenate(paths), np.concatenate(prices)
@@ -197,11 +194,10 @@ def branch_tracks(
 def search_branches(
     interval: Interval, spacing: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return paths through a long interval ``(K, L, C)``, as of `branches`.
+    """Return candidate paths through a long interval ``(K, L, C)``; see `branches`.
 
-    The path as it is, and solutions from seeded starts, looked for every ``spacing``
-    frames and each followed both ways through time until it ends, or others that began
-    later take its place.
+    They are the current path and solutions from seeded starts every ``spacing`` frames,
+    each tracked in both directions until it ends or a later layer replaces it.
     """
     length, width = interval.poses.shape
     paths = np.zeros((1 + LAYERS * STRANDS, length, width))
@@ -216,30 +212,33 @@ def search_branches(
         layer = 1 + i % LAYERS * STRANDS
         paths[layer : layer + STRANDS, max(at - far, 0) : at + far] = solutions[:, None]
         for k in np.flatnonzero(cost == 0):
-            for way in (slice(at, min(at + far, length)), slice(at, at - far, -1)):
-                rows = np.arange(length)[_clipped(way)]
+            for direction in (
+                slice(at, min(at + far, length)),
+                slice(at, at - far, -1),
+            ):
+                rows = np.arange(length)[_clipped(direction)]
                 poses, ok = interval.tracked(solutions[k], rows)
                 paths[layer + k, rows[:ok]] = poses[:ok]
                 costs[layer + k, rows[:ok]] = 0.0
     return paths, costs
 
 
-def _clipped(way: slice) -> slice:
-    """Return a slice that goes down to the first element and not around it."""
-    return slice(way.start, None, way.step) if way.stop < 0 else way
+def _clipped(rows: slice) -> slice:
+    """Return a slice with a negative stop replaced, so that it reaches index 0."""
+    return slice(rows.start, None, rows.step) if rows.stop < 0 else rows
 
 
 def _scattered(
     interval: Interval, home: FloatArray, count: int, seed: int
 ) -> Iterator[FloatArray]:
-    """Return poses anywhere within the limits, or about one where there are none."""
+    """Return random poses within the limits, or around a pose without limits."""
     return random_poses(interval.chain, home, count, [seed, interval.broken])
 
 
 def random_poses(
     chain: Chain, home: FloatArray, count: int, seed: Sequence[int]
 ) -> Iterator[FloatArray]:
-    """Yield poses anywhere within the limits, or about one where there are none."""
+    """Yield random poses within the limits, or around a pose without limits."""
     rng = np.random.default_rng(seed)
     for i in range(count):
         step = rng.normal(size=chain.degrees) * SPREAD[i % len(SPREAD)]
@@ -263,18 +262,18 @@ def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
     return np.array(kept).reshape(-1, poses.shape[-1])
 
 
-def follow_both_ways(
+def follow_in_both_directions(
     interval: Interval, poses: FloatArray, at: int, steps: int = DESCENT
 ) -> tuple[FloatArray, FloatArray]:
-    """Return poses ``(K, C)`` of a row followed to both ends of the interval."""
+    """Return poses ``(K, C)`` of a row tracked to both ends of the interval."""
     length = len(interval.frames)
     tracks = np.zeros((len(poses), length, poses.shape[1]))
     costs = np.zeros((len(poses), length))
-    for way, stop in ((1, length), (-1, -1)):
+    for direction, stop in ((1, length), (-1, -1)):
         now = poses
-        for row in range(at, stop, way):
+        for row in range(at, stop, direction):
             if row != at:
-                change = interval.changed(now, row - way)
+                change = interval.changed(now, row - direction)
                 now = moved(interval.chain, interval.reference[row], change)
             frames = np.full(len(now), interval.frames[row])
             now, costs[:, row] = interval.solved(now, frames, steps)
@@ -285,9 +284,9 @@ def follow_both_ways(
 def _passing(
     interval: Interval, tracks: FloatArray, at: int
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Return paths from the one as it is to others, over the rows before ``at``."""
-    share = np.clip(np.arange(len(interval.frames)) / max(at, 1), 0.0, 1.0)
-    eased = (share**3 * (10 + share * (6 * share - 15)))[:, None]
+    """Yield blends from the current path to others over the rows before ``at``."""
+    progress = np.clip(np.arange(len(interval.frames)) / max(at, 1), 0.0, 1.0)
+    eased = (progress**3 * (10 + progress * (6 * progress - 15)))[:, None]
     for track in tracks:
         step = difference(interval.chain, interval.poses, track)
         between = moved(interval.chain, interval.poses, eased * step)
@@ -302,12 +301,11 @@ def best_path(
     closed: bool,
     opened: bool = False,
 ) -> FloatArray:
-    """Return the poses ``(L, C)`` of the cheapest way along paths and over to others.
+    """Return the poses ``(L, C)`` of the cheapest route across candidate paths.
 
-    The sum of squared distances from frame to frame and of the misses is the least (A.
-    Viterbi, Error bounds for convolutional codes, 1967), steps that are not easy being
-    dear. It begins on the first of the paths, unless ``opened``, and ends there if
-    ``closed``.
+    Minimises the sum of squared steps and miss costs (A. Viterbi, Error bounds for
+    convolutional codes, 1967); steps above ``easy`` are penalised. The route begins on
+    the first path unless ``opened``, and ends there if ``closed``.
 
     ``paths`` ``(K, L, C)``, ``costs`` ``(K, L)``.
     """

@@ -1,4 +1,4 @@
-"""A rig's active joints as the kernel takes them: one axis convention, one scale."""
+"""The kinematic chain of a rig's active joints, as IK kernels take it."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 
 PIN, SLIDE, BALL = 0, 1, 2
-# Limits this close to a whole turn apart leave no gap [rad].
+# A limit range within this of a full revolution has no gap [rad].
 GAP = 1e-6
-# Limits that are wider than a whole turn by no more than this are meant as one [rad].
+# A limit range exceeding a full revolution by at most this counts as one [rad].
 HAIR = 0.02
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Nodes: joints turned so that z is what they turn, slide or twist about."""
+    """Nodes of joints, each rotated so that z is its rotation, slide or twist axis."""
 
-    # Kind, parent, coordinate, whether it follows that of another node, or with 2 a
-    # program ``(N, 4)``; behind these, rows of programs (`driver_programs`).
+    # Kind, parent, coordinate, and 1 for a mimic or 2 for a driver program ``(N, 4)``;
+    # then the rows of programs (`driver_programs`).
     nodes: IntArray
-    # Rest rotation and offset, gain, shift, limits ``(N, 18)``, lengths in shares of
-    # ``length``.
+    # Rest rotation and offset, gain, shift, limits ``(N, 18)``; lengths are fractions
+    # of ``length``.
     numbers: FloatArray
     goals: IntArray  # node, root and middle of the limb, level ``(E, 4)``
     # Offset in the node's frame, of the joint and from the joint, aim axis, weights
@@ -33,95 +33,97 @@ class Chain:
     goal_numbers: FloatArray
     # Node_from_joint quaternions ``(E, 4)`` of the goals' joints.
     goal_frames: FloatArray
-    columns: IntArray  # of the rig's coordinates, those of the chain, in its order
-    scales: FloatArray  # what each of them is divided by
-    # Least and largest of each that turns all the way round, else infinite ``(C, 2)``.
+    columns: IntArray  # rig coordinate of each chain coordinate ``(C,)``
+    scales: FloatArray  # divisor of each ``(C,)``
+    # Limits of each that covers a full revolution, else infinite ``(C, 2)``.
     periods: FloatArray
     # ``(first column of a ball, ball_from_joint quaternion)``.
-    turns: tuple[tuple[int, FloatArray], ...]
+    ball_frames: tuple[tuple[int, FloatArray], ...]
     degrees: int  # degrees of freedom
     length: float  # [m]
 
     @property
     def arrays(self) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
-        """What the kernels first take of a chain and its goals."""
+        """The leading arguments of IK kernels: chain and goals."""
         return self.nodes, self.numbers, self.goals, self.goal_numbers
 
     @cached_property
     def turning(self) -> IntArray:
-        """Columns of the joints that turn all the way round."""
+        """Columns of the joints that cover a full revolution."""
         return np.flatnonzero(np.isfinite(self.periods[:, 0]))
 
     @cached_property
     def _balls(self) -> tuple[IntArray, FloatArray]:
-        """Columns ``(T, 4)`` of ball joints, and their turns ``(T, 4)``."""
-        first = np.array([place for place, _ in self.turns], np.int64)
-        turns = np.array([turn for _, turn in self.turns]).reshape(-1, 4)
-        return first[:, None] + np.arange(4), turns
+        """Columns ``(T, 4)`` of ball joints, and their frames ``(T, 4)``."""
+        first = np.array([column for column, _ in self.ball_frames], np.int64)
+        ball_frames = np.array([frame for _, frame in self.ball_frames]).reshape(-1, 4)
+        return first[:, None] + np.arange(4), ball_frames
 
     def from_rig(self, coordinates: FloatArray) -> FloatArray:
-        """Return the chain's coordinates ``(B, C)`` of the rig's ``(B, Q)``."""
+        """Return chain coordinates ``(B, C)`` from rig coordinates ``(B, Q)``."""
         q = np.ascontiguousarray(coordinates[:, self.columns] / self.scales)
-        columns, turns = self._balls
-        q[:, columns] = _conjugated(so3.normalize(q[:, columns]), turns)
+        columns, ball_frames = self._balls
+        q[:, columns] = _conjugated(so3.normalize(q[:, columns]), ball_frames)
         return q
 
     def into_rig(self, q: FloatArray, coordinates: FloatArray) -> FloatArray:
-        """Return the rig's coordinates ``(B, Q)`` with the chain's in place."""
+        """Return rig coordinates ``(B, Q)`` updated from the chain's ``(B, C)``."""
         q = q.copy()
-        columns, turns = self._balls
-        q[:, columns] = _conjugated(q[:, columns], so3.conjugate(turns))
+        columns, ball_frames = self._balls
+        q[:, columns] = _conjugated(q[:, columns], so3.conjugate(ball_frames))
         if len(self.turning):
             low, high = self.periods[self.turning].T
-            own = q[:, self.turning]
-            whole = np.round((own - (low + high) / 2) / (2 * np.pi))
-            inside = np.clip(own - 2 * np.pi * whole, low, high)
-            q[:, self.turning] = np.where((own < low) | (own > high), inside, own)
+            angles = q[:, self.turning]
+            revolutions = np.round((angles - (low + high) / 2) / (2 * np.pi))
+            inside = np.clip(angles - 2 * np.pi * revolutions, low, high)
+            q[:, self.turning] = np.where(
+                (angles < low) | (angles > high), inside, angles
+            )
         out = coordinates.copy()
         out[:, self.columns] = q * self.scales
         return out
 
 
-def _conjugated(q: FloatArray, turn: FloatArray) -> FloatArray:
-    """Return rotations ``(B, T, 4)`` as seen from turned frames ``(T, 4)``."""
-    return np.concatenate([so3.rotate(turn, q[..., :3]), q[..., 3:]], axis=-1)
+def _conjugated(q: FloatArray, frame: FloatArray) -> FloatArray:
+    """Return rotations ``(B, T, 4)`` expressed in rotated frames ``(T, 4)``."""
+    return np.concatenate([so3.rotate(frame, q[..., :3]), q[..., 3:]], axis=-1)
 
 
 def difference(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return what takes poses to others ``(..., D)``, from coordinates ``(..., C)``.
+    """Return steps between poses ``(..., D)``, from coordinates ``(..., C)``.
 
-    Pins in radians, slides in shares of the chain's length, balls as rotation vectors
-    [rad] in the frame they rest in. Pins without limits go the short way round.
+    Pins in radians, slides in fractions of the chain's length, balls as rotation
+    vectors [rad] in their rest frame. Pins without limits take the short direction.
     """
     start, end = np.broadcast_arrays(start, end)
     out = np.zeros((*start.shape[:-1], chain.degrees))
-    columns, places, balls = _layout(chain)
+    columns, dofs, balls = _layout(chain)
     single = end[..., columns[~balls]] - start[..., columns[~balls]]
-    whole = 2 * np.pi * np.round(single / (2 * np.pi))
-    single -= np.where(_endless(chain)[~balls], whole, 0.0)
-    out[..., places[~balls]] = single
-    for column, place in zip(columns[balls], places[balls], strict=True):
-        own = slice(column, column + 4)
-        turn = so3.multiply(end[..., own], so3.conjugate(start[..., own]))
-        out[..., place : place + 3] = so3.log(turn)
+    revolutions = 2 * np.pi * np.round(single / (2 * np.pi))
+    single -= np.where(_endless(chain)[~balls], revolutions, 0.0)
+    out[..., dofs[~balls]] = single
+    for column, dof in zip(columns[balls], dofs[balls], strict=True):
+        ball = slice(column, column + 4)
+        rotation = so3.multiply(end[..., ball], so3.conjugate(start[..., ball]))
+        out[..., dof : dof + 3] = so3.log(rotation)
     return out
 
 
 def moved(chain: Chain, start: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the poses ``(..., C)`` that steps ``(..., D)`` lead to, limits aside."""
+    """Return poses ``(..., C)`` after steps ``(..., D)``, without limits."""
     shape = np.broadcast_shapes(start.shape[:-1], step.shape[:-1])
     out = np.array(np.broadcast_to(start, (*shape, start.shape[-1])))
-    columns, places, balls = _layout(chain)
-    out[..., columns[~balls]] += step[..., places[~balls]]
-    for column, place in zip(columns[balls], places[balls], strict=True):
-        own = slice(column, column + 4)
-        turn = so3.exp(step[..., place : place + 3])
-        out[..., own] = so3.multiply(turn, out[..., own])
+    columns, dofs, balls = _layout(chain)
+    out[..., columns[~balls]] += step[..., dofs[~balls]]
+    for column, dof in zip(columns[balls], dofs[balls], strict=True):
+        ball = slice(column, column + 4)
+        rotation = so3.exp(step[..., dof : dof + 3])
+        out[..., ball] = so3.multiply(rotation, out[..., ball])
     return out
 
 
 def _layout(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
-    """Return each joint's first coordinate, first degree of freedom, whether a ball."""
+    """Return each joint's first coordinate, first degree of freedom, and if a ball."""
     nodes = chain.nodes[chain.nodes[:, 3] == 0]
     balls = nodes[:, 0] == BALL
     widths = np.where(balls, 3, 1)
@@ -129,7 +131,7 @@ def _layout(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
 
 
 def unwound(chain: Chain, poses: FloatArray) -> FloatArray:
-    """Return poses ``(F, C)`` in which pins without limits do not wrap."""
+    """Return poses ``(F, C)`` with the angles of unlimited pins unwrapped."""
     columns = _layout(chain)[0][_endless(chain)]
     out = poses.copy()
     out[:, columns] = np.unwrap(poses[:, columns], axis=0)
@@ -137,14 +139,14 @@ def unwound(chain: Chain, poses: FloatArray) -> FloatArray:
 
 
 def with_periods(chain: Chain) -> FloatArray:
-    """Return the chain's ``numbers`` with limits more than a turn apart in place.
+    """Return the chain's ``numbers`` with limits wider than a revolution filled in.
 
-    Limits that are one turn apart, or a hair more as ±180.1° are, stay out: what
-    crosses them ends at the other one, turned as if there were none.
+    Limits one revolution apart, or slightly more such as ±180.1°, are left out: an
+    angle that crosses one continues at the other.
     """
     numbers = chain.numbers.copy()
     for row, (kind, _, column, follows) in zip(numbers, chain.nodes, strict=True):
-        # What follows a program has none of its own.
+        # Driven joints have no limits here.
         if kind != PIN or follows > 1:
             continue
         low, high = chain.periods[column]
@@ -154,7 +156,7 @@ def with_periods(chain: Chain) -> FloatArray:
 
 
 def _endless(chain: Chain) -> BoolArray:
-    """Return which joints are pins without limits."""
-    own = chain.nodes[:, 3] == 0
-    free = ~np.isfinite(with_periods(chain)[own, 14:16]).any(axis=1)
-    return np.asarray((chain.nodes[own, 0] == PIN) & free)
+    """Return a mask of the joints that are pins without limits."""
+    independent = chain.nodes[:, 3] == 0
+    free = ~np.isfinite(with_periods(chain)[independent, 14:16]).any(axis=1)
+    return np.asarray((chain.nodes[independent, 0] == PIN) & free)

@@ -1,9 +1,9 @@
-"""Poses of a take as one problem over many frames.
+"""Poses of a take as one IK problem over many frames.
 
-A problem has one rig, whose joints above the goals' chains stand still. In a take they
-move, and joints may do what their types cannot. So the targets of each frame are
-brought into the frame of what carries the chain, and what coordinates cannot say goes
-into the rest pose.
+A problem has one rig, whose joints above the goals' chains are fixed. In a take they
+move, and joints may move in directions that their types do not allow. So the targets
+of each frame are transformed to the frame that carries the chain, and motion outside
+the joint coordinates goes into the rest pose.
 """
 
 from __future__ import annotations
@@ -35,37 +35,41 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """Frames that are problems of one rig."""
+class FrameSpan:
+    """Consecutive frames that are solved on one rig."""
 
-    rig: Rig  # its rest pose holds what coordinates cannot say of the frames
-    frames: slice  # which frames they are
-    coordinates: FloatArray  # of the poses ``(N, Q)``
-    places: FloatArray  # what carries each goal's chain: positions ``(N, E, 3)`` [m]
-    turns: FloatArray  # and rotations ``(N, E, 4)``
+    rig: Rig  # its rest pose contains motion outside the joint coordinates
+    frames: slice  # of the take
+    coordinates: FloatArray  # of the source poses ``(N, Q)``
+    carrier_positions: (
+        FloatArray  # what carries each goal's chain: positions ``(N, E, 3)`` [m]
+    )
+    carrier_rotations: FloatArray  # and rotations ``(N, E, 4)``
 
     def to_chain_frame(self, targets: Targets) -> Targets:
-        """Return the targets of all frames as seen from the part's first pose."""
-        turn = so3.multiply(self.turns[:1], so3.conjugate(self.turns))
+        """Return the span's targets in the carrier frame of its first pose."""
+        rotation = so3.multiply(
+            self.carrier_rotations[:1], so3.conjugate(self.carrier_rotations)
+        )
 
-        given = rows_of(targets, self.frames)
+        part_targets = rows_of(targets, self.frames)
         parts = {}
         for kind in KINDS:
-            values = np.asarray(getattr(given, kind.targets))
+            values = np.asarray(getattr(part_targets, kind.targets))
             if kind.value is TargetValue.ROTATION:
-                parts[kind.targets] = so3.multiply(turn, values)
+                parts[kind.targets] = so3.multiply(rotation, values)
             else:
-                away = so3.rotate(turn, values - self.places)
-                parts[kind.targets] = np.asarray(self.places[:1] + away)
-        return replace(given, **parts)
+                away = so3.rotate(rotation, values - self.carrier_positions)
+                parts[kind.targets] = np.asarray(self.carrier_positions[:1] + away)
+        return replace(part_targets, **parts)
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
-    """The frames of a take as parts."""
+class FrameSpans:
+    """The frames of a take as spans of one rig each."""
 
-    all: list[Part]  # one, or where none fits all frames, one each
-    # Names of the joints, and controls of their drivers, for which none does.
+    all: list[FrameSpan]  # one, or one for each frame where no rig fits all
+    # Names of the joints and driver controls that prevent a single span.
     between: tuple[str, ...]
 
 
@@ -76,10 +80,10 @@ def parts_of(
     goals: Sequence[Goal],
     joints: Collection[str] | None,
     controls: Mapping[str, FloatArray] | None = None,
-) -> Parts:
-    """Return the frames of a take as parts.
+) -> FrameSpans:
+    """Return the frames of a take as spans of one rig each.
 
-    ``controls``: values ``(F,)`` of those that drivers of joints read.
+    ``controls``: values ``(F,)`` of the controls that joint drivers read.
     """
     coordinates = coordinates_from_local(rig, local)
     controls = controls or {}
@@ -109,27 +113,27 @@ def parts_of(
         if between or others
         else [slice(0, count)]
     )
-    places, turns = _carriers(world, carriers)
+    positions, rotations = _carriers(world, carriers)
     of_paths = sorted({j for path in paths for j in path})
     parts = [
-        Part(
+        FrameSpan(
             with_controls(
                 _with_rests(rig, rests, span.start, of_paths), controls, span.start
             ),
             span,
             coordinates[span],
-            places[span],
-            turns[span],
+            positions[span],
+            rotations[span],
         )
         for span in spans
     ]
-    return Parts(parts, (*(rig.names[j] for j in between), *others))
+    return FrameSpans(parts, (*(rig.names[j] for j in between), *others))
 
 
 def _moving_sources(
     rig: Rig, driven: set[int], free: set[int], changed: BoolArray
 ) -> list[int]:
-    """Return joints that driven ones read, which move but are not solved."""
+    """Return joints that move without being solved and that drivers read."""
     if not rig.is_driven:
         return []
     plan = plan_of(rig)
@@ -140,7 +144,7 @@ def _moving_sources(
 
 
 def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig:
-    """Return a rig whose controls stand at values of a frame, as their defaults."""
+    """Return a rig whose control defaults are the values of a frame."""
     if not values:
         return rig
     controls = tuple(
@@ -153,7 +157,7 @@ def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig
 
 
 def _turning(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
-    """Return the joints whose rotation matters: not those that turn about the point."""
+    """Return the joints whose rotation moves a goal, without pivots."""
     turning: set[int] = set()
     for goal, path in zip(goals, paths, strict=True):
         turning.update(path[1:] if goal.pivots else path)
@@ -163,25 +167,25 @@ def _turning(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
 def _rests(
     rig: Rig, local: LocalTransforms, coordinates: FloatArray
 ) -> LocalTransforms:
-    """Return the rest poses with which coordinates say exactly what joints do."""
+    """Return rest poses with which the coordinates reproduce the pose exactly."""
     # local = rest · motion, so rest = local · motion⁻¹.
     model = local_from_coordinates(rig, coordinates)
     undo = so3.conjugate(rig.rest_rotations)
-    motion_turn = so3.multiply(undo, model.rotations)
-    motion_move = so3.rotate(undo, model.translations - rig.rest_translations)
-    turns = so3.multiply(local.rotations, so3.conjugate(motion_turn))
-    places = local.translations - so3.rotate(turns, motion_move)
-    return LocalTransforms(places, turns)
+    motion_rotations = so3.multiply(undo, model.rotations)
+    motion_translations = so3.rotate(undo, model.translations - rig.rest_translations)
+    rotations = so3.multiply(local.rotations, so3.conjugate(motion_rotations))
+    translations = local.translations - so3.rotate(rotations, motion_translations)
+    return LocalTransforms(translations, rotations)
 
 
 def _moved(local: LocalTransforms) -> BoolArray:
-    """Return which joints are not in every frame where they are in the first."""
+    """Return a mask of the joints whose translation changes over the frames."""
     away = np.abs(local.translations - local.translations[:1]).max(axis=(0, 2))
     return np.asarray(away > SAME, np.bool_)
 
 
 def _turned(local: LocalTransforms) -> BoolArray:
-    """Return which joints are not in every frame turned as in the first."""
+    """Return a mask of the joints whose rotation changes over the frames."""
     turned = so3.angle_between(local.rotations, local.rotations[:1]).max(axis=0)
     return np.asarray(turned > SAME, np.bool_)
 
@@ -189,14 +193,14 @@ def _turned(local: LocalTransforms) -> BoolArray:
 def _with_rests(
     rig: Rig, rests: LocalTransforms, frame: int, moving: Sequence[int]
 ) -> Rig:
-    """Return the rig with the rest pose of a frame, where that is another."""
+    """Return the rig with the rest pose of a frame, where that differs."""
     joints = list(rig.joints)
     for j in moving:
-        place, turn = rests.translations[frame, j], rests.rotations[frame, j]
-        apart = np.abs(place - rig.rest_translations[j]).max() > SAME
-        if apart or so3.angle_between(turn, rig.rest_rotations[j]) > SAME:
-            x, y, z = place.tolist()
-            a, b, c, w = turn.tolist()
+        translation, rotation = rests.translations[frame, j], rests.rotations[frame, j]
+        differs = np.abs(translation - rig.rest_translations[j]).max() > SAME
+        if differs or so3.angle_between(rotation, rig.rest_rotations[j]) > SAME:
+            x, y, z = translation.tolist()
+            a, b, c, w = rotation.tolist()
             joints[j] = replace(joints[j], translation=(x, y, z), rotation=(a, b, c, w))
     return rig if tuple(joints) == rig.joints else replace(rig, joints=tuple(joints))
 
@@ -204,34 +208,34 @@ def _with_rests(
 def _carriers(
     world: WorldTransforms, joints: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where joints are ``(F, E, 3)`` and ``(F, E, 4)``; -1 is the world."""
+    """Return joints' positions ``(F, E, 3)`` and rotations ``(F, E, 4)``; -1: world."""
     count = len(world.positions)
-    places = np.zeros((count, len(joints), 3))
-    turns = np.tile(so3.IDENTITY, (count, len(joints), 1))
+    positions = np.zeros((count, len(joints), 3))
+    rotations = np.tile(so3.IDENTITY, (count, len(joints), 1))
     for e, j in enumerate(joints):
         if j >= 0:
-            places[:, e] = world.positions[:, j]
-            turns[:, e] = so3.align_signs(so3.from_matrix(world.linear[:, j]))
-    return places, turns
+            positions[:, e] = world.positions[:, j]
+            rotations[:, e] = so3.align_signs(so3.from_matrix(world.linear[:, j]))
+    return positions, rotations
 
 
 def refuse_scales(
     take: Take, effectors: Iterable[tuple[str, str]], path: Path | None = None
 ) -> None:
-    """Refuse scales of what an effector hangs from: a chain has lengths that stay."""
+    """Raise if a joint above an effector is scaled: bone lengths must be constant."""
     channel = take.motion.scales
     if channel is None:
         return
     scaled = (channel.rest != 1.0).any(axis=1)
     scaled[channel.animated] |= (channel.values != 1.0).any(axis=(0, 2))
     faults = {}
-    place = None if path is None else str(path)
+    source = None if path is None else str(path)
     for effector, joint in effectors:
         for j in take.rig.upwards(take.rig.index(joint)):
             if scaled[j]:
                 name = take.rig.names[j]
                 message = f"{effector!r} is below {name!r}, which is scaled"
                 hint = "inverse kinematics needs joints without scale"
-                faults[name] = Fault("TGT016", message, place, (), hint)
+                faults[name] = Fault("TGT016", message, source, (), hint)
     if faults:
         raise OptionError(list(faults.values()))

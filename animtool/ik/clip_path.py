@@ -1,4 +1,4 @@
-"""A clip on its way to its targets: the frames, and what a path through them costs."""
+"""A clip that follows targets, and the cost of a path through its frames."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.solving import pose_rows, solve
 
-# A step of this share of the largest that is no jump is smooth: no steadier one is
-# looked for.
+# A step below this fraction of the jump threshold is smooth: no steadier path is
+# searched.
 SMOOTH_ENOUGH = 0.4
 # A goal out of reach may be missed by this much more where that makes a path steadier
 # [m]: a few such changes stay within the millimetre that counts as the nearest.
 SLACK = 2.5e-4
-# What is this much nearer is another place [m].
+# A position nearer by more than this counts as different [m].
 NEAR = 1e-3
-# Poses nearer than this are the same [rad], [share of the length].
+# Poses nearer than this are equal [rad], [fraction of the length].
 UNCHANGED = 1e-9
 
 
@@ -44,12 +44,12 @@ class FollowOptions:
     """How to follow targets through a clip.
 
     Attributes:
-        solving: Of the frames; ``ordered`` and ``warm`` have no say.
+        solving: Options of each frame; ``ordered`` and ``warm`` are ignored.
         fps: Frames a second.
-        smooth: Time over which motion that the goals leave free is evened out [s], as
-            of `animtool.ik.smooth`; 0 leaves it.
-        branches: Other poses tried where a joint jumps.
-        back: How long before a jump the path may leave for another [s].
+        smooth: Time over which motion that the goals leave free is smoothed [s], see
+            `animtool.ik.smooth`; 0 disables it.
+        branches: Number of other poses tried where a joint jumps.
+        back: Longest time before a jump at which the path may switch branches [s].
     """
 
     solving: IkOptions = field(default_factory=IkOptions)
@@ -60,19 +60,19 @@ class FollowOptions:
 
 
 class ClipPath:
-    """The frames of a clip, and the measures by which paths through them compare.
+    """The frames of a clip, and the costs that compare paths through them.
 
     Attributes:
-        problem: What is asked.
+        problem: Goals and joints.
         targets: Of F frames.
         options: Rate, and how to solve.
-        path: The frames as the kernels take them.
+        path: Kernel arguments of the frames.
         start: Poses that the solve starts from ``(F, Q)``.
-        moving: Whether these are a motion, from which the change is followed.
-        prefer: Poses that ``rest_weight`` draws to ``(F, Q)``.
-        reference: The start as the chain has it ``(F, C)``.
-        largest: The largest step that is no jump [rad], [share of the length].
-        least: What each frame costs at the least that was found ``(F,)``, see `price`.
+        moving: Whether the starts are a motion whose change is solved.
+        prefer: Preferred poses, weighted by ``rest_weight`` ``(F, Q)``.
+        reference: Chain coordinates of the start ``(F, C)``.
+        largest: The jump threshold [rad], [fraction of the length].
+        least: Smallest cost found for each frame ``(F,)``, see `price`.
     """
 
     def __init__(
@@ -104,15 +104,15 @@ class ClipPath:
 
     @property
     def slack(self) -> float:
-        """By how much more a goal may be missed for a steadier path [lengths]."""
+        """Extra miss allowed for a steadier path [fraction of the length]."""
         return SLACK / self.problem.length
 
     def poses(self, result: IkResult) -> FloatArray:
-        """Return the poses of a result as the chain has them ``(F, C)``."""
+        """Return the chain coordinates of a result ``(F, C)``."""
         return self.problem.chain.from_rig(result.coordinates)
 
     def solved(self, frames: slice, starts: FloatArray) -> IkResult:
-        """Return frames solved each after the one before it, or from its own start."""
+        """Return frames solved in order, or each from its start if the clip moves."""
         chosen = replace(self.options.solving, ordered=True, warm=not self.moving)
         return solve(
             self.problem,
@@ -128,7 +128,7 @@ class ClipPath:
         return jumping_frames(self.path, poses, self.start, source, self.options.fps)
 
     def strains(self, poses: FloatArray, first: int = 0) -> FloatArray:
-        """Return the largest step to each next frame, in shares of what is a jump.
+        """Return the largest step to each next frame over the jump threshold [1].
 
         ``poses`` ``(L, C)`` of the frames from the first on.
         """
@@ -136,11 +136,11 @@ class ClipPath:
         return np.asarray(np.abs(steps).max(axis=1, initial=0.0) / self.largest)
 
     def strain(self, poses: FloatArray, first: int) -> float:
-        """Return the largest of `strains`."""
+        """Return the maximum of `strains`."""
         return float(self.strains(poses, first).max(initial=0.0))
 
     def interval(self, poses: FloatArray, window: slice, frame: int) -> Interval:
-        """Return a window of the clip with its poses ``(L, C)``, broken at a frame."""
+        """Return an interval of the clip with poses ``(L, C)`` that jump at a frame."""
         path = self.path.frames(window)
         shares = path.measured(poses)
         misses = shares * by_unit(self.problem.length, 1.0)
@@ -168,10 +168,10 @@ class ClipPath:
         opened: bool = False,
         near: float = 0.0,
     ) -> FloatArray:
-        """Return the best path along some, as of `best_path`.
+        """Return the best route across candidate paths; see `best_path`.
 
-        What misses its goals by hardly more than the best does costs as little, and
-        ``near`` is the price of each squared radian from the clip.
+        Misses within the slack of the smallest cost as little, and ``near`` is the cost
+        of each squared radian from the source clip.
         """
         costs = forgiving(costs, self.slack)
         if near > 0:
@@ -180,12 +180,17 @@ class ClipPath:
         return best_path(interval, paths, costs, closed=closed, opened=opened)
 
     def judged(self, result: IkResult) -> IkResult:
-        """Return a result whose frames that are not the nearest say so."""
-        whole = slice(0, len(self))
-        costs = self.interval(self.poses(result), whole, 0).costs
-        own, least = missed_by(costs), missed_by(self.least)
+        """Return a result with STEADIER status where a nearer pose is known."""
+        all_frames = slice(0, len(self))
+        costs = self.interval(self.poses(result), all_frames, 0).costs
+        path_misses, least_misses = missed_by(costs), missed_by(self.least)
         # Misses beyond numbers are infinite at the nearest, too.
-        beyond = np.subtract(own, least, out=np.zeros_like(own), where=own > least)
+        beyond = np.subtract(
+            path_misses,
+            least_misses,
+            out=np.zeros_like(path_misses),
+            where=path_misses > least_misses,
+        )
         beyond = beyond * self.problem.length
         statuses = tuple(
             IkStatus.STEADIER if status is IkStatus.NEAREST and far else status
@@ -194,15 +199,15 @@ class ClipPath:
         return replace(result, statuses=statuses)
 
     def joined(self, result: IkResult, window: slice, poses: FloatArray) -> IkResult:
-        """Return a result with a window replaced, and what comes after it."""
+        """Return a result with a window replaced and the frames after it re-solved."""
         chain = self.problem.chain
-        own = self.poses(result)
+        current = self.poses(result)
         misses = self.path.frames(window).measured(poses)
         part = at_poses(_frames(result, window), poses, misses, self.path)
         parts = [_frames(result, slice(0, window.start)), part]
         rest = slice(window.stop, len(self))
         if rest.start < len(self):
-            same = np.abs(difference(chain, own[rest.start - 1], poses[-1])).max()
+            same = np.abs(difference(chain, current[rest.start - 1], poses[-1])).max()
             if self.moving or same < UNCHANGED:
                 parts.append(_frames(result, rest))
             else:
@@ -213,22 +218,22 @@ class ClipPath:
 
 def _frames(result: IkResult, frames: slice) -> IkResult:
     """Return some of the frames of a result."""
-    own = {name: getattr(result, name)[frames] for name in _by_frame()}
-    return replace(result, **own)
+    values = {name: getattr(result, name)[frames] for name in _by_frame()}
+    return replace(result, **values)
 
 
 def _concatenated(parts: Sequence[IkResult]) -> IkResult:
-    """Return the frames of some results, one after the other."""
-    own: dict[str, Any] = {}
+    """Return the concatenated frames of results."""
+    values: dict[str, Any] = {}
     for name in _by_frame():
-        values = [getattr(part, name) for part in parts]
+        parts_values = [getattr(part, name) for part in parts]
         if name == "statuses":
-            own[name] = tuple(status for part in values for status in part)
+            values[name] = tuple(status for part in parts_values for status in part)
         else:
-            own[name] = np.concatenate(values)
-    return replace(parts[0], **own)
+            values[name] = np.concatenate(parts_values)
+    return replace(parts[0], **values)
 
 
 def _by_frame() -> list[str]:
-    """Return the names of what a result has for each frame."""
+    """Return the names of the per-frame fields of a result."""
     return [f.name for f in fields(IkResult) if f.name not in {"problem", "jumps"}]

@@ -1,4 +1,4 @@
-"""Whole clips: poses that follow targets through time without jumps."""
+"""Solves clips: poses that follow targets through time without jumps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.ik.branches import (
     Interval,
     branch_tracks,
     branches,
-    follow_both_ways,
+    follow_in_both_directions,
     forgiving,
     search_branches,
 )
@@ -24,17 +24,17 @@ from animtool.ik.path import jumps_of, rate_faults, smooth
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
 
-# An interval that is searched begins this long before a jump [s], then twice that.
+# A searched interval begins this long before a jump [s], then twice that.
 FIRST_BACK = 0.25
-# It ends this long after it, at most [s].
-MAX_AHEAD = 0.5
-# Only a jump that becomes this much smaller is worth another path.
+# It ends at most this long after the jump [s].
+MAX_AFTER = 0.5
+# A new path must reduce the jump to below this fraction.
 SMALLER = 0.9
-# What a squared radian from the clip costs in each frame, where a path stays on another
-# branch: a flip of half a turn costs as much as minutes there.
+# Cost of a squared radian from the clip per frame spent on another branch: a flip of
+# 180 degrees costs as much as minutes there.
 NEARNESS = 1e-2
-# Chains with so many more degrees of freedom than residuals are searched through from
-# end to end, from new starts so many seconds apart, at most so many times.
+# Chains with at most this many redundant degrees of freedom are searched from end to
+# end, from new starts at this interval [s], at most this many times.
 MAX_FREE, SEARCH_INTERVAL, MAX_SEARCHES = 2, 0.5, 4
 
 
@@ -46,39 +46,38 @@ def follow(
     *,
     prefer: ArrayLike | None = None,
 ) -> IkResult:
-    """Return the poses of F frames in the order of time, without needless jumps.
+    """Return the poses of F consecutive frames, without avoidable jumps.
 
-    Each frame starts where the one before it ended. Where that ends in a pose from
-    which the goals are out of reach, the next one jumps to another branch of solutions;
-    then other paths through the time about the jump are looked for, longer before it
-    each time, until one is without it: solutions from seeded starts, followed forward
-    and backward in time, and paths that pass over to these while they keep to the
-    goals. Of all, the way with the least sum of squared distances is taken, and its
-    speed evened out. Frames that reach their goals come before jumps that are avoided.
-    No path is looked for where no solution of a frame has less of a jump.
+    Each frame starts from the previous solution. Where that pose cannot reach the
+    goals, the solution jumps to another branch. Then other paths are searched over ever
+    longer intervals before the jump, until one avoids it: solutions from seeded starts,
+    tracked forward and backward in time, and blends to these that stay on the goals.
+    The path with the least sum of squared steps is taken and its speed evened out.
+    Reaching goals takes precedence over avoiding jumps. No path is searched where no
+    other solution of the frame jumps less.
 
     Args:
         problem: E goals over a rig of Q coordinates.
-        start: Where the first frame is looked for ``(Q,)``; None is the rest pose. If
-            no way from the pose found there is without a jump, another is taken. Or the
-            poses of a clip ``(F, Q)``: then every frame starts at its own, and what is
-            followed and smoothed is the change from it.
+        start: Start of the first frame ``(Q,)``; None is the rest pose. If every path
+            from its solution jumps, another solution is taken. Or the poses of a clip
+            ``(F, Q)``: then each frame starts from its pose, and the change from it is
+            tracked and smoothed.
         targets: Of F frames.
         options: Rate, smoothing, and how to solve.
-        prefer: Pose ``(Q,)`` or ``(F, Q)`` that the problem's ``rest_weight`` draws
-            to; None is the start.
+        prefer: Preferred pose ``(Q,)`` or ``(F, Q)``, weighted by the problem's
+            ``rest_weight``; None is the start.
 
     Returns:
-        Poses and what they miss; its ``jumps`` are those that no path was found
-        without, see `find_jumps`.
+        Poses and their misses; ``jumps`` lists those that no path avoids, see
+        `find_jumps`.
 
     Raises:
-        OptionError: As of `solve`, and ``fps``, ``smooth``, ``branches`` or ``back``
-            make no sense (IK014).
+        OptionError: As for `solve`, or invalid ``fps``, ``smooth``, ``branches`` or
+            ``back`` (IK014).
 
-    Limits of the method: a frame that the search from many starts does not solve is
-    taken to be out of reach, and so is what 16 other starts end no nearer to; a path
-    that is needed but leaves more than ``back`` before the jump is not found.
+    Limits of the method: a frame that the search from many starts does not solve counts
+    as out of reach; a path that must switch branches more than ``back`` before the jump
+    is not found.
 
     >>> from animtool.ik.goals import Goal
     >>> from animtool.ik.problem import build
@@ -121,7 +120,7 @@ def _check(options: FollowOptions) -> None:
 
 
 def _followed(clip: ClipPath) -> IkResult:
-    """Return the frames one after the other, jumps taken out where that can be."""
+    """Return the frames solved in order, with avoidable jumps removed."""
     result = clip.solved(slice(0, len(clip)), clip.start)
     for attempt in range(MAX_SEARCHES if _is_thin(clip) else 0):
         if not _is_worth_search(clip, clip.poses(result), attempt):
@@ -139,20 +138,20 @@ def _followed(clip: ClipPath) -> IkResult:
             break
         done = int(left[0])
         if _can_be_passed(clip, poses, done):
-            result = _mended(clip, result, done)
+            result = _with_detour(clip, result, done)
     if clip.moving:
-        result = _rewoven(clip, result)
+        result = _branch_switched(clip, result)
     return clip.judged(result)
 
 
 def _is_thin(clip: ClipPath) -> bool:
-    """Whether poses that reach the goals of a frame lie close enough to try all."""
+    """Whether the solution set of a frame is small enough to search exhaustively."""
     free = clip.problem.degrees - clip.problem.rows
     return not clip.moving and free <= MAX_FREE
 
 
 def _is_worth_search(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
-    """Whether poses jump, or did, and another path may be found for the worst."""
+    """Whether the worst step is a jump that another path may avoid."""
     strains = clip.strains(poses)
     if not len(strains) or strains.max() <= (SMOOTH_ENOUGH if attempt else 1.0):
         return False
@@ -160,41 +159,41 @@ def _is_worth_search(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
 
 
 def _can_be_passed(clip: ClipPath, poses: FloatArray, frame: int) -> bool:
-    """Whether a frame has solutions to which there is less of a jump.
+    """Whether a frame has other solutions with a smaller jump.
 
-    Where there are none, as where targets come back into reach and limbs that were
-    straight bend, a path that avoids the jump is not worth looking for.
+    Without any, as where targets return into reach and straight limbs bend, searching
+    for a path that avoids the jump is useless.
     """
     window = slice(frame - 1, frame + 1)
     interval = clip.interval(poses[window], window, frame)
     options = clip.options
     pairs, costs = branches(interval, options.branches, options.solving.seed)
-    own = clip.strain(poses[window], window.start)
+    current = clip.strain(poses[window], window.start)
     return any(
-        clip.strain(pair, window.start) < SMALLER * own
+        clip.strain(pair, window.start) < SMALLER * current
         for pair in pairs[(costs <= interval.costs + NO_WORSE).all(axis=1)]
     )
 
 
 def _searched(clip: ClipPath, result: IkResult, attempt: int) -> IkResult:
-    """Return the best path through the whole clip, if it jumps less."""
+    """Return the best path through the full clip, if it jumps less."""
     poses = clip.poses(result)
-    whole = slice(0, len(clip))
-    interval = clip.interval(poses, whole, 0)
+    all_frames = slice(0, len(clip))
+    interval = clip.interval(poses, all_frames, 0)
     spacing = max(round(SEARCH_INTERVAL * clip.options.fps), 1)
     seed = clip.options.solving.seed + attempt * len(clip)
     paths, costs = search_branches(interval, spacing, seed)
-    path = _evened(clip, interval, paths, costs, closed=False)
+    path = _best_even_path(clip, interval, paths, costs, closed=False)
     if clip.strain(path, 0) < SMALLER * clip.strain(poses, 0):
-        return clip.joined(result, whole, path)
+        return clip.joined(result, all_frames, path)
     return result
 
 
 def _nearest(clip: ClipPath, result: IkResult) -> IkResult:
-    """Return a result whose frames that miss goals are each searched by themselves.
+    """Return a result whose frames that miss goals are searched individually.
 
-    A frame that follows one short of its goals stays on that branch; here it leaves
-    for one that is nearer.
+    A frame solved from a missed one stays on its branch; here it may switch to a nearer
+    one.
     """
     frames = frames_out_of_reach(result, clip.options.solving)
     if not len(frames):
@@ -203,9 +202,9 @@ def _nearest(clip: ClipPath, result: IkResult) -> IkResult:
         clip.problem, result, clip.targets, clip.options.solving, clip.prefer
     )
     poses, other = clip.poses(result), clip.poses(alone)
-    whole = slice(0, len(clip))
-    interval = clip.interval(poses, whole, int(frames[0]))
-    costs = clip.interval(other, whole, int(frames[0])).costs
+    all_frames = slice(0, len(clip))
+    interval = clip.interval(poses, all_frames, int(frames[0]))
+    costs = clip.interval(other, all_frames, int(frames[0])).costs
     clip.least = np.minimum(interval.costs, costs)
     least = forgiving(np.stack([interval.costs, costs]), clip.slack)
     gains = np.where(least[0] > least[1], interval.costs - costs, 0.0)
@@ -214,21 +213,25 @@ def _nearest(clip: ClipPath, result: IkResult) -> IkResult:
     paths, prices = [poses[None], other[None]], [interval.costs[None], costs[None]]
     for row in np.argsort(-gains, kind="stable")[:MAX_SEARCHES]:
         if gains[row] > 0:
-            tracks, cost = follow_both_ways(interval, other[row : row + 1], int(row))
+            tracks, cost = follow_in_both_directions(
+                interval, other[row : row + 1], int(row)
+            )
             paths.append(tracks)
             prices.append(cost)
     candidates = np.concatenate(paths), np.concatenate(prices)
-    return clip.joined(result, whole, clip.best(interval, *candidates, opened=True))
+    return clip.joined(
+        result, all_frames, clip.best(interval, *candidates, opened=True)
+    )
 
 
-def _mended(clip: ClipPath, result: IkResult, frame: int) -> IkResult:
-    """Return a result with a better path to a frame that is jumped to."""
+def _with_detour(clip: ClipPath, result: IkResult, frame: int) -> IkResult:
+    """Return a result with a better path to a frame that jumps."""
     poses = clip.poses(result)
     least = clip.strain(poses[frame - 1 : frame + 1], frame - 1)
     best: tuple[slice, FloatArray] | None = None
     for first in _beginnings(clip, frame):
-        ahead = min(frame - first, round(MAX_AHEAD * clip.options.fps))
-        window = slice(first, min(frame + ahead + 1, len(clip)))
+        after = min(frame - first, round(MAX_AFTER * clip.options.fps))
+        window = slice(first, min(frame + after + 1, len(clip)))
         detour = _detour(clip, poses, window, frame)
         strain = clip.strain(detour, first)
         if strain < SMALLER * least:
@@ -239,7 +242,7 @@ def _mended(clip: ClipPath, result: IkResult, frame: int) -> IkResult:
 
 
 def _beginnings(clip: ClipPath, frame: int) -> list[int]:
-    """Return where intervals before a frame begin, the shortest first."""
+    """Return the first frames of the intervals to search, the shortest first."""
     beginnings: list[int] = []
     back = FIRST_BACK
     while back <= clip.options.back and (not beginnings or beginnings[-1] > 0):
@@ -251,15 +254,15 @@ def _beginnings(clip: ClipPath, frame: int) -> list[int]:
 
 
 def _detour(clip: ClipPath, poses: FloatArray, window: slice, frame: int) -> FloatArray:
-    """Return the best path through a window, its speed evened out."""
+    """Return the best path through a window, with its speed evened out."""
     interval = clip.interval(poses[window], window, frame)
     options = clip.options
     paths, costs = branches(interval, options.branches, options.solving.seed)
     closed = (clip.moving or _is_thin(clip)) and window.stop < len(clip)
-    return _evened(clip, interval, paths, costs, closed=closed)
+    return _best_even_path(clip, interval, paths, costs, closed=closed)
 
 
-def _evened(
+def _best_even_path(
     clip: ClipPath,
     interval: Interval,
     paths: FloatArray,
@@ -267,9 +270,9 @@ def _evened(
     *,
     closed: bool,
 ) -> FloatArray:
-    """Return the best path, its speed evened out.
+    """Return the best of candidate paths, with its speed evened out.
 
-    Where it still jumps and begins with the clip, its first pose is any.
+    If it still jumps and begins with the clip, its first pose is free.
     """
     window = slice(interval.frames.start, interval.frames.stop)
     path = clip.path.frames(window)
@@ -282,12 +285,12 @@ def _evened(
     return other if clip.strain(other, window.start) < SMALLER * least else best
 
 
-def _rewoven(clip: ClipPath, result: IkResult) -> IkResult:
-    """Return the best path through a moving clip on other branches, if steadier.
+def _branch_switched(clip: ClipPath, result: IkResult) -> IkResult:
+    """Return the best path of a moving clip across branches, if steadier.
 
-    It may begin and end on any branch, and is near the clip as far as steps let it.
+    It may begin and end on any branch, and stays as near to the clip as steps allow.
     """
-    whole = slice(0, len(clip))
+    all_frames = slice(0, len(clip))
     for attempt in range(MAX_SEARCHES):
         poses = clip.poses(result)
         strains = _jump_strains(clip, poses)
@@ -295,18 +298,18 @@ def _rewoven(clip: ClipPath, result: IkResult) -> IkResult:
             break
         rows = np.sort(np.argsort(-strains, kind="stable")[: 1 + attempt]) + 1
         rows = rows[strains[rows - 1] > 0]
-        interval = clip.interval(poses, whole, int(rows[0]))
+        interval = clip.interval(poses, all_frames, int(rows[0]))
         seed = clip.options.solving.seed + attempt * len(clip)
         paths, costs = branch_tracks(interval, rows, clip.options.branches, seed)
         path = clip.best(interval, paths, costs, opened=True, near=NEARNESS)
         path = _eased(clip, path)
         if _jump_strains(clip, path).sum() < SMALLER * strains.sum():
-            result = clip.joined(result, whole, path)
+            result = clip.joined(result, all_frames, path)
     return result
 
 
 def _jump_strains(clip: ClipPath, poses: FloatArray) -> FloatArray:
-    """Return squared strains of steps that are jumps, 0 of others ``(F - 1,)``."""
+    """Return squared strains of jumps, 0 for other steps ``(F - 1,)``."""
     strains = np.zeros(max(len(poses) - 1, 0))
     rows = clip.jumping(poses) - 1
     strains[rows] = clip.strains(poses)[rows] ** 2
@@ -314,7 +317,7 @@ def _jump_strains(clip: ClipPath, poses: FloatArray) -> FloatArray:
 
 
 def _eased(clip: ClipPath, poses: FloatArray) -> FloatArray:
-    """Return a path whose speed is evened out about each jump, where that helps."""
+    """Return a path with its speed evened out around each jump, where that helps."""
     poses = poses.copy()
     for frame in clip.jumping(poses).tolist():
         for seconds in (FIRST_BACK, 2 * FIRST_BACK, 4 * FIRST_BACK):
@@ -322,7 +325,7 @@ def _eased(clip: ClipPath, poses: FloatArray) -> FloatArray:
             window = slice(max(frame - reach, 0), min(frame + reach, len(clip)))
             path = clip.path.frames(window)
             best = clip.strain(poses[window], window.start)
-            # The first pose of the clip moves only where that makes a jump smaller.
+            # The first pose of the clip moves only if that reduces a jump.
             for opened in (False, True)[: 2 if window.start == 0 else 1]:
                 eased = path.evened(poses[window], opened=opened)[0]
                 strain = clip.strain(eased, window.start)

@@ -1,4 +1,4 @@
-"""Drivers of joints as programs of the kernel, which has their slopes too."""
+"""Compiles joint drivers to kernel programs with derivatives."""
 
 from __future__ import annotations
 
@@ -27,8 +27,7 @@ from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
-# Kind of a row of the chain that is an instruction, and what its number of a follower
-# is where it follows a program.
+# Node kind of an instruction row, and the mimic flag of a joint driven by a program.
 INSTRUCTION, FOLLOWS_PROGRAM = 3, 2
 # Operations, in the kernel's order.
 _OPS = (
@@ -39,17 +38,16 @@ _OPS = (
 )
 _NUMBER = {name: i for i, name in enumerate(_OPS)}
 
-# An operation, what it refers to (counted from 1), and its numbers.
+# An operation, its reference (counted from 1), and its numbers.
 _Row = tuple[str, int, tuple[float, ...]]
 
 
 def with_sources(
     rig: Rig, moving: set[int], goals: Sequence[Goal], joints: Collection[str] | None
 ) -> set[int]:
-    """Return moving joints with those that driven ones follow.
+    """Return moving joints with the sources of driven ones.
 
-    A driven joint moves where one of those may that it follows, named itself or not;
-    else it stays where it is.
+    A driven joint moves if one of its sources may move, whether it is named or not.
     """
     plan, out = plan_of(rig), set(moving)
     above = {j for goal in goals for j in _below_root(rig, goal)}
@@ -76,11 +74,11 @@ def _below_root(rig: Rig, goal: Goal) -> list[int]:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """Where a joint's coordinate is in the chain."""
+class CoordinateSource:
+    """Location of a joint's coordinate in the chain."""
 
     column: int  # first of the chain's coordinates
-    gain: float = 1.0  # what the joint's is, of that: of a mimic
+    gain: float = 1.0  # factor of a mimic joint
     shift: float = 0.0
 
 
@@ -90,36 +88,36 @@ class Programs:
 
     Attributes:
         rig: With drivers.
-        pose: Coordinates ``(Q,)`` of joints that do not move.
-        asked: Targets that the chain follows, in order.
+        pose: Coordinates ``(Q,)`` of static joints.
+        asked: Targets whose programs the chain uses, in order.
     """
 
     rig: Rig
     pose: FloatArray
     asked: dict[str, int] = field(default_factory=dict)
-    # Of each program, by target, in the order that they run in.
+    # Number of each program by target, in evaluation order.
     _numbers: dict[str, int] = field(default_factory=dict, init=False)
 
     @property
     def plan(self) -> DriverPlan:
-        """The order of the rig's drivers."""
+        """Evaluation order of the rig's drivers."""
         return plan_of(self.rig)
 
     def ask(self, joint: int) -> int:
-        """Return the place of a driven joint among those asked for."""
+        """Request a driven joint's program; return its index."""
         target = f"joint/{self.rig.names[joint]}"
         return self.asked.setdefault(target, len(self.asked))
 
     def rows(
-        self, sources: Mapping[int, Source], scales: FloatArray
+        self, sources: Mapping[int, CoordinateSource], scales: FloatArray
     ) -> tuple[list[int], list[list[int]], list[list[float]]]:
-        """Return the numbers of the programs asked for, and the rows of all.
+        """Return the numbers of the requested programs, and the rows of all programs.
 
         These are nodes ``(., 4)`` and numbers ``(., 6)``.
 
         Args:
-            sources: Where the joints of the chain are, by joint.
-            scales: What each coordinate of the chain is divided by.
+            sources: Chain coordinates by joint.
+            scales: Divisor of each chain coordinate.
         """
         needed = set(self.asked)
         for target in reversed(self.plan.order):
@@ -131,13 +129,13 @@ class Programs:
         numbers: list[list[float]] = []
         for target, number in self._numbers.items():
             for name, which, values in self._program(target, sources, scales):
-                # No row of a joint that is its own: these have 0 there.
+                # The reference is counted from 1: 0 marks joint rows.
                 nodes.append([INSTRUCTION, number, _NUMBER[name], which + 1])
                 numbers.append([*values, *[0.0] * (6 - len(values))])
         return [self._numbers[target] for target in self.asked], nodes, numbers
 
     def _reads(self, target: str) -> list[str]:
-        """Return the targets that a program may read the results of."""
+        """Return the targets whose results a program may read."""
         kind, _, name = target.partition("/")
         names: list[str] = []
         if kind == "joint":
@@ -162,7 +160,7 @@ class Programs:
         return next(one for one in self.rig.controls if one.name == name)
 
     def _drives(self, control: str) -> list[Driver]:
-        """Return what other controls add to a control."""
+        """Return the drives that other controls add to a control."""
         return [
             Driver(drive.expression, other.name, drive.curve, drive.smooth)
             for other in self.rig.controls
@@ -171,7 +169,7 @@ class Programs:
         ]
 
     def _program(
-        self, target: str, sources: Mapping[int, Source], scales: FloatArray
+        self, target: str, sources: Mapping[int, CoordinateSource], scales: FloatArray
     ) -> list[_Row]:
         kind, _, name = target.partition("/")
         if kind == "control":
@@ -183,7 +181,7 @@ class Programs:
                 rows += [*self._driver(drive, sources, scales), ("+", 0, ())]
             return rows
         joint = self.rig.index(name)
-        driven, own = self.plan.driver(joint), self.rig.joints[joint]
+        driven, spec = self.plan.driver(joint), self.rig.joints[joint]
         if isinstance(driven, Mimic):
             lead = self.rig.joints[self.rig.index(driven.joint)]
             part = SLIDE if lead.type is JointType.PRISMATIC else ANGLE
@@ -191,14 +189,17 @@ class Programs:
             rows += [*_times(driven.gain), *_plus(driven.offset)]
         else:
             rows = self._driver(driven, sources, scales)
-        if isinstance(own.limits, RangeLimit):
-            ends = (own.limits.low, own.limits.high)
+        if isinstance(spec.limits, RangeLimit):
+            ends = (spec.limits.low, spec.limits.high)
             rows += [("number", 0, (end,)) for end in ends]
             rows.append(("clamp", 0, ()))
         return rows
 
     def _driver(
-        self, driver: Driver, sources: Mapping[int, Source], scales: FloatArray
+        self,
+        driver: Driver,
+        sources: Mapping[int, CoordinateSource],
+        scales: FloatArray,
     ) -> list[_Row]:
         rows: list[_Row] = []
         if driver.expression is None:
@@ -225,15 +226,15 @@ class Programs:
         self,
         driver: Driver,
         name: str,
-        sources: Mapping[int, Source],
+        sources: Mapping[int, CoordinateSource],
         scales: FloatArray,
     ) -> list[_Row]:
-        """Return what a driver reads, in its units."""
+        """Return the rows that read a driver's input in its unit."""
         rows = self._read(name, sources, scales)
         return rows + _times(1.0 / driver.unit_of(name))
 
     def _read(
-        self, name: str, sources: Mapping[int, Source], scales: FloatArray
+        self, name: str, sources: Mapping[int, CoordinateSource], scales: FloatArray
     ) -> list[_Row]:
         joint, part = split_coordinate(name)
         target = f"joint/{joint}" if joint else f"control/{name}"
@@ -244,7 +245,7 @@ class Programs:
         j = self.rig.index(joint)
         spec = self.rig.joints[j]
         if j not in sources:
-            return [("number", 0, (self._still(j, part),))]
+            return [("number", 0, (self._static_coordinate(j, part),))]
         source = sources[j]
         column = source.column
         if spec.type is JointType.BALL:
@@ -252,13 +253,13 @@ class Programs:
         rows: list[_Row] = [("coordinate", column + 1, (float(scales[column]),))]
         return [*rows, *_times(source.gain), *_plus(source.shift)]
 
-    def _still(self, j: int, part: str) -> float:
-        """Return a coordinate of a joint that does not move."""
-        own = self.pose[coordinate_slices(self.rig)[j]][None]
+    def _static_coordinate(self, j: int, part: str) -> float:
+        """Return a coordinate of a static joint."""
+        values = self.pose[coordinate_slices(self.rig)[j]][None]
         spec = self.rig.joints[j]
         if spec.type is JointType.BALL:
-            return float(ball_part(spec, part, own)[0])
-        return float(own[0, 0])
+            return float(ball_part(spec, part, values)[0])
+        return float(values[0, 0])
 
 
 def _times(factor: float) -> list[_Row]:
@@ -270,7 +271,7 @@ def _plus(term: float) -> list[_Row]:
 
 
 def _ball_weights(joint: Joint, part: str) -> tuple[float, ...]:
-    """Return what twist, swing about both axes and its angle count, and a middle."""
+    """Return weights of twist, two swings and swing angle, and the twist's middle."""
     limits = joint.limits
     assert isinstance(limits, BallLimit)
     low, high = limits.twist or (-np.inf, np.inf)

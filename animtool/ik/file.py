@@ -24,20 +24,20 @@ from animtool.documents.fields import MAX_FRAME
 from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind
 from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import Still, Value, ValueReader
+from animtool.ik.values import Constant, Value, ValueReader
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
 
-# Shorter, a direction is a slip.
+# A shorter direction is refused as a typing error.
 SHORTEST = 1e-9
 
 
 def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
-    """Return what a targets file asks of a rig.
+    """Read a targets file for a rig.
 
     Args:
         path: The file.
-        rig: Whose joints and chains its effectors are; None checks the rest, in
+        rig: With the joints and chains that effectors name; None checks the rest, in
             metres, and takes every name for a joint.
 
     Raises:
@@ -48,16 +48,16 @@ def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
 
 
 def targets_of_document(document: Document, rig: Rig | None) -> TargetTracks:
-    """Return what a document asks of a rig; see `load_targets`."""
+    """Return the target tracks of a document; see `load_targets`."""
     check_version(document, "targets")
     model = validated(document, TargetsModel)
     with Archives() as archives:
-        tracks = _Reader(document, model, rig, archives).tracks()
+        tracks = _TargetsReader(document, model, rig, archives).tracks()
     document.check()
     return tracks
 
 
-class _Reader:
+class _TargetsReader:
     def __init__(
         self,
         document: Document,
@@ -98,13 +98,13 @@ class _Reader:
         )
 
     def _units(self) -> ClipUnits:
-        rig, given = self.rig, self.model.units
+        rig, units = self.rig, self.model.units
         length = 1.0 if rig is None else rig.meters_per_unit
         angle = math.radians(1.0) if rig is None else rig.radians_per_unit
-        if given.length is not None:
-            length = LengthUnit(given.length).meters
-        if given.angle is not None:
-            angle = math.radians(1.0) if given.angle == "deg" else 1.0
+        if units.length is not None:
+            length = LengthUnit(units.length).meters
+        if units.angle is not None:
+            angle = math.radians(1.0) if units.angle == "deg" else 1.0
         return ClipUnits(length, angle)
 
     def _fps(self) -> Fraction | None:
@@ -128,13 +128,13 @@ class _Reader:
         spans = self._spans((*at, "hold"), model.hold)
         during = self._spans((*at, "during"), model.during)
         values = {kind.name: self._value(at, model, kind) for kind in KINDS}
-        held = _held(values, chain) if spans else frozenset[str]()
-        given = {part for part in PARTS if getattr(model, part) is not None}
-        if not given - {"pole"} and not model.hold:
+        parts_to_hold = _hold_parts(values, chain) if spans else frozenset[str]()
+        valued = {part for part in PARTS if getattr(model, part) is not None}
+        if not valued - {"pole"} and not model.hold:
             message = f"has no goal for {model.effector!r}"
             hint = "add a position, an orientation, an aim or spans to hold"
             self.document.add("TGT002", at, message, hint)
-        weights = self._weights((*at, "weight"), model.weight, given | held)
+        weights = self._weights((*at, "weight"), model.weight, valued | parts_to_hold)
         axes = [
             self._axis((*at, kind.name, "axis"), part.axis)
             for kind in KINDS
@@ -152,7 +152,7 @@ class _Reader:
             priority=model.priority,
             soft=model.soft,
             stretch=stretch if model.stretch is None else model.stretch,
-            **_asked(given | held),
+            **_asked(valued | parts_to_hold),
         )
         return GoalTrack(
             model.effector,
@@ -162,20 +162,20 @@ class _Reader:
             weights,
             tuple(spans),
             model.ease,
-            frozenset(held),
-            place=self.document.position(at),
+            frozenset(parts_to_hold),
+            location=self.document.position(at),
             during=tuple(during),
         )
 
     def _value(self, at: Location, model: GoalModel, kind: GoalKind) -> Value | None:
-        """Return the value of a part of a goal; None where there is none."""
-        at, given, key = (*at, kind.name), getattr(model, kind.name), kind.name
-        if kind.axis and given is not None:
-            at, given, key = (*at, "at"), given.at, "at"
-        return self.values.value(at, given, key)
+        """Return the value of a part of a goal; None if absent."""
+        at, value, key = (*at, kind.name), getattr(model, kind.name), kind.name
+        if kind.axis and value is not None:
+            at, value, key = (*at, "at"), value.at, "at"
+        return self.values.value(at, value, key)
 
     def _effector(self, at: Location, name: str) -> tuple[str | None, IkChain | None]:
-        """Return the joint that is meant, and the chain whose tip it is."""
+        """Return the joint of an effector, and the chain whose tip it is."""
         if self.rig is None:
             return name, None
         for chain in self.rig.chains:
@@ -197,14 +197,16 @@ class _Reader:
             return None if chain is None else chain.root
         if self.rig is None or joint is None:
             return name
-        place = (*at, "root")
+        location = (*at, "root")
         if name not in self.rig.names:
             message = f"unknown joint {name!r} of {self.rig.name!r}"
-            self.document.add("TGT001", place, message, nearest(name, self.rig.names))
+            self.document.add(
+                "TGT001", location, message, nearest(name, self.rig.names)
+            )
             return None
         if self.rig.index(name) not in self.rig.upwards(self.rig.index(joint)):
             message = f"{name!r} is not above {joint!r}"
-            self.document.add("TGT012", place, message)
+            self.document.add("TGT012", location, message)
         return name
 
     def _spans(
@@ -247,14 +249,14 @@ class _Reader:
         model: float | WeightsModel,
         asked: AbstractSet[str],
     ) -> dict[str, Value]:
-        """Return the weights of the parts; those that are 1 throughout are left out."""
+        """Return the weights of the parts; constant weights of 1 are left out."""
         if not isinstance(model, WeightsModel):
             if model == 0 and not self.document.is_placeholder(at):
                 hint = "remove the goal"
                 self.document.add("TGT002", at, "a weight of 0 has no effect", hint)
             if model == 1:
                 return {}
-            return {part: Still((float(model),)) for part in PARTS}
+            return {part: Constant((float(model),)) for part in PARTS}
         weights: dict[str, Value] = {}
         for part in PARTS:
             weight = getattr(model, part)
@@ -270,7 +272,7 @@ class _Reader:
 
     def _weight(self, at: Location, model: float | CurveModel) -> Value | None:
         if not isinstance(model, CurveModel):
-            return Still((float(model),))
+            return Constant((float(model),))
         curve = self.values.curve(at, model, "weight")
         if curve is not None and (curve.channel.values < 0).any():
             k = int(np.argmax(curve.channel.values[:, 0] < 0))
@@ -279,16 +281,18 @@ class _Reader:
         return curve
 
 
-def _held(values: dict[str, Value | None], chain: IkChain | None) -> frozenset[str]:
-    """Return the parts of a goal that its spans hold."""
-    own = {p for p in ("position", "orientation") if values[p] is not None}
-    if own:
-        return frozenset(own)
+def _hold_parts(
+    values: dict[str, Value | None], chain: IkChain | None
+) -> frozenset[str]:
+    """Return the parts of a goal that its `hold` spans apply to."""
+    valued = {p for p in ("position", "orientation") if values[p] is not None}
+    if valued:
+        return frozenset(valued)
     goal = "pose" if chain is None else chain.goal
     both = ("position", "orientation")
     return frozenset(part for part in both if goal in {part, "pose"})
 
 
 def _asked(parts: AbstractSet[str]) -> dict[str, float]:
-    """Return the weights of a goal that asks for some parts."""
+    """Return weights that enable some parts of a goal."""
     return {part: 1.0 if part in parts else 0.0 for part in PARTS}

@@ -1,4 +1,4 @@
-"""Poses of a clip that come as near to weighted points as they can, smooth in time."""
+"""Fits poses of a clip to weighted points, smooth in time."""
 
 from __future__ import annotations
 
@@ -13,29 +13,28 @@ from animtool.ik.problem import Problem
 from animtool.ik.solving import chain_targets, pose_rows
 from animtool.ik.sub_rig import following
 
-# Of the distance of a path from where its frames were found by themselves: nothing but
-# what no goal holds heeds it.
+# Weight that draws a path to its per-frame solutions: only what no goal determines
+# responds to it.
 ANCHOR = 1e-3
-# Share of the way to its rest that a joint goes in a frame, where no goal holds it.
+# Fraction by which a joint returns to rest in a frame, where no goal determines it.
 HOMING = 0.005
-# Of the acceleration's weight, how strongly a frame by itself is drawn to where those
-# before it lead.
+# Weight of the extrapolated pose in a single-frame solve, relative to acceleration.
 DRAWN = 0.25
-# Steps of a frame by itself, and of all frames at once.
+# Iterations of a single frame, and of all frames together.
 ITERATIONS, ROUNDS = 30, 12
 
 
 @dataclass(frozen=True, slots=True)
 class FitOptions:
-    """How to fit.
+    """Options of a fit.
 
     Attributes:
         fps: Frames a second.
-        acceleration: Of joints that is usual [rad/s²]; of what slides, in lengths of
-            the problem. Less is smoother.
-        robust: A miss, weighted, from which on a goal counts less and less; infinity
-            is least squares.
-        rounds: Most steps of all frames at once.
+        acceleration: Typical joint acceleration [rad/s²], of slides in lengths of the
+            problem. Less is smoother.
+        robust: Weighted miss above which a goal's influence falls; infinity is least
+            squares.
+        rounds: Most iterations of all frames together.
     """
 
     fps: float
@@ -45,18 +44,18 @@ class FitOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
-    """What a fit found.
+class FitResult:
+    """Result of a fit.
 
     Attributes:
         coordinates: Of the rig ``(F, Q)``.
         misses: Of the goals' positions ``(F, E)`` [m].
-        searched: Frames that those before them did not lead to ``(F,)``.
-        taken: Whose target each goal has ``(F, E)``: its own but where labels were
-            mixed up; -1 where it has none.
-        rounds: Steps of all frames at once.
-        before: What is minimised, before them [1].
-        after: And after.
+        searched: Frames solved from a start instead of the previous frames ``(F,)``.
+        taken: Index of the target assigned to each goal ``(F, E)``: its own unless
+            labels were swapped; -1 without target.
+        rounds: Iterations of all frames together.
+        before: Objective before them [1].
+        after: Objective after them [1].
     """
 
     coordinates: FloatArray
@@ -76,28 +75,27 @@ def fit(
     *,
     path: FloatArray | None = None,
     first: int = 0,
-) -> Fit:
+) -> FitResult:
     """Return poses of F frames that fit targets which no pose reaches exactly.
 
-    The sum over the frames of ``r² / (1 + r² / robust²)`` of each goal's weighted miss
-    r, and of the squared accelerations of the joints over what is usual, is least: by
-    reweighted Gauss-Newton over all frames at once, within the limits. Before, frame
-    after frame is looked for from where those before it lead, and from ``starts`` where
-    most of it does not fit. Goals whose targets were mixed up exchange them.
+    Minimises the sum over the frames of ``r² / (1 + r² / robust²)`` of each goal's
+    weighted miss r, plus squared joint accelerations over the typical one, by
+    reweighted Gauss-Newton over all frames together, within the limits. First each
+    frame is solved from the extrapolated previous ones, and from ``starts`` where most
+    goals do not fit. Goals with swapped targets exchange them.
 
     Args:
         problem: E goals over a rig of Q coordinates.
-        targets: Of F frames; weights are one over how far a goal may be off, in lengths
-            of the problem. Where a weight is 0, the goal is missing.
-        starts: Where a frame is looked for that those before it do not lead to
-            ``(F, Q)``.
+        targets: Of F frames; weights are inverse standard deviations [1 / length of the
+            problem]. Where a weight is 0, the goal is missing.
+        starts: Starts of frames that the previous ones do not predict ``(F, Q)``.
         options: Rate, smoothness and robustness.
-        path: Poses ``(F, Q)`` that are near; None looks for them. Those before
-            ``first`` stay.
+        path: Initial poses ``(F, Q)``; None solves each frame first. Those before
+            ``first`` are kept.
         first: The first frame that moves.
 
-    Limits of the method: as of any local method, a frame whose start is far from what
-    was captured may end elsewhere; its misses say so.
+    Limits of the method: it is local, so a frame whose start is far from the captured
+    pose may end in another minimum; its misses show that.
 
     References:
         S. Geman, D. McClure, Statistical methods for tomographic image reconstruction,
@@ -107,11 +105,11 @@ def fit(
     packed = chain_targets(problem, targets)
     count = len(packed)
     begins = pose_rows(problem, starts, count, "starts")
-    own = begins if path is None else pose_rows(problem, path, count, "path")
+    start_path = begins if path is None else pose_rows(problem, path, count, "path")
     bend = (options.fps**2 / options.acceleration) ** 2
-    found = _kernels.fit_ik(
+    fitted = _kernels.fit_ik(
         *chain.arrays,
-        path=unwound(chain, chain.from_rig(own)),
+        path=unwound(chain, chain.from_rig(start_path)),
         targets=packed,
         starts=chain.from_rig(begins),
         anchor=ANCHOR,
@@ -126,9 +124,9 @@ def fit(
         rounds=options.rounds,
         tracked=path is None or first > 0,
     )
-    coordinates, misses, searched, taken, rounds, before, after = found
-    return Fit(
-        following(problem.rig, chain.into_rig(coordinates, own), problem.joints),
+    coordinates, misses, searched, taken, rounds, before, after = fitted
+    return FitResult(
+        following(problem.rig, chain.into_rig(coordinates, start_path), problem.joints),
         misses[:, :, 0] * chain.length,
         searched > 0,
         taken,

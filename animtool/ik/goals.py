@@ -1,4 +1,4 @@
-"""What may be asked of a joint, and where it should be: the table of goals."""
+"""Goals of joints and their targets: the table of goal kinds."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from animtool.core.similar import similar
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
 
-# Numbers beyond this have no square [m]; no character is so large.
+# Larger numbers overflow when squared [m]; no character is so large.
 FARTHEST = 1e100
 
 
 class TargetValue(Enum):
-    """What a target of a goal is; the value is how many numbers it has."""
+    """Type of a goal's target; the value is its number of components."""
 
     POINT = 3  # in the world [m]
     ROTATION = 4  # quaternion x y z w
@@ -29,24 +29,24 @@ class TargetValue(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoalKind:
-    """Something that may be asked of a joint; the kernel has a type for each."""
+    """A kind of goal; the kernel has a type for each."""
 
     name: str  # its weight in `Goal`, and its key in targets files
-    targets: str  # where it should be, in `Targets`
+    targets: str  # its field of `Targets`
     value: TargetValue
     rows: int  # residuals
-    metric: bool  # what it misses is a length [m], else an angle [rad]
-    turning: bool = True  # it matters how the joint is turned about its point
-    directed: bool = False  # of a target only the direction counts
-    axis: bool = False  # of the joint, which its value in targets files names too
-    pulls: bool = True  # cyclic coordinate descent heeds it
+    metric: bool  # its miss is a length [m], else an angle [rad]
+    turning: bool = True  # it depends on the joint's rotation about its point
+    directed: bool = False  # only the direction of its target counts
+    axis: bool = False  # it has an axis of the joint, also in targets files
+    pulls: bool = True  # cyclic coordinate descent supports it
     description: str = ""  # of its key in targets files
     example: object = None  # of its value there
     weight_description: str = ""
     weight_example: object = 1.0
 
 
-# In the order of residuals, weights and misses, which is that of the kernel's types.
+# In the order of residuals, weights and misses, as in the kernel.
 KINDS = (
     GoalKind(
         "position",
@@ -105,8 +105,7 @@ KINDS = (
     ),
 )
 PARTS = tuple(kind.name for kind in KINDS)
-# Where each target is in a row of the kernel's, and behind them what weights are
-# multiplied by.
+# Columns of each target in a kernel row, followed by the weight factors.
 _ENDS = tuple(accumulate(kind.value.value for kind in KINDS))
 COLUMNS = {
     kind.name: slice(end - kind.value.value, end)
@@ -118,7 +117,7 @@ METRIC = np.array([kind.metric for kind in KINDS], np.bool_)
 
 
 def by_unit(length: float, angle: float) -> FloatArray:
-    """Return a number for each kind ``(K,)``, by what it misses: lengths or angles.
+    """Return a value for each kind ``(K,)``, by the unit of its miss: length or angle.
 
     >>> by_unit(1e-3, 0.1).tolist()
     [0.001, 0.1, 0.1, 0.1]
@@ -128,14 +127,14 @@ def by_unit(length: float, angle: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """What a joint, or a point that it carries, is to reach.
+    """A goal of a joint or of a point in its frame.
 
-    The weights multiply what is missing before it is squared and summed: positions in
-    shares of the problem's length, the others in radians. 0 asks for nothing.
+    Weights multiply the residuals before these are squared and summed: positions in
+    fractions of the problem's length, the others in radians. A weight of 0 disables.
 
     Attributes:
-        joint: Whose frame it is.
-        offset: The point, in that frame [m].
+        joint: Name of the joint.
+        offset: The point in the joint's frame [m].
         position: Weight of the point's position.
         orientation: Weight of the frame's rotation.
         aim: Weight of ``aim_axis`` pointing from the point to a target.
@@ -143,14 +142,14 @@ class Goal:
         pole: Weight of the limb's middle joint lying towards a point: in the half
             plane of the limb's root, its tip (the goal's point) and that point.
         root: Topmost joint that this goal moves, the joint itself or one above it; None
-            is the topmost of the rig. Joints above it move only for goals of their own.
-        priority: From 0, hard. Goals of higher numbers give way: among the poses that
-            are best for those before them, the ones that are best for them are taken.
-        soft: Share of the limb's reach, from its root to the point, over which its
+            is the topmost of the rig. Joints above it move only for other goals.
+        priority: From 0, the highest. Goals of a lower priority are solved among the
+            poses that are best for those of higher priority.
+        soft: Fraction of the limb's reach, from its root to the point, over which its
             extension eases out, so that it does not snap straight; from 0 to less
             than 1.
-        stretch: Share of their length that the limb's bones may grow by, all by as
-            much, to reach what is too far.
+        stretch: Fraction of their length by which the limb's bones may grow, all
+            equally, to reach a target that is too far.
     """
 
     joint: str
@@ -166,7 +165,7 @@ class Goal:
     stretch: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse targets in the place of weights (TGT007)."""
+        """Raise if a target was passed as a weight (TGT007)."""
         for kind in KINDS:
             weight = getattr(self, kind.name)
             if not isinstance(weight, Real):
@@ -187,34 +186,34 @@ class Goal:
 
     @property
     def kinds(self) -> tuple[GoalKind, ...]:
-        """What it asks for."""
+        """Kinds with a weight above 0."""
         return tuple(kind for kind in KINDS if getattr(self, kind.name) > 0)
 
     @property
     def rows(self) -> int:
-        """How many residuals it has."""
+        """Number of residuals."""
         return sum(kind.rows for kind in self.kinds)
 
     @property
     def pivots(self) -> bool:
-        """Whether its joint may turn about its own origin and miss nothing by it."""
+        """Whether rotating its joint about the joint's origin changes no residual."""
         return not any(self.offset) and not any(kind.turning for kind in self.kinds)
 
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Where the goals are, for B problems, in the world.
+    """Targets of E goals for B problems, world space.
 
-    What no goal asks for may be left out.
+    Targets that no goal uses may be left out.
 
     Attributes:
         positions: ``(B, E, 3)`` [m].
-        rotations: Quaternions ``(B, E, 4)``, x y z w; brought to length 1.
+        rotations: Quaternions ``(B, E, 4)``, x y z w; normalised.
         aims: Points to aim at ``(B, E, 3)`` [m].
         poles: Points that the limbs' middle joints lie towards ``(B, E, 3)`` [m].
-        weights: What the goals' weights of position, orientation, aim and pole are
-            multiplied by ``(B, E, 4)``; None is 1. What is multiplied by 0 is not
-            asked in that problem, and its target may be anything.
+        weights: Factors of the goals' weights of position, orientation, aim and pole
+            ``(B, E, 4)``; None is 1. A factor of 0 disables the goal's part in that
+            problem, and its target may be anything.
     """
 
     positions: ArrayLike | None = None
@@ -225,7 +224,7 @@ class Targets:
 
 
 def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
-    """Return what is wrong with a goal by itself."""
+    """Return the faults of a single goal."""
     faults = []
     if goal.joint not in rig.names:
         near = similar(goal.joint, rig.names)
@@ -282,25 +281,28 @@ def rows_of(targets: Targets, frames: IntArray | slice) -> Targets:
 
 
 def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
-    """Return targets side by side ``(B, E, W)``; numbers nobody asks for are finite."""
+    """Return targets packed for kernels ``(B, E, W)``; unused numbers are finite."""
     faults: list[Fault] = []
-    places = [(kind.targets, COLUMNS[kind.name]) for kind in KINDS]
+    columns_by_name = [(kind.targets, COLUMNS[kind.name]) for kind in KINDS]
     parts = [
-        (columns, _shaped(name, getattr(targets, name), len(goals), columns, faults))
-        for name, columns in [*places, ("weights", WEIGHTS)]
+        (
+            columns,
+            _checked_shape(name, getattr(targets, name), len(goals), columns, faults),
+        )
+        for name, columns in [*columns_by_name, ("weights", WEIGHTS)]
     ]
-    given = [(columns, part) for columns, part in parts if part is not None]
-    batches = {len(part) for _, part in given}
+    available = [(columns, part) for columns, part in parts if part is not None]
+    batches = {len(part) for _, part in available}
     if len(batches) > 1:
         faults.append(Fault("IK010", f"targets of {sorted(batches)} problems at once"))
     packed = np.zeros((min(batches, default=1), len(goals), WEIGHTS.stop))
     packed[:, :, [*_identities(), *range(WEIGHTS.start, WEIGHTS.stop)]] = 1.0
-    for columns, part in given:
+    for columns, part in available:
         packed[:, :, columns] = part[: len(packed)]
-    asked = _asked(goals, packed)
-    wanting = asked & [getattr(targets, kind.targets) is None for kind in KINDS]
-    if faults or wanting.any() or not _is_plain(packed):
-        faults += _value_faults(packed, asked, wanting)
+    asked = _active_parts(goals, packed)
+    missing = asked & [getattr(targets, kind.targets) is None for kind in KINDS]
+    if faults or missing.any() or not _is_plain(packed):
+        faults += _value_faults(packed, asked, missing)
         np.nan_to_num(packed, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if faults:
         raise OptionError(faults)
@@ -311,7 +313,7 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
 
 
 def _identities() -> list[int]:
-    """Return the columns of the scalars of rotations."""
+    """Return the columns of the scalar parts of rotations."""
     return [COLUMNS[kind.name].stop - 1 for kind in KINDS if _is_rotation(kind)]
 
 
@@ -320,28 +322,28 @@ def _is_rotation(kind: GoalKind) -> bool:
 
 
 def _bring_in(directions: FloatArray) -> None:
-    """Scale numbers of which only the direction counts to where they have squares."""
+    """Scale huge direction targets to where their squares do not overflow."""
     sizes = np.abs(directions).max(axis=2, keepdims=True)
     if (sizes > FARTHEST).any():
         directions *= FARTHEST / np.maximum(sizes, FARTHEST)
 
 
-def _shaped(
+def _checked_shape(
     name: str,
     values: ArrayLike | None,
     goals: int,
-    place: slice,
+    columns: slice,
     faults: list[Fault],
 ) -> FloatArray | None:
-    """Return the targets of one part, or None where there are none of that shape."""
+    """Return the targets of one part; None where missing or of another shape."""
     if values is None:
         return None
-    width = place.stop - place.start
+    width = columns.stop - columns.start
     expected = f"(B, {goals}, {width})"
     try:
         array = np.asarray(values, np.float64)
     except (TypeError, ValueError):
-        # Texts, and lists of different lengths.
+        # Text, or lists of different lengths.
         message = f"{name} must be numbers of shape {expected}"
         faults.append(Fault("IK010", message))
         return None
@@ -352,14 +354,14 @@ def _shaped(
     return None
 
 
-def _asked(goals: tuple[Goal, ...], packed: FloatArray) -> BoolArray:
-    """Return which parts of which goals each problem asks for ``(B, E, 4)``."""
-    own = np.array([goal.weights for goal in goals]) > 0
-    return np.asarray(own & (packed[:, :, WEIGHTS] > 0))
+def _active_parts(goals: tuple[Goal, ...], packed: FloatArray) -> BoolArray:
+    """Return a mask of the goal parts that each problem uses ``(B, E, 4)``."""
+    weighted = np.array([goal.weights for goal in goals]) > 0
+    return np.asarray(weighted & (packed[:, :, WEIGHTS] > 0))
 
 
 def _is_plain(packed: FloatArray) -> bool:
-    """Return whether there is nothing to look at in any part, asked for or not."""
+    """Return whether all values are valid, used or not."""
     turned = all(
         packed[:, :, COLUMNS[kind.name]].any(axis=2).all()
         for kind in KINDS
@@ -370,9 +372,9 @@ def _is_plain(packed: FloatArray) -> bool:
 
 
 def _value_faults(
-    packed: FloatArray, asked: BoolArray, wanting: BoolArray
+    packed: FloatArray, asked: BoolArray, missing: BoolArray
 ) -> list[Fault]:
-    """Return what is missing or no number where it is asked for ``(B, E, 4)``."""
+    """Return faults of missing or invalid values in used parts ``(B, E, 4)``."""
     faults = []
     weights = packed[:, :, WEIGHTS]
     bad = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)
@@ -382,8 +384,8 @@ def _value_faults(
         faults.append(Fault("TGT007", message))
     for i, kind in enumerate(KINDS):
         name = kind.targets
-        if wanting[..., i].any():
-            goal = int(np.argwhere(wanting[..., i])[0, 1])
+        if missing[..., i].any():
+            goal = int(np.argwhere(missing[..., i])[0, 1])
             faults.append(Fault("IK010", f"goal {goal} needs {name}"))
             continue
         part = packed[:, :, COLUMNS[kind.name]]

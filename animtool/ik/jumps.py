@@ -1,4 +1,4 @@
-"""Joints that step farther in one frame than the motion a solve started from."""
+"""Finds joints that jump in one frame, compared with the source motion."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.maths.pops import shift_pops, turn_pops
+from animtool.maths.pops import rotation_pops, translation_pops
 from animtool.rig.joints import LocalTransforms
 
-# A joint jumps that moves by more than this [rad], or share of the chain's length, and
-# this a second; at low rates a turn by more than the most is one all the same.
-MIN_JUMP, MIN_SPEED, MAX_TURN = 0.1, 8.0, 0.5
-# Goals explain a step up to so many times what they move by, and a little more.
+# A joint jumps if it moves by more than this [rad], or fraction of the chain's length,
+# plus this per second; at low rates any rotation above the maximum is a jump.
+MIN_JUMP, MIN_SPEED, MAX_ROTATION = 0.1, 8.0, 0.5
+# Goals explain a step up to this many times their own, plus MIN_JUMP.
 MORE_THAN_TARGETS = 2.0
-# Slower ones are named too, where the joint moves so many times farther than within
-# so many frames before and after.
+# Slower jumps are reported too, where the joint moves this many times farther than
+# within this many frames before and after.
 MORE_THAN_NEIGHBOURS, NEIGHBOURS = 4.0, 2
-# Slides that the motion around does not predict, and noise [chain lengths]: half of
-# what rule MOT202 takes, as a chain may be longer than its rig at rest.
+# Unpredicted slides, and noise [chain lengths]: half of the values of rule MOT202, as a
+# chain may be longer than its rig at rest.
 MIN_SLIDE, SLIDE_NOISE = 0.1, 0.001
 
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """A joint that moves much farther in a frame than it did before the solve.
+    """A joint that moves much farther in a frame than in the source motion.
 
     Attributes:
-        frame: Index of the frame that is jumped to.
-        joint: Its name.
-        size: How far the joint turns [rad], or slides [m].
-        source: How far it does in the motion that the solve started from.
-        slides: Whether these are lengths.
+        frame: Index of the frame after the jump.
+        joint: Name of the joint.
+        size: Rotation [rad] or slide [m] of the joint.
+        source: The same in the source motion.
+        slides: Whether the sizes are lengths.
         by_goals: Whether the goals move far enough in this frame to explain it.
     """
 
@@ -54,8 +54,8 @@ class Jump:
 
 
 def largest_step(fps: float) -> float:
-    """Return how far a joint may turn in a frame [rad], or slide [chain lengths]."""
-    return min(MIN_JUMP + MIN_SPEED / fps, MAX_TURN)
+    """Return the jump threshold of a frame: rotation [rad], slide [chain lengths]."""
+    return min(MIN_JUMP + MIN_SPEED / fps, MAX_ROTATION)
 
 
 def find_jumps(
@@ -70,21 +70,20 @@ def find_jumps(
 ) -> tuple[Jump, ...]:
     """Return the jumps of joints, by frame and joint.
 
-    A joint jumps where it turns by more than `largest_step` beyond what the source
-    does, or by more than .5 rad and .1 rad beyond it; where it jerks, slower, out of
-    rest and back to it; and where the motion around a step does not predict it, as
-    rule MOT202 has it.
+    A joint jumps where it rotates by more than `largest_step` beyond the source, or by
+    more than .5 rad and .1 rad beyond it; where it jerks from rest and stops again; and
+    where the motion around a step does not predict it, as in rule MOT202.
 
     Args:
         names: Of J joints.
-        before: The F poses that the solve started from; None is one pose for all.
-        after: The poses that it found.
-        goal_moves: How far the goals move from frame to frame ``(F - 1,)`` [rad],
-            [chain lengths].
+        before: The F source poses; None is a static source.
+        after: The F solved poses.
+        goal_moves: Motion of the goals from frame to frame ``(F - 1,)`` [rad], [chain
+            lengths].
         fps: Frames a second.
         length: Of the chain [m].
-        windings: Whole turns of joints from frame to frame ``(F - 1, J)`` [rad], which
-            rotations do not show; None is none.
+        windings: Full revolutions of joints from frame to frame ``(F - 1, J)`` [rad],
+            which quaternions do not show; None is none.
     """
     count = len(after.rotations)
     if count < 2:
@@ -98,29 +97,39 @@ def find_jumps(
     windings = None if windings is None else windings[:, moving]
     cuts = np.zeros(count - 1, np.bool_)
     moves = goal_moves[:, None]
-    turns, old = _turns(after.rotations), _turns(after.rotations[:1].repeat(count, 0))
+    rotations, old_steps = (
+        _rotation_steps(after.rotations),
+        _rotation_steps(after.rotations[:1].repeat(count, 0)),
+    )
     if before is not None:
-        old = _turns(before.rotations)
-    angles, old_angles = np.linalg.norm(turns, axis=2), np.linalg.norm(old, axis=2)
+        old_steps = _rotation_steps(before.rotations)
+    angles, old_angles = (
+        np.linalg.norm(rotations, axis=2),
+        np.linalg.norm(old_steps, axis=2),
+    )
     if windings is not None:
         angles = angles + windings
     excess = angles - old_angles
-    flags = (angles > MAX_TURN) & (excess > MIN_JUMP)
+    flags = (angles > MAX_ROTATION) & (excess > MIN_JUMP)
     flags |= (excess > largest_step(fps)) | _jerking(excess, moves)
-    pops = turn_pops(turns, 1.0 / fps, cuts)[0]
-    flags |= pops & ~turn_pops(old, 1.0 / fps, cuts)[0]
-    found = _named(names, flags, angles, old_angles, moves)
+    pops = rotation_pops(rotations, 1.0 / fps, cuts)[0]
+    flags |= pops & ~rotation_pops(old_steps, 1.0 / fps, cuts)[0]
+    jumps = _jumps_at(names, flags, angles, old_angles, moves)
     shifts = np.diff(after.translations, axis=0)
-    old = np.zeros_like(shifts)
+    old_steps = np.zeros_like(shifts)
     if before is not None:
-        old = np.diff(before.translations, axis=0)
-    sizes, old_sizes = (np.linalg.norm(rows, axis=2) / length for rows in (shifts, old))
+        old_steps = np.diff(before.translations, axis=0)
+    sizes, old_sizes = (
+        np.linalg.norm(rows, axis=2) / length for rows in (shifts, old_steps)
+    )
     excess = sizes - old_sizes
     flags = (excess > largest_step(fps)) | _jerking(excess, moves)
     limits = (1.0 / fps, cuts, MIN_SLIDE * length, SLIDE_NOISE * length)
-    flags |= shift_pops(shifts, *limits)[0] & ~shift_pops(old, *limits)[0]
-    found += _named(names, flags, sizes, old_sizes, moves, length=length)
-    return tuple(sorted(found, key=lambda jump: jump.frame))
+    flags |= (
+        translation_pops(shifts, *limits)[0] & ~translation_pops(old_steps, *limits)[0]
+    )
+    jumps += _jumps_at(names, flags, sizes, old_sizes, moves, length=length)
+    return tuple(sorted(jumps, key=lambda jump: jump.frame))
 
 
 def _moving(
@@ -128,7 +137,7 @@ def _moving(
     after: LocalTransforms,
     windings: FloatArray | None,
 ) -> IntArray:
-    """Return the joints that are not the same in all frames: others cannot jump."""
+    """Return the joints that move: static ones cannot jump."""
     moves = np.zeros(after.rotations.shape[1], np.bool_)
     for poses in (after, before):
         if poses is not None:
@@ -143,13 +152,13 @@ def _selected(poses: LocalTransforms, joints: IntArray) -> LocalTransforms:
     return LocalTransforms(poses.translations[:, joints], poses.rotations[:, joints])
 
 
-def _turns(rotations: FloatArray) -> FloatArray:
+def _rotation_steps(rotations: FloatArray) -> FloatArray:
     """Return rotation vectors from frame to frame ``(F - 1, J, 3)``."""
     return so3.log(so3.multiply(rotations[1:], so3.conjugate(rotations[:-1])))
 
 
 def _jerking(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
-    """Return which steps ``(F - 1, N)`` are far larger than those about them."""
+    """Return a mask of steps ``(F - 1, N)`` that far exceed their neighbours."""
     around = np.zeros_like(steps)
     for away in range(1, NEIGHBOURS + 1):
         around[away:] = np.maximum(around[away:], steps[:-away])
@@ -158,12 +167,12 @@ def _jerking(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
         MORE_THAN_NEIGHBOURS * around, MIN_JUMP + MORE_THAN_TARGETS * goal_moves
     )
     jerks = steps > least
-    # Of the first and the last, nothing is known on one side.
+    # The first and the last have no neighbour on one side.
     jerks[:1] = jerks[-1:] = False
     return np.asarray(jerks, np.bool_)
 
 
-def _named(
+def _jumps_at(
     names: Sequence[str],
     flags: BoolArray,
     steps: FloatArray,
@@ -171,9 +180,9 @@ def _named(
     goal_moves: FloatArray,
     length: float | None = None,
 ) -> list[Jump]:
-    """Return the steps that are flagged ``(F - 1, J)``: with a length, slides."""
+    """Return the jumps of flagged steps ``(F - 1, J)``; with a length, slides."""
     explained = steps - old <= MIN_JUMP + MORE_THAN_TARGETS * goal_moves
-    places: IntArray = np.argwhere(flags)
+    steps_and_joints: IntArray = np.argwhere(flags)
     return [
         Jump(
             int(t) + 1,
@@ -183,5 +192,5 @@ def _named(
             length is not None,
             bool(explained[t, j]) and bool(goal_moves[t, 0] > 0),
         )
-        for t, j in places
+        for t, j in steps_and_joints
     ]

@@ -1,4 +1,4 @@
-"""How far limbs extend: their joints, their reach, and what their bones stretch by."""
+"""Limbs of goals: joints, reach, soft extension and stretch."""
 
 from __future__ import annotations
 
@@ -14,64 +14,64 @@ from animtool.ik.chain import SLIDE, Chain
 from animtool.ik.goals import Goal
 from animtool.rig.skeleton import Rig
 
-# Joints nearer than this share of the rig's size have one origin.
-APART = 1e-9
+# Joints nearer than this fraction of the rig's size share an origin.
+MIN_BONE = 1e-9
 
 
 def limb_joints(
     rig: Rig, goal: Goal, moving: set[int], origins: FloatArray, point: FloatArray
 ) -> tuple[int, int] | None:
-    """Return the joints at the root and in the middle of a goal's limb.
+    """Return the root and middle joint of a goal's limb.
 
-    They are the two next above its point; of a goal with a root that, and between the
-    joint nearest to halfway along the bones, whatever the pose, so that one which
-    twists a forearm is none.
+    They are the two nearest above its point; for a goal with a root, the root and the
+    joint nearest to halfway along the bones, in any pose, so that a forearm twist joint
+    is not chosen.
 
-    The goal's ``point`` ``(3,)`` and ``origins`` ``(J, 3)`` are of one pose, any.
+    The goal's ``point`` ``(3,)`` and ``origins`` ``(J, 3)`` are of any one pose.
     """
-    near = APART * (np.ptp(origins, axis=0).max() + 1e-300)
+    near = MIN_BONE * (np.ptp(origins, axis=0).max() + 1e-300)
     joints: list[int] = []
-    ways: list[float] = []
+    lengths: list[float] = []
     below, j = point, rig.index(goal.joint)
     while j >= 0 and (goal.root is not None or len(joints) < 2):
         bone = float(np.linalg.norm(origins[j] - below))
         if j in moving and bone > near:
             joints.append(j)
-            ways.append(bone + (ways[-1] if ways else 0.0))
+            lengths.append(bone + (lengths[-1] if lengths else 0.0))
             below = origins[j]
         j = -1 if rig.joints[j].name == goal.root else rig.joints[j].parent
     if len(joints) < 2:
         return None
-    halves = [min(way, ways[-1] - way) for way in ways[:-1]]
+    halves = [min(length, lengths[-1] - length) for length in lengths[:-1]]
     return joints[-1], joints[halves.index(max(halves))]
 
 
-# Lengths below this share of the problem's are none.
+# Lengths below this fraction of the problem's count as zero.
 NO_LENGTH = 1e-12
-# A limb that lacks less than this share of its reach is straight.
+# A limb within this fraction of its full length is straight.
 STRAIGHT = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Limb:
-    """The way from a joint that stays in its place to a goal's point."""
+class GoalLimb:
+    """A limb from a joint with a fixed position to a goal's point."""
 
-    goal: int  # which of the problem's goals
-    joints: tuple[int, ...]  # those whose translations are its bones
-    origin: FloatArray  # of its root, in shares of the problem's length ``(3,)``
-    reach: float  # its length when as straight as it can be, in such shares
-    bones: float  # by how much that grows while the bones grow by 1 of their length
-    soft: float  # share of the reach over which its extension eases out
-    stretch: float  # most that its bones grow by
+    goal: int  # index of the goal in the problem
+    joints: tuple[int, ...]  # joints whose translations are its bones
+    origin: FloatArray  # of its root [fraction of the problem's length] ``(3,)``
+    reach: float  # its largest extension within limits [same unit]
+    bones: float  # growth of the reach per relative growth of the bones [same unit]
+    soft: float  # fraction of the reach over which its extension eases out
+    stretch: float  # largest relative growth of its bones
 
 
 def find_limbs(
     rig: Rig, goals: Sequence[Goal], moving: set[int], chain: Chain
-) -> tuple[tuple[Limb, ...], list[Fault]]:
-    """Return the limbs of goals that are soft or stretch, and what is wrong with them.
+) -> tuple[tuple[GoalLimb, ...], list[Fault]]:
+    """Return the limbs of goals that are soft or stretch, and their faults.
 
-    A fault is a limb whose root is moved, that slides, has no bones to stretch, or
-    shares them with another that stretches (IK008).
+    A fault is a limb whose root moves, that slides, has no bones to stretch, or shares
+    them with another that stretches (IK008).
     """
     limbs, faults = [], []
     stretched: set[int] = set()
@@ -90,7 +90,7 @@ def find_limbs(
     return tuple(limbs), faults
 
 
-def _limb(rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain) -> Limb:
+def _limb(rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain) -> GoalLimb:
     path = _path(chain, e)
     above = rig.upwards(rig.index(goal.joint))
     top = max(i for i, j in enumerate(above) if j in moving)
@@ -100,24 +100,24 @@ def _limb(rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain) -> Limb:
     length = float(np.linalg.norm(end))
     along = max(float(bone @ end) / length, 0.0) if length > NO_LENGTH else 0.0
     straight = between + length
-    share = min(_reach(chain, path, end) / straight, 1.0) if straight > 0 else 1.0
-    if share > 1 - STRAIGHT:
-        share = 1.0
-    return Limb(
+    extension = min(_reach(chain, path, end) / straight, 1.0) if straight > 0 else 1.0
+    if extension > 1 - STRAIGHT:
+        extension = 1.0
+    return GoalLimb(
         e,
         tuple(above[:top]),
         chain.numbers[path[0], 9:12],
-        share * straight,
-        share * (between + along),
+        extension * straight,
+        extension * (between + along),
         goal.soft,
         goal.stretch,
     )
 
 
 def _reach(chain: Chain, path: list[int], end: FloatArray) -> float:
-    """Return how far a limb of two bones and a pin comes; infinite of others.
+    """Return the reach of a limb of two bones and a pin; infinity for others.
 
-    ``end`` ``(3,)`` reaches, in the frame of the path's last node.
+    ``end`` ``(3,)``: the goal's point in the frame of the path's last node.
     """
     bent = [n for n in path[1:] if np.linalg.norm(chain.numbers[n, 9:12]) > NO_LENGTH]
     last = path[-1]
@@ -127,20 +127,20 @@ def _reach(chain: Chain, path: list[int], end: FloatArray) -> float:
         return np.inf
     offset = chain.numbers[last, 9:12]
     x, y, z = chain.numbers[last, :9].reshape(3, 3).T @ offset
-    even, odd = x * end[0] + y * end[1], y * end[0] - x * end[1]
+    cosine_part, sine_part = x * end[0] + y * end[1], y * end[0] - x * end[1]
     # The square of the reach is a constant and a cosine about its farthest angle.
     low, high = chain.numbers[last, 14:16]
-    farthest = float(np.arctan2(odd, even))
+    farthest = float(np.arctan2(sine_part, cosine_part))
     if np.isfinite(low):
         farthest += 2 * np.pi * float(np.ceil((low - farthest) / (2 * np.pi)))
     angles = [farthest] if farthest <= high else [low, high]
-    most = max(even * np.cos(a) + odd * np.sin(a) for a in angles)
+    most = max(cosine_part * np.cos(a) + sine_part * np.sin(a) for a in angles)
     square = offset @ offset + end @ end + 2 * (z * end[2] + most)
     return float(np.sqrt(max(square, 0.0)))
 
 
 def _fault(
-    rig: Rig, goal: Goal, limb: Limb, moving: set[int], chain: Chain
+    rig: Rig, goal: Goal, limb: GoalLimb, moving: set[int], chain: Chain
 ) -> str | None:
     what = "a limb with soft or stretch"
     if not goal.position > 0:
@@ -149,8 +149,8 @@ def _fault(
         return f"{what} needs joints that rotate, and a root that stays in place"
     above = rig.upwards(rig.index(goal.joint))
     if goal.root is not None:
-        own = above[: above.index(rig.index(goal.root)) + 1]
-        others = [j for j in above if j in moving and j not in own]
+        goal_joints = above[: above.index(rig.index(goal.root)) + 1]
+        others = [j for j in above if j in moving and j not in goal_joints]
         if others:
             name = rig.joints[others[0]].name
             return f"{what} needs a root that stays in place: {name!r} moves it"
@@ -170,40 +170,40 @@ def _path(chain: Chain, e: int) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class Extension:
-    """How far the limbs of B problems go."""
+    """Soft and stretched extension of the limbs of B problems."""
 
-    sought: FloatArray  # targets ``(B, E, W)``, packed, as far as the limbs extend
-    scales: FloatArray  # what their bones are multiplied by ``(B, E)``
-    eased: BoolArray  # where ease alone keeps one from its target ``(B, E)``
+    sought: FloatArray  # packed targets within the limbs' extension ``(B, E, W)``
+    scales: FloatArray  # bone length scales ``(B, E)``
+    eased: BoolArray  # where only the ease keeps a limb from its target ``(B, E)``
 
     def __getitem__(self, rows: IntArray) -> Extension:
-        """Return those of some of the problems."""
+        """Return the rows of some of the problems."""
         return Extension(self.sought[rows], self.scales[rows], self.eased[rows])
 
 
-def extend(limbs: Sequence[Limb], targets: FloatArray) -> Extension:
-    """Return the targets that limbs can seek, and what their bones are multiplied by.
+def extend(limbs: Sequence[GoalLimb], targets: FloatArray) -> Extension:
+    """Return targets brought within the limbs' extension, and bone length scales.
 
-    The bones grow by what the eased extension lacks of the distance, and no more than
-    they may; the target sought is as far as the limb then extends.
+    The bones grow by the distance that the eased extension lacks, at most by their
+    stretch; the target is then moved to within the extension.
 
-    Up to ``(1 - soft) reach`` a limb extends as far as its target, and beyond ever
-    closer to its full reach without a kink in speed, so that it never snaps straight.
+    Up to ``(1 - soft) reach`` a limb extends as far as its target; beyond, it
+    approaches its full reach with continuous speed, so that it never snaps straight.
 
     References:
         A. Nicholas, Soft IK, 2009 (the exponential ease).
 
-    Limits of the method: the reach is that of the straight limb, or where a pin joins
-    two bones of as straight a one as its limits let be; whatever other limits keep it
-    from that.
+    Limits of the method: the reach is that of the straight limb, or for two bones with
+        a
+    pin within the pin's limits; other limits are ignored.
 
-    ``targets`` ``(B, E, W)`` are packed, in shares of the problem's length.
+    ``targets`` ``(B, E, W)``: packed, in fractions of the problem's length.
     """
     return Extension(*_kernels.extend_ik_limbs(*limb_arrays(limbs), targets))
 
 
-def limb_arrays(limbs: Sequence[Limb]) -> tuple[IntArray, FloatArray]:
-    """Return goals of limbs ``(L,)`` and their numbers ``(L, 7)`` for kernels."""
+def limb_arrays(limbs: Sequence[GoalLimb]) -> tuple[IntArray, FloatArray]:
+    """Return kernel arrays of limbs: goals ``(L,)`` and numbers ``(L, 7)``."""
     rows = [
         [*limb.origin, limb.reach, limb.bones, limb.soft, limb.stretch]
         for limb in limbs

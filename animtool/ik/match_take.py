@@ -1,4 +1,4 @@
-"""Matching a take: tracks of targets for a rig's chains, which give its limbs back."""
+"""Matches IK targets to a take: target tracks that reproduce its limbs."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from animtool.ik.goals import PARTS
 from animtool.ik.matching import Matched, match
 from animtool.ik.sub_rig import sub_rig
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import Keyed, Rows, Still, Value
-from animtool.ik.write import USUAL_EASE
+from animtool.ik.values import ArrayRows, Constant, Keyed, Value
+from animtool.ik.write import DEFAULT_EASE
 from animtool.maths import euler, so3
 from animtool.maths.curves import Interp
 from animtool.maths.fit import fit_keys
@@ -39,21 +39,21 @@ from animtool.rig.kinematics import forward
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, Rig
 
-# Most frames whose values are written as keys, one each, where none are reduced.
+# Takes of at most this many frames are written as keys, one a frame, unless reduced.
 FEW = 12
-# Joints this near to their rest pose, in metres and radians, do not leave it.
+# Joints within this of their rest pose are at rest [m], [rad].
 AT_REST = 1e-6
 MAX_NAMED = 8
-# Targets of channels of their kinds.
+# Channel targets of both kinds.
 _ROTATION, _TRANSLATION = "joint/x.rotation", "joint/x.translation"
 
 
 def chains_of(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
-    """Return the chains of a rig with one of the names, or patterns; none is all.
+    """Return the chains of a rig that match names or patterns; no pattern is all.
 
     Raises:
-        OptionError: It has none (TGT019), or none of a name (TGT001), with a fault for
-            each such name.
+        OptionError: The rig has no chains (TGT019), or none matches a pattern (TGT001),
+            with a fault for each such pattern.
 
     >>> rig = Rig("a", (Joint("a", -1),), chains=(IkChain("arm", "a", "a"),))
     >>> [chain.name for chain in chains_of(rig, ["a*"])]
@@ -79,7 +79,7 @@ def chains_of(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
 
 
 def arrays_of(path: Path) -> Path:
-    """Return the file of the arrays of a targets file.
+    """Return the path of the array file beside a targets file.
 
     >>> arrays_of(Path("walk.targets.yaml")).name
     'walk.targets.npz'
@@ -94,33 +94,35 @@ def match_take(
     *,
     reduce: float | None = None,
 ) -> TargetTracks:
-    """Return targets that give the limbs of a take back.
+    """Return targets that reproduce the limbs of a take.
 
-    What never moves is a constant. With ``reduce`` the rest are sparse keys; without
-    they are arrays, or, of at most 12 frames or of frames that are no whole ones, a
-    key for each frame.
+    Static values become constants. With ``reduce`` the rest are sparse keys; without,
+    they are arrays, or for at most 12 frames and for fractional frames, a key for each
+    frame.
 
     Args:
         take: F frames of a rig.
         chains: Of the rig.
-        path: What the targets file will be called.
-        reduce: How far keys may be off a point, or turn one 3 cm off the tip > 0 [m].
+        path: Path of the targets file.
+        reduce: Tolerance of keys at a point, or 3 cm off the tip for rotations > 0 [m].
 
     Raises:
         OptionError: A joint that a chain hangs from is scaled (TGT016).
     """
-    part, own = sub_rig(take.rig, [chain.tip for chain in chains])
+    part, indices = sub_rig(take.rig, [chain.tip for chain in chains])
     refuse_scales(take, [(chain.name, chain.tip) for chain in chains])
     motion = take.motion
-    world = forward(part, motion.translations.gather(own), motion.rotations.gather(own))
+    world = forward(
+        part, motion.translations.gather(indices), motion.rotations.gather(indices)
+    )
     matched = match(part, chains, world)
     clock = take.clock
     first = Fraction(float(clock.start))
     last = Fraction(float(clock.start + clock.step * (clock.count - 1)))
     keyed = clock.count <= FEW or clock.step != 1
-    # Arrays have a row for each frame that the file's own range counts.
+    # Arrays have a row for each frame of the file's range.
     keyed = keyed or last - first != clock.count - 1 or "#" in path.name
-    values = _Values(
+    values = _ValueBuilder(
         clock,
         ClipUnits.of_rig(take.rig),
         None if keyed else arrays_of(path).name,
@@ -134,10 +136,10 @@ def match_take(
 
 
 def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
-    """Return a note where targets of chains do not give back all that moves their tips.
+    """Return a note where targets of chains do not reproduce all motion of their tips.
 
-    That is where joints leave their rest pose that the chains hang from, or bones are
-    not as long as at rest and may not stretch.
+    That is where joints above the chains leave their rest pose, or bones change their
+    length without stretch.
 
     Args:
         take: Of a rig with J joints.
@@ -170,20 +172,20 @@ def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
 
 
 def _path(rig: Rig, tip: str, root: str | None = None) -> list[int]:
-    """Return the joints from a tip to a root, or to the topmost."""
+    """Return the joints from a tip to a root, or to the topmost joint."""
     path = rig.upwards(rig.index(tip))
     return path if root is None else path[: path.index(rig.index(root)) + 1]
 
 
 def _leaving(channel: Channel, rest: FloatArray, joints: set[int]) -> set[int]:
-    """Return which of some joints have other values than at rest in some frame."""
+    """Return the joints that leave their rest values in some frame."""
     some = np.array(sorted(joints), np.int64)
-    values, own = channel.gather(some), rest[some]
+    values, rest_values = channel.gather(some), rest[some]
     if values.shape[2] == 4:
-        apart = so3.angle_between(values, own)
+        distances = so3.angle_between(values, rest_values)
     else:
-        apart = np.linalg.norm(values - own, axis=2)
-    return set(some[(apart > AT_REST).any(axis=0)].tolist())
+        distances = np.linalg.norm(values - rest_values, axis=2)
+    return set(some[(distances > AT_REST).any(axis=0)].tolist())
 
 
 def _track(
@@ -191,7 +193,7 @@ def _track(
     chain: IkChain,
     e: int,
     matched: Matched,
-    form: _Values,
+    form: _ValueBuilder,
 ) -> GoalTrack:
     goal = matched.goals[e]
     values: dict[str, Value | None] = dict.fromkeys(PARTS)
@@ -200,36 +202,36 @@ def _track(
         name = f"{chain.name}_{kind.name}"
         values[kind.name] = form.value(rows, name, rig.joints[rig.index(chain.tip)])
     return GoalTrack(
-        chain.name, goal, chain, values, {}, (), USUAL_EASE, frozenset[str]()
+        chain.name, goal, chain, values, {}, (), DEFAULT_EASE, frozenset[str]()
     )
 
 
 @dataclass(slots=True)
-class _Values:
-    """Makes the values of targets from their rows."""
+class _ValueBuilder:
+    """Builds target values from rows."""
 
     clock: Clock  # F frames
     units: ClipUnits  # of the file
-    arrays: str | None  # file of arrays; None makes keys
+    arrays: str | None  # file of arrays; None writes keys
     first: Fraction  # frame of the first row
-    reduce: float | None  # tolerance of sparse keys [m]; None leaves none out
+    reduce: float | None  # tolerance of sparse keys [m]; None keeps all
     names: set[str] = field(default_factory=set)  # of the arrays so far
 
     def value(self, rows: FloatArray, name: str, joint: Joint) -> Value:
-        """Return the value of rows ``(F, 3)`` or ``(F, 4)``, by rotations of a joint.
+        """Return the target value of rows ``(F, 3)`` or ``(F, 4)``.
 
         Args:
             rows: By frame.
-            name: Of an array.
-            joint: Whose channels say in which order angles are best.
+            name: Name of the array.
+            joint: Joint that decides the Euler order.
         """
         if (rows == rows[0]).all():
-            return Still(tuple(rows[0].tolist()))
+            return Constant(tuple(rows[0].tolist()))
         if self.reduce is not None:
             return self._sparse(rows, joint, self.reduce)
         if self.arrays is None:
             return Keyed(self._keys(rows))
-        return Rows(f"{self.arrays}#{self._named(name)}", rows, self.first)
+        return ArrayRows(f"{self.arrays}#{self._named(name)}", rows, self.first)
 
     def _named(self, name: str) -> str:
         unique = plain = re.sub(r"\W", "_", name)
@@ -242,14 +244,14 @@ class _Values:
     def _keys(self, rows: FloatArray) -> ClipChannel:
         """Return a key for each frame."""
         count, width = rows.shape
-        turns = width == 4
-        usual = (Tangent.AUTO_CLAMPED, Tangent.AUTO_CLAMPED)
+        is_rotation = width == 4
+        tangents = (Tangent.AUTO_CLAMPED, Tangent.AUTO_CLAMPED)
         return ClipChannel(
-            _ROTATION if turns else _TRANSLATION,
+            _ROTATION if is_rotation else _TRANSLATION,
             self.clock.times,
             rows,
-            (Interp.SLERP if turns else Interp.LINEAR,) * count,
-            (usual,) * count,
+            (Interp.SLERP if is_rotation else Interp.LINEAR,) * count,
+            (tangents,) * count,
             np.zeros((count, 1 + width)),
             np.zeros((count, 1 + width)),
             np.zeros((count, 3)),
@@ -262,7 +264,7 @@ class _Values:
             channel = fitted_channel(_TRANSLATION, keys, self.clock, self.units.length)
             return Keyed(channel)
         order = euler_order(joint, rows)
-        # Three turns of one tolerance make one of no more than its root of 3.
+        # Three rotations within a tolerance compose to at most the root of 3 times it.
         angle = math.degrees(tolerance / SHELL) / math.sqrt(3)
         keys = fit_keys(euler.from_quaternion(rows, order), angle)
         unit = self.units.angle

@@ -1,4 +1,4 @@
-"""Matching: the controls of a rig's chains from poses, as targets that give them back.
+"""Matching: IK targets of a rig's chains that reproduce given poses.
 
 A chain has its tip's position and orientation, as its goal asks, and a pole for the
 joint in the middle of its limb.
@@ -23,14 +23,14 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import JointType, Rig
 
-# A middle joint nearer to its limb's line than this share of the limb's length has no
-# side: on a wrong one it is off by less than a hundred-thousandth of that length.
+# A middle joint nearer to its limb's line than this fraction of the limb's length has
+# no side: a wrong side is off by less than a hundred-thousandth of that length.
 SIDE = 5e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Matched:
-    """What chains ask for so that poses come back.
+    """Goals and targets that reproduce poses.
 
     Attributes:
         goals: A goal of each of E chains; its pole has weight 0 where the chain has no
@@ -43,29 +43,29 @@ class Matched:
 
 
 def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matched:
-    """Return goals and targets for chains, from where poses have their joints.
+    """Return goals and targets of chains that reproduce world poses.
 
-    The pole stands half the limb's length off the line from its root to its tip, beside
-    the middle joint, in the plane of the three. Where the middle is on that line, as
-    when the limb is straight, it is on the side where it was in the frame before, as
-    the root joint carries it; in the first frames where it next is; without any such
-    frame in the chain's ``pole_dir``, of a hinge at right angles to its axis.
+    The pole is half the limb's length off the line from root to tip, next to the middle
+    joint and in the plane of the three. Where the limb is straight, the side of the
+    previous bent frame is used, carried by the root joint; before that, of the next
+    bent frame; without any, the chain's ``pole_dir``, for a hinge perpendicular to its
+    axis.
 
-    Solved with what carries the chains as it was, the targets give back the positions
-    of tips and middle joints, and all rotations of limbs that bend and have seven
-    degrees of freedom, as many as there are controls: a ball, a hinge, and a tip that
-    turns three ways, be one of them a twist of the forearm.
+    With the same parents of the chains, the targets reproduce the positions of tips and
+    middle joints, and all rotations of bent limbs with seven degrees of freedom: a
+        ball,
+    a hinge, and a tip with three, one of which may be a twist of the forearm.
 
-    Limits of the method: not in the controls are the twist of a straight limb about its
-    own line; twist that two joints share, as a wrist that twists behind a forearm that
-    does; which way a ball at the middle is twisted; which of two ways three hinges of a
-    wrist take to the same rotation; what joints other than the root and the middle
-    bend; and of a chain that asks for no orientation the rotation of its tip. A limb
-    that bends over straight to the other side takes its pole with it.
+    Limits of the method: targets do not capture the twist of a straight limb about its
+    line; twist that two joints share, such as a wrist and a forearm; the twist of a
+    ball at the middle; which of two solutions three wrist hinges take; the bend of
+    joints other than the root and the middle; and the tip's rotation for a chain
+    without an orientation goal. A limb that bends through straight takes its pole with
+    it.
 
     Args:
         rig: J joints.
-        chains: E of its chains, or others on its joints.
+        chains: E chains of the rig's joints.
         world: Of F frames.
 
     >>> from animtool.rig.skeleton import Joint
@@ -98,7 +98,7 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
 
 
 def _goal(chain: IkChain) -> Goal:
-    """Return what a chain asks for, without its pole."""
+    """Return the goal of a chain, without a pole."""
     return Goal(
         chain.tip,
         position=1.0 if chain.goal in {"position", "pose"} else 0.0,
@@ -109,27 +109,29 @@ def _goal(chain: IkChain) -> Goal:
 
 
 @dataclass(frozen=True, slots=True)
-class _Limb:
-    """A limb that bends.
+class _BendingLimb:
+    """A limb with a bending middle joint.
 
     Attributes:
         root, middle, tip: Joints.
-        length: Of its bones at rest [m].
+        length: Length of its bones at rest [m].
         usual: Side of the middle in the root joint's frame where no pose tells
             ``(3,)``.
-        hinge: Axis of the middle joint in its frame ``(3,)``; zero where it is none.
+        hinge: Axis of the middle joint in its frame ``(3,)``; zero without a hinge.
     """
 
     root: int
     middle: int
     tip: int
     length: float
-    usual: FloatArray
+    default_side: FloatArray
     hinge: FloatArray
 
 
-def _limb(rig: Rig, chain: IkChain, goal: Goal, rest: WorldTransforms) -> _Limb | None:
-    """Return the limb of a chain, as the solver of its goal sees it."""
+def _limb(
+    rig: Rig, chain: IkChain, goal: Goal, rest: WorldTransforms
+) -> _BendingLimb | None:
+    """Return the limb of a chain as its goal is solved; None without one."""
     if not goal.position:
         return None
     tip, origins = rig.index(chain.tip), rest.positions[0]
@@ -142,11 +144,11 @@ def _limb(rig: Rig, chain: IkChain, goal: Goal, rest: WorldTransforms) -> _Limb 
         parent = rig.joints[j].parent
         length += float(np.linalg.norm(origins[j] - origins[parent]))
         j = parent
-    # The pole direction stands in the frame of the parent of the chain's root.
+    # The pole direction is in the frame of the parent of the chain's root.
     above = rig.joints[rig.index(chain.root)].parent
     turned = np.eye(3) if above < 0 else rest.linear[0, above]
     hinged = rig.joints[middle].type is JointType.PIN
-    return _Limb(
+    return _BendingLimb(
         root,
         middle,
         tip,
@@ -156,20 +158,20 @@ def _limb(rig: Rig, chain: IkChain, goal: Goal, rest: WorldTransforms) -> _Limb 
     )
 
 
-def _poles(limb: _Limb, world: WorldTransforms) -> FloatArray:
-    """Return where a limb's pole is ``(F, 3)`` [m]."""
+def _poles(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
+    """Return a limb's pole positions ``(F, 3)`` [m]."""
     root, middle, tip = (
         world.positions[:, j] for j in (limb.root, limb.middle, limb.tip)
     )
     least = SIDE * limb.length
-    line, apart = _directions(tip - root, least)
-    line[~apart] = 0.0
+    line, distinct = _directions(tip - root, least)
+    line[~distinct] = 0.0
     along = np.sum((middle - root) * line, axis=1, keepdims=True) * line
     sides, known = _directions(middle - root - along, least)
     if not known.all():
         bend = _bend(limb, world, sides, known)
         off = bend - np.sum(bend * line, axis=1, keepdims=True) * line
-        # What is carried may come to lie along the line: any side will do then.
+        # A carried side may lie along the line: then any side will do.
         others, kept = _directions(off, np.sqrt(SIDE))
         others[~kept] = _directions(perpendicular(line[~kept]), 0.0)[0]
         sides = np.where(known[:, None], sides, others)
@@ -177,27 +179,29 @@ def _poles(limb: _Limb, world: WorldTransforms) -> FloatArray:
 
 
 def _directions(vectors: FloatArray, least: float) -> tuple[FloatArray, BoolArray]:
-    """Return unit vectors ``(F, 3)``, and which are longer than the least ``(F,)``."""
+    """Return unit vectors ``(F, 3)``, and a mask of those above a length ``(F,)``."""
     lengths = np.linalg.norm(vectors, axis=1)
     longer = lengths > least
     return vectors / np.where(longer, lengths, 1.0)[:, None], longer
 
 
 def _bend(
-    limb: _Limb, world: WorldTransforms, sides: FloatArray, known: BoolArray
+    limb: _BendingLimb, world: WorldTransforms, sides: FloatArray, known: BoolArray
 ) -> FloatArray:
-    """Return the sides as the root joint carries them to every frame ``(F, 3)``."""
-    turns = so3.split_scale(world.linear[:, limb.root])[0]
+    """Return the bend sides carried by the root joint to every frame ``(F, 3)``."""
+    rotations = so3.split_scale(world.linear[:, limb.root])[0]
     if known.any():
-        own = so3.rotate(so3.conjugate(turns), sides)
-        return so3.rotate(turns, own[_nearest_before(known)])
+        local_sides = so3.rotate(so3.conjugate(rotations), sides)
+        return so3.rotate(rotations, local_sides[_nearest_before(known)])
     hinges = so3.rotate(so3.split_scale(world.linear[:, limb.middle])[0], limb.hinge)
-    usual = so3.rotate(turns, limb.usual)
-    return np.asarray(usual - np.sum(usual * hinges, axis=1, keepdims=True) * hinges)
+    default_side = so3.rotate(rotations, limb.default_side)
+    return np.asarray(
+        default_side - np.sum(default_side * hinges, axis=1, keepdims=True) * hinges
+    )
 
 
 def _nearest_before(known: BoolArray) -> IntArray:
-    """Return the last known frame up to each one; the first known before that.
+    """Return the last known frame up to each frame; before any, the first known.
 
     >>> _nearest_before(np.array([False, True, False, True])).tolist()
     [1, 1, 1, 3]

@@ -1,4 +1,4 @@
-"""Frames out of reach, each searched on its own for the pose nearest to its goals."""
+"""Searches unreachable frames individually for the pose nearest to their goals."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.solving import solve
 
-# Starts: so many combinations of limits, and as many random poses; chains of more
-# degrees of freedom have a ninth of them.
+# Starts: this many combinations of limits, and as many random poses; a ninth of them
+# for chains with more degrees of freedom.
 MAX_STARTS, MANY_DEGREES = 27, 12
-# Steps from each, and from the best of them; what is still this many times as costly as
-# the pose at hand then is not followed.
+# Iterations from each, and from the best; a start that then costs this many times the
+# current pose is dropped.
 TRIAL, DESCENT, HOPELESS = 8, 100, 1.3
-# So many of the most promising starts are followed to their end.
+# Number of the most promising starts that are solved to the end.
 FOLLOWED = 4
 
 
 def frames_out_of_reach(result: IkResult, options: IkOptions) -> IntArray:
-    """Return the frames that miss goals and may be searched for nearer poses."""
+    """Return the frames that miss goals and may have nearer poses."""
     if options.seconds > 0 or options.restarts == 0:
         return np.zeros(0, np.int64)
     return np.flatnonzero([status is IkStatus.NEAREST for status in result.statuses])
@@ -41,10 +41,10 @@ def nearest(
     options: IkOptions,
     prefer: ArrayLike,
 ) -> IkResult:
-    """Return B problems out of reach, each at the nearest pose that was found.
+    """Return B unreachable problems, each at the nearest pose found.
 
-    A descent from random starts ends in whichever minimum is wide, and what is out of
-    reach is as a rule nearest at limits: combinations of those are starts here too.
+    Descent from random starts ends in wide minima, but unreachable targets are usually
+    nearest at limits: combinations of limits are starts too.
 
     ``result`` and ``targets`` are of the B problems, ``prefer`` ``(B, Q)``.
     """
@@ -86,23 +86,23 @@ def settled(
     options: IkOptions,
     prefer: FloatArray,
 ) -> IkResult:
-    """Return a result whose frames out of reach are at the nearest, each on its own."""
+    """Return a result with unreachable frames at their individually nearest pose."""
     rows = frames_out_of_reach(result, options)
     if not len(rows):
         return result
     some = _picked(result, rows)
-    found = nearest(problem, some, rows_of(targets, rows), options, prefer[rows])
-    return _placed(result, found, rows, np.arange(len(rows)))
+    better = nearest(problem, some, rows_of(targets, rows), options, prefer[rows])
+    return _placed(result, better, rows, np.arange(len(rows)))
 
 
 def cost_of(result: IkResult, targets: Targets) -> FloatArray:
-    """Return what the misses of a result cost ``(B,)``, see `price`."""
+    """Return the miss costs of a result ``(B,)``, see `price`."""
     misses = weighed(result.problem, result.misses, targets)
     return price(misses, result.converged)
 
 
 def _starts(problem: Problem, home: FloatArray, seed: int) -> Iterator[FloatArray]:
-    """Yield poses ``(C,)``: ends and middles of limits, and random ones."""
+    """Yield start poses ``(C,)``: combinations of limits, and random ones."""
     chain = problem.chain
     most = MAX_STARTS if problem.degrees <= MANY_DEGREES else MAX_STARTS // 9
     pose = chain.from_rig(home[None])[0]
@@ -111,7 +111,7 @@ def _starts(problem: Problem, home: FloatArray, seed: int) -> Iterator[FloatArra
 
 
 def _corners(chain: Chain, home: FloatArray, most: int) -> Iterator[FloatArray]:
-    """Yield combinations of the first limits, as many as ``most`` allows."""
+    """Yield combinations of the first joint limits, at most ``most``."""
     ranges = []
     for (kind, _, column, follows), numbers in zip(
         chain.nodes[:, :4], with_periods(chain), strict=True
@@ -119,17 +119,17 @@ def _corners(chain: Chain, home: FloatArray, most: int) -> Iterator[FloatArray]:
         low, high = numbers[14:16]
         if kind != BALL and not follows and np.isfinite([low, high]).all():
             ranges.append((int(column), (low, (low + high) / 2, high)))
-    held = ranges[: int(np.log(most) / np.log(3))]
-    for values in product(*(values for _, values in held)):
+    chosen = ranges[: int(np.log(most) / np.log(3))]
+    for values in product(*(values for _, values in chosen)):
         pose = home.copy()
-        pose[[column for column, _ in held]] = values
+        pose[[column for column, _ in chosen]] = values
         yield pose
 
 
 def _placed(
     result: IkResult, other: IkResult, rows: IntArray, from_rows: IntArray
 ) -> IkResult:
-    """Return a result with some rows of another in place."""
+    """Return a result with some rows replaced by those of another."""
     if not len(rows):
         return result
     statuses = list(result.statuses)
@@ -151,6 +151,6 @@ def _picked(result: IkResult, rows: IntArray) -> IkResult:
 
 
 def _arrays() -> list[str]:
-    """Return the names of the arrays that a result has for each problem."""
+    """Return the names of a result's per-problem arrays."""
     others = {"problem", "jumps", "statuses"}
     return [field.name for field in fields(IkResult) if field.name not in others]

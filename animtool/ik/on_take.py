@@ -1,4 +1,4 @@
-"""Bringing a take to targets: each frame a problem, near the pose that it has."""
+"""Solves a take for targets: each frame is an IK problem near its source pose."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.names import nearest
+from animtool.core.renamed import renamed_arguments
 from animtool.ik.chain_frame import parts_of, refuse_scales
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.options import TakeOptions
@@ -20,7 +21,7 @@ from animtool.ik.sub_rig import sub_rig, with_types
 from animtool.ik.take_run import (
     SolvedPart,
     TakeIk,
-    TakeRun,
+    TakeSolver,
     check_options,
     gathered_take,
 )
@@ -32,16 +33,15 @@ from animtool.rig.joints import LocalTransforms
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
-# From tracks, and the take without each of them, to the take at its targets.
+# From tracks, and for each the take without it, to the take solved for them.
 Bring = Callable[[TargetTracks, tuple[Take, ...]], Take]
 
 
 def rounds(tracks: TargetTracks) -> int:
-    """Return how often a take is solved: more than once if goals come and go.
+    """Return how often a take is solved: more than once if goals have spans.
 
-    Goals of the same spans come and go together, and need one more round for all, if
-    there are others. With other spans beside them, each of these needs one, with the
-    others there.
+    Goals with the same spans fade together and need one more solve if there are other
+    goals. With several different spans, each needs one, with the others active.
     """
     spans = len(_spans(tracks.goals))
     bare = spans > 0 and any(not track.during for track in tracks.goals)
@@ -49,10 +49,10 @@ def rounds(tracks: TargetTracks) -> int:
 
 
 def takes_released(take: Take, tracks: TargetTracks, bring: Bring) -> tuple[Take, ...]:
-    """Return by goal the take from which it comes, and to which it lets go.
+    """Return for each goal the take that it fades from and to.
 
-    That is the take brought to all goals but those that come and go with it. Where two
-    spans begin or end in each other's ease, it is so but for the other's ease.
+    That is the take solved for all goals except those with the same spans. Where two
+    spans overlap in their eases, the other's ease is ignored.
     """
     spans = _spans(tracks.goals)
     takes: dict[object, Take] = {_NEVER: take}
@@ -75,7 +75,7 @@ def _span(track: GoalTrack) -> object:
 
 
 def _spans(goals: Sequence[GoalTrack]) -> list[object]:
-    """Return what goals that come and go together have in common, each once."""
+    """Return the distinct spans and eases of goals."""
     return list(dict.fromkeys(_span(track) for track in goals if track.during))
 
 
@@ -86,45 +86,45 @@ def _released_take(
     bare: Take,
     bring: Bring,
 ) -> Take:
-    """Return the take at some goals, those that come and go from a bare one."""
+    """Return the take solved for some goals; those with spans fade from ``bare``."""
     if not goals:
         return take
     free = tuple(bare if track.during else take for track in goals)
     return bring(replace(tracks, goals=tuple(goals)), free)
 
 
-# How faults name the goal that they are of.
+# How faults name their goal.
 _GOAL = re.compile(r"goals\[(\d+)\]")
 
 
+@renamed_arguments(still="static")
 def solve_take(
     take: Take,
     tracks: TargetTracks,
     options: TakeOptions | None = None,
     *,
-    still: bool = False,
+    static: bool = False,
     only: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TakeIk:
-    """Return a take brought to targets.
+    """Return a take solved for targets.
 
-    Each frame starts at the pose that it has. Joints that move no goal keep it, and so
-    do all in frames that ask nothing, but for limits: joints that move a goal are
-    brought inside theirs.
+    Each frame starts at its source pose. Joints that move no goal keep it, and so do
+    all joints in frames without active goals, except that joints that move a goal are
+    brought inside their limits.
 
     Args:
         take: F frames.
         tracks: Its targets.
         options: Tolerances, budget, which joints.
-        still: The take is one pose, which need not be kept: each frame starts where
-            the one before it ended, and chains bend towards their ``pole_dir``.
+        static: The take is one pose, which need not be kept: each frame starts at the
+            previous solution, and chains bend towards their ``pole_dir``.
         only: Index of the one frame to solve; None is all.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
-        OptionError: The targets are of another rate or length (TGT014, TGT015), a joint
-            that a goal hangs from is scaled (TGT016), or a goal or option makes no
-            sense (IK codes).
+        OptionError: The targets have another rate or length (TGT014, TGT015), a joint
+            above a goal is scaled (TGT016), or a goal or option is invalid (IK codes).
         FormatError: A prim's transform is not finite.
     """
     options = options or TakeOptions()
@@ -136,22 +136,22 @@ def solve_take(
     spent = 0.0
 
     def bring(tracks: TargetTracks, free: tuple[Take, ...]) -> TakeIk:
-        def told(share: float) -> None:
+        def report(fraction: float) -> None:
             if progress is not None:
-                progress((done + share) / count)
+                progress((done + fraction) / count)
 
-        return _solve_take(take, tracks, free, options, still, only, told)
+        return _solve_take(take, tracks, free, options, static, only, report)
 
     def bring_take(tracks: TargetTracks, free: tuple[Take, ...]) -> Take:
         nonlocal done, spent
-        found = bring(tracks, free)
-        done, spent = done + 1, spent + found.seconds
-        return found.take
+        solved = bring(tracks, free)
+        done, spent = done + 1, spent + solved.seconds
+        return solved.take
 
     free = takes_released(take, tracks, bring_take)
-    found = bring(tracks, free)
-    driven = driven_take(found.take)
-    return replace(found, take=driven, seconds=spent + found.seconds)
+    result = bring(tracks, free)
+    driven = driven_take(result.take)
+    return replace(result, take=driven, seconds=spent + result.seconds)
 
 
 def _solve_take(
@@ -159,33 +159,33 @@ def _solve_take(
     tracks: TargetTracks,
     free: tuple[Take, ...],
     options: TakeOptions,
-    still: bool,
+    static: bool,
     only: int | None,
     progress: Callable[[float], None],
 ) -> TakeIk:
-    """Return a take at its targets."""
+    """Return a take solved for targets with their fade sources."""
     goals = [track.goal for track in tracks.goals]
     typed = with_types(take.rig)
-    rig, own = sub_rig(typed, (goal.joint for goal in goals))
+    rig, indices = sub_rig(typed, (goal.joint for goal in goals))
     joints = _chosen(take.rig, rig, options)
     local = LocalTransforms(
-        take.motion.translations.gather(own), take.motion.rotations.gather(own)
+        take.motion.translations.gather(indices), take.motion.rotations.gather(indices)
     )
     world = forward(rig, local.translations, local.rotations)
-    found: list[SolvedPart] = []
+    solved_parts: list[SolvedPart] = []
     with _placed(tracks):
-        loose = tuple(_world(rig, own, one, world) for one in free)
+        loose = tuple(_world(rig, indices, one, world) for one in free)
         targets = tracks.sample(rig, take.clock, world, loose)
         if only is not None:
             take, local, world, targets = _selected(take, local, world, targets, only)
         rate = float(take.clock.rate)
-        run = TakeRun(rig, tracks, targets, world, options, joints, still, rate)
+        run = TakeSolver(rig, tracks, targets, world, options, joints, static, rate)
         controls = _controls(rig, take)
         parts = parts_of(rig, local, world, goals, joints, controls)
         for part in parts.all:
-            found.append(run.solved(part))
-            progress(found[-1].part.frames.stop / take.clock.count)
-    solved = gathered_take(take, own, local, tracks, targets, found, rate)
+            solved_parts.append(run.solved(part))
+            progress(solved_parts[-1].part.frames.stop / take.clock.count)
+    solved = gathered_take(take, indices, local, tracks, targets, solved_parts, rate)
     extent = float(np.ptp(world.positions[0], axis=0).max())
     return replace(
         solved,
@@ -212,23 +212,25 @@ def _controls(rig: Rig, take: Take) -> dict[str, FloatArray]:
 def _away(
     goals: Sequence[Goal], rig: Rig, world: WorldTransforms, targets: Targets
 ) -> tuple[float, ...]:
-    """Return how far each goal's positions are from its effector, where nearest [m]."""
+    """Return the smallest distance of each goal's targets from its effector [m]."""
     distances = []
     for e, goal in enumerate(goals):
         asked = np.asarray(targets.weights)[:, e, 0] * goal.position > 0
-        places = FreeEffector(rig, goal, world).place()[asked]
-        ways = np.asarray(targets.positions)[asked, e] - places
-        # The longest part of a way needs no square, which huge numbers lack.
-        distances.append(float(np.abs(ways).max(axis=1).min(initial=np.inf)))
+        points = FreeEffector(rig, goal, world).position()[asked]
+        offsets = np.asarray(targets.positions)[asked, e] - points
+        # The largest component needs no square, which overflows for huge numbers.
+        distances.append(float(np.abs(offsets).max(axis=1).min(initial=np.inf)))
     return tuple(0.0 if away == np.inf else away for away in distances)
 
 
 def _world(
-    rig: Rig, own: IntArray, take: Take, like: WorldTransforms
+    rig: Rig, indices: IntArray, take: Take, like: WorldTransforms
 ) -> WorldTransforms:
-    """Return where joints of a take are, one frame repeated over as many as another."""
+    """Return world transforms of a take, one frame repeated to another's length."""
     motion = take.motion
-    world = forward(rig, motion.translations.gather(own), motion.rotations.gather(own))
+    world = forward(
+        rig, motion.translations.gather(indices), motion.rotations.gather(indices)
+    )
     return WorldTransforms(
         np.broadcast_to(world.positions, like.positions.shape),
         np.broadcast_to(world.linear, like.linear.shape),
@@ -237,7 +239,7 @@ def _world(
 
 @contextmanager
 def _placed(tracks: TargetTracks) -> Iterator[None]:
-    """Give faults of goals that have no file their place in that of the targets."""
+    """Locate faults of goals in the targets file."""
     try:
         yield
     except OptionError as error:
@@ -249,7 +251,7 @@ def _at_goal(fault: Fault, tracks: TargetTracks) -> Fault:
     goal = _GOAL.match(fault.where or "")
     if fault.path is not None or goal is None:
         return replace(fault, path=fault.path or str(tracks.path))
-    line, column = tracks.goals[int(goal[1])].place
+    line, column = tracks.goals[int(goal[1])].location
     return replace(fault, path=str(tracks.path), lines=(line,), column=column)
 
 
@@ -260,7 +262,7 @@ def _selected(
     targets: Targets,
     frame: int,
 ) -> tuple[Take, LocalTransforms, WorldTransforms, Targets]:
-    """Return one frame of everything."""
+    """Return one frame of a take, its transforms and targets."""
     rows = slice(frame, frame + 1)
     clock = take.clock
     start = clock.start + frame * clock.step
@@ -277,17 +279,17 @@ def _selected(
     )
 
 
-def _chosen(whole: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
-    """Return the joints that may move; None is every one that moves a goal."""
+def _chosen(full_rig: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
+    """Return the names of the joints that may move; None is all that move a goal."""
     if not options.joints:
         return None
     names: set[str] = set()
     faults = []
     for pattern in options.joints:
-        matches = {name for name in whole.names if fnmatchcase(name, pattern)}
+        matches = {name for name in full_rig.names if fnmatchcase(name, pattern)}
         if not matches:
-            message = f"no joint of {whole.name!r} matches {pattern!r}"
-            hint = nearest(pattern, whole.names)
+            message = f"no joint of {full_rig.name!r} matches {pattern!r}"
+            hint = nearest(pattern, full_rig.names)
             faults.append(Fault("TGT001", message, hint=hint))
         names |= matches
     if faults:

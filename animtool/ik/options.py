@@ -1,4 +1,4 @@
-"""How to solve, and to within what: the defaults of all that solves."""
+"""Solver options and tolerances, with their defaults."""
 
 from __future__ import annotations
 
@@ -9,31 +9,30 @@ from animtool.core.options import described, option
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 
-# Takes are solved to within these; what is off by more is missed, where nothing else is
-# asked: what nobody sees is less. Angles in degrees.
+# Default solve tolerances of takes, and the miss above which a goal is reported;
+# smaller misses are invisible. Angles in degrees.
 LENGTH_TOLERANCE, ANGLE_TOLERANCE = "0.001mm", 1e-4
 MISSED, MISSED_DEGREES = "0.1mm", 0.1
 
 
 class IkMethod(StrEnum):
-    """Which solver.
+    """Solver method.
 
     Attributes:
         AUTO: The closed form of a limb of two bones, or of an arm of six pins whose
-            last three meet or whose middle ones are parallel; else damped steps.
+            last three meet or whose middle ones are parallel; else DAMPED.
         DAMPED: Damped least squares with restarts: for every problem, and the only one
-            that heeds priorities.
-        TWO_BONE: The closed form of a limb of two bones; damped steps where the elbow's
-            limits stop it.
+            that supports priorities.
+        TWO_BONE: The closed form of a limb of two bones; DAMPED where the elbow's
+            limits prevent it.
         GRADIENT: Steepest descent with backtracking.
         NEWTON: Newton's method, with second derivatives of positions and orientations,
             in a region of trust.
         CCD: Cyclic coordinate descent, joint by joint.
-        FABRIK: Points drawn to their targets bone by bone, which the joints follow;
-            positions only.
+        FABRIK: Forward and backward reaching; positions only.
 
-    The last four are for comparison: from the start only, without restarts, one step
-    or sweep an iteration.
+    The last four are for comparison: they use the given start only, without restarts,
+    with one step or sweep per iteration.
     """
 
     AUTO = "auto"
@@ -47,23 +46,23 @@ class IkMethod(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class IkOptions:
-    """How to solve.
+    """Options of a solve.
 
     Attributes:
         method: ``auto`` takes a closed form where the problem has one, else damped
             least squares; see `IkMethod`.
-        tolerance: A position is reached within this share of the problem's length.
+        tolerance: A position is reached within this fraction of the problem's length.
         angle_tolerance: An orientation, aim or pole is reached within this [rad].
-        iterations: Most steps for one problem, restarts included.
-        restarts: Most new starts where damped steps end short of the goals.
-        seed: Of the new starts; the same seed gives the same poses.
-        seconds: Most time for one problem [s]; 0 is no bound. With a bound, what is
-            found depends on the machine.
-        ordered: The problems are frames of a clip. One that ends as far from its goals
-            as the one before it is not searched all over again.
-        warm: They also start where the one before ended, but for the first.
-        near: Poses that came of new starts are then drawn to those preferred, while
-            goals stay met; that takes longer than finding them.
+        iterations: Most iterations of one problem, restarts included.
+        restarts: Most restarts where damped steps end short of the goals.
+        seed: Seed of the restarts; the same seed gives the same poses.
+        seconds: Time limit of one problem [s]; 0 is none. With a limit, results depend
+            on the machine.
+        ordered: The problems are consecutive frames. One that ends as far from its
+            goals as the previous is not restarted.
+        warm: Warm-start each problem from the previous solution.
+        near: Pull poses found by restarts towards the preferred pose while goals stay
+            reached; this takes longer than finding them.
     """
 
     method: IkMethod = IkMethod.AUTO
@@ -81,12 +80,12 @@ class IkOptions:
 @described
 @dataclass(frozen=True, slots=True)
 class TakeOptions:
-    """How to bring a take to targets.
+    """Options of solving a take for targets.
 
     Attributes:
-        seconds: Most time for one frame [s]; 0 is no bound.
-        smooth: Time over which motion that the goals leave free is evened out [s]; 0
-            leaves it.
+        seconds: Time limit of one frame [s]; 0 is none.
+        smooth: Time over which motion that the goals leave free is smoothed [s]; 0
+            disables it.
     """
 
     method: IkMethod = option(

@@ -1,4 +1,4 @@
-"""Frames of one problem through time: smooth, without discontinuities, as a whole."""
+"""Smooths the poses of consecutive frames over all frames together."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
-# Rounds of Gauss-Newton at most, each over all frames.
+# Most Gauss-Newton iterations, each over all frames.
 ROUNDS = 30
-# Of the preference for where a path was when its speed is evened out.
+# Weight of the original path when its speed is evened out.
 HARDLY = 1e-6
 
 
 @dataclass(frozen=True)
-class Path:
-    """Frames of one problem, as the solver takes them.
+class FramePath:
+    """Kernel arguments of consecutive frames of one problem.
 
     Attributes:
-        problem: What was asked.
+        problem: Goals and joints.
         targets: ``(F, E, W)``.
-        limbs: How far the limbs of eased and stretching goals go.
-        drifts: Motion from frame to frame that is not to be evened out ``(F - 1, D)``.
+        limbs: Extension of soft and stretching limbs.
+        drifts: Motion from frame to frame that smoothing keeps ``(F - 1, D)``.
         options: Tolerances.
     """
 
@@ -49,45 +49,45 @@ class Path:
     drifts: FloatArray
     options: IkOptions
 
-    def frames(self, rows: slice) -> Path:
-        """Return a stretch of it."""
+    def frames(self, rows: slice) -> FramePath:
+        """Return some consecutive frames."""
         drifts = self.drifts[rows.start : rows.stop - 1]
         picked = np.arange(len(self.targets))[rows]
         targets, limbs = self.targets[rows], self.limbs[picked]
         return replace(self, targets=targets, limbs=limbs, drifts=drifts)
 
     def steps(self, poses: FloatArray) -> FloatArray:
-        """Return how poses ``(F, C)`` move from frame to frame, less the drifts."""
+        """Return steps of poses ``(F, C)`` from frame to frame, minus the drifts."""
         return difference(self.problem.chain, poses[:-1], poses[1:]) - self.drifts
 
     def smoothed(
         self, poses: FloatArray, acceleration: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return poses ``(F, C)`` of less acceleration, and misses ``(F, E, 4)``."""
+        """Return smoothed poses ``(F, C)``, and misses ``(F, E, 4)``."""
         weights = (1.0, 0.0, acceleration)
         return self._run(poses, weights, (0, len(poses)), ROUNDS)
 
     def evened(
         self, poses: FloatArray, *, opened: bool = False
     ) -> tuple[FloatArray, FloatArray]:
-        """Return poses that go from the first to the last at an even speed.
+        """Return poses that move from the first to the last at an even speed.
 
-        The last stays, and so does the first unless it is ``opened``.
+        The last is kept, and so is the first unless ``opened``.
         """
         moving = (0 if opened else 1, len(poses) - 1)
         return self._run(poses, (HARDLY, 1.0, 0.0), moving, ROUNDS)
 
     def measured(self, poses: FloatArray) -> FloatArray:
-        """Return what poses miss ``(F, E, 4)``."""
+        """Return the misses of poses ``(F, E, 4)``."""
         return self._run(poses, (1.0, 0.0, 0.0), (0, 0), 0)[1]
 
     def excesses(self, misses: FloatArray) -> FloatArray:
-        """Return by how many tolerances each goal is missed ``(F, E)``."""
+        """Return the miss of each goal in tolerances ``(F, E)``."""
         tolerances = by_unit(self.options.tolerance, self.options.angle_tolerance)
         return np.asarray((misses / tolerances).max(axis=2, initial=0.0))
 
     def excess(self, misses: FloatArray) -> FloatArray:
-        """Return by how many tolerances each frame misses its goals ``(F,)``."""
+        """Return the largest miss of each frame in tolerances ``(F,)``."""
         return np.asarray(self.excesses(misses).max(axis=1, initial=0.0))
 
     def _run(
@@ -122,21 +122,21 @@ class Path:
 
 def path_of(
     problem: Problem, targets: Targets, start: ArrayLike | None, options: IkOptions
-) -> Path:
-    """Return the frames of a problem; ``start`` ``(F, Q)`` is the motion they keep."""
+) -> FramePath:
+    """Return the path of a problem; a start ``(F, Q)`` is motion to keep."""
     packed = chain_targets(problem, targets)
     drifts = np.zeros((max(len(packed) - 1, 0), problem.degrees))
     if start is not None and np.ndim(start) == 2:
-        own = problem.chain.from_rig(pose_rows(problem, start, len(packed), "start"))
-        drifts = difference(problem.chain, own[:-1], own[1:])
-    return Path(problem, packed, extend(problem.limbs, packed), drifts, options)
+        source = problem.chain.from_rig(pose_rows(problem, start, len(packed), "start"))
+        drifts = difference(problem.chain, source[:-1], source[1:])
+    return FramePath(problem, packed, extend(problem.limbs, packed), drifts, options)
 
 
 def goal_moves(problem: Problem, targets: FloatArray) -> FloatArray:
-    """Return how far the goals move from frame to frame ``(F - 1,)``.
+    """Return the largest motion of the goals from frame to frame ``(F - 1,)``.
 
-    In radians, and shares of the problem's length; the largest of all goals that ask
-    for something in both frames. ``targets`` ``(F, E, W)``.
+    In radians, or fractions of the problem's length, over the goals that are active in
+    both frames. ``targets`` ``(F, E, W)``.
     """
     weighed = targets[:, :, WEIGHTS] > 0
     asked = weighed[1:] & weighed[:-1]
@@ -149,7 +149,7 @@ def goal_moves(problem: Problem, targets: FloatArray) -> FloatArray:
 
 
 def _moves(value: TargetValue, targets: FloatArray) -> FloatArray:
-    """Return how far targets ``(F, E, W)`` move ``(F - 1, E)``, or turn [rad]."""
+    """Return the steps of targets ``(F, E, W)``, lengths or angles ``(F - 1, E)``."""
     if value is TargetValue.ROTATION:
         return so3.angle_between(targets[1:], targets[:-1])
     return np.asarray(np.linalg.norm(np.diff(targets, axis=0), axis=2))
@@ -160,8 +160,7 @@ def jumps_of(
 ) -> tuple[Jump, ...]:
     """Return the jumps of a clip's poses, see `find_jumps`.
 
-    ``start`` ``(F, Q)`` are the poses that the solve started from; None, or one pose,
-    is no motion.
+    ``start`` ``(F, Q)``: the source poses; None, or one pose, is static.
     """
     problem = result.problem
     source = None
@@ -173,19 +172,19 @@ def jumps_of(
 
 
 def jumping_frames(
-    path: Path,
+    path: FramePath,
     poses: FloatArray,
     rows: FloatArray,
     source: FloatArray | None,
     fps: float,
 ) -> IntArray:
-    """Return the frames to which a joint jumps, ascending.
+    """Return the frames at which a joint jumps, ascending.
 
     Args:
         path: F frames.
         poses: Of the chain ``(F, C)``.
-        rows: Coordinates of the rig whose other joints are as they are ``(F, Q)``.
-        source: The motion that the solve started from ``(F, Q)``; None is none.
+        rows: Rig coordinates of the other joints ``(F, Q)``.
+        source: The source motion ``(F, Q)``; None is none.
         fps: Frames a second.
     """
     problem = path.problem
@@ -203,7 +202,7 @@ def _jumps(
     moves: FloatArray,
     fps: float,
 ) -> tuple[Jump, ...]:
-    """Return the jumps of coordinates ``(F, Q)``, bones stretched if they are."""
+    """Return the jumps of coordinates ``(F, Q)``, with stretched bones if any."""
     local = local_from_coordinates(problem.rig, rows)
     if translations is not None:
         local = replace(local, translations=translations)
@@ -219,21 +218,21 @@ def _jumps(
 
 
 def windings(rig: Rig, rows: FloatArray) -> FloatArray:
-    """Return the whole turns of pins from frame to frame ``(F - 1, J)`` [rad].
+    """Return full revolutions of pins from frame to frame ``(F - 1, J)`` [rad].
 
-    Of pins whose limits are over a turn apart: which of their turns they are in does
-    not show, but a cable minds. ``rows`` ``(F, Q)``.
+    For pins with limits wider than a revolution: their rotation does not show the
+    revolution, but a cable would. ``rows`` ``(F, Q)``.
     """
-    turns = np.zeros((max(len(rows) - 1, 0), len(rig.joints)))
-    for j, place in enumerate(coordinate_slices(rig)):
+    revolutions = np.zeros((max(len(rows) - 1, 0), len(rig.joints)))
+    for j, columns in enumerate(coordinate_slices(rig)):
         limits = rig.joints[j].limits
         pin = rig.joints[j].type is JointType.PIN
         if not pin or not isinstance(limits, RangeLimit):
             continue
         if 2 * np.pi + HAIR < limits.high - limits.low < np.inf:
-            steps = np.diff(rows[:, place.start]) / (2 * np.pi)
-            turns[:, j] = 2 * np.pi * np.abs(np.round(steps))
-    return turns
+            steps = np.diff(rows[:, columns.start]) / (2 * np.pi)
+            revolutions[:, j] = 2 * np.pi * np.abs(np.round(steps))
+    return revolutions
 
 
 def smooth(
@@ -245,32 +244,31 @@ def smooth(
     start: ArrayLike | None = None,
     options: IkOptions | None = None,
 ) -> IkResult:
-    """Return the poses of a clip with less acceleration of the joints.
+    """Return the poses of a clip with smoothed joint motion.
 
-    Over all frames at once, the sum of ``|q - q0|^2 + seconds^4 |q''|^2`` is brought
-    down, where q0 are the poses given: what the goals leave free and changes within
-    less than ``seconds`` is evened out, a slower motion stays (the smoothing of
-    E. Whittaker, On a new method of graduation, 1923, with second derivatives). Goals
-    that are reached stay within the tolerance; in frames that miss one, all goals stay
-    where these have them. Limits are kept.
+    Over all frames together, the sum of ``|q - q0|^2 + seconds^4 |q''|^2`` is
+    minimised, where q0 are the given poses: motion that the goals leave free and that
+    is faster than ``seconds`` is removed, slower motion is kept (E. Whittaker, On a new
+    method of graduation, 1923, with second derivatives). Reached goals stay within the
+    tolerance; in frames that miss one, all goals keep their current points. Limits are
+    kept.
 
     Args:
         result: F frames of one problem, in the order of time.
-        targets: What was asked.
-        seconds: Time over which motion is evened out [s]; 0 changes nothing, and .03
-            to .3 serve most clips.
+        targets: Targets of the solve.
+        seconds: Smoothing time [s]; 0 changes nothing, .03 to .3 suit most clips.
         fps: Frames a second.
-        start: Poses ``(F, Q)`` of a clip whose own acceleration is kept; only that of
-            the change from it is brought down.
+        start: Source poses ``(F, Q)`` whose acceleration is kept; only the change from
+            them is smoothed.
         options: Tolerances.
 
     Raises:
         OptionError: ``seconds`` is less than 0 or ``fps`` not more than 0 (IK014);
             targets or start do not fit (IK010 to IK013).
 
-    Limits of the method: the poses are the least near by; where a path has to turn
-    from one way round to another, the turn stays. A goal that jumps makes joints jump.
-    It holds the Jacobians of all frames, F M D numbers.
+    Limits of the method: the minimum is local; where a path has to switch branches, the
+    switch stays. A goal that jumps makes joints jump. It stores the Jacobians of all
+    frames, F M D numbers.
     """
     options = options or IkOptions()
     faults = rate_faults(seconds, fps)
@@ -285,7 +283,7 @@ def smooth(
 
 
 def rate_faults(seconds: float, fps: float) -> list[Fault]:
-    """Return what is wrong with a time to smooth over, and a rate."""
+    """Return the faults of a smoothing time and a frame rate."""
     faults = []
     if not (np.isfinite(seconds) and seconds >= 0):
         faults.append(Fault("IK014", f"smooth must be at least 0, not {seconds}"))
@@ -295,9 +293,9 @@ def rate_faults(seconds: float, fps: float) -> list[Fault]:
 
 
 def at_poses(
-    result: IkResult, poses: FloatArray, misses: FloatArray, path: Path
+    result: IkResult, poses: FloatArray, misses: FloatArray, path: FramePath
 ) -> IkResult:
-    """Return a result with other poses of the chain ``(F, C)``."""
+    """Return a result with its chain poses ``(F, C)`` and misses replaced."""
     chain = result.problem.chain
     met = path.excess(misses) <= 1
     statuses = tuple(

@@ -1,4 +1,4 @@
-"""An inverse kinematics problem: goals, and the joints that can serve them."""
+"""An inverse kinematics problem: goals, and the joints that move them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.ik.assembly import assemble
 from animtool.ik.chain import Chain
 from animtool.ik.driver_programs import with_sources
 from animtool.ik.goals import FARTHEST, Goal, goal_faults
-from animtool.ik.limbs import Limb, find_limbs
+from animtool.ik.limbs import GoalLimb, find_limbs
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
@@ -24,22 +24,21 @@ from animtool.rig.skeleton import JointType, Rig
 
 @dataclass(frozen=True)
 class Problem:
-    """What is to be solved: look at it, then hand it to `solve`.
+    """An IK problem, to inspect and to pass to `solve`.
 
     Attributes:
-        rig: Whose joints they are.
-        goals: E of them.
+        rig: The rig.
+        goals: E goals.
         joints: Names of the joints that move a goal, parents first; no others are in
             the problem.
         degrees: Degrees of freedom D: 1 of a pin or prismatic joint, 3 of a ball, 6 of
-            a free one; none of a joint that follows another.
+            a free one; none of a mimic or driven joint.
         rows: Residuals M: 3 a position, 3 an orientation, 2 an aim, 1 a pole.
-        length: What lengths are divided by inside: the longest way along the bones
-            to a goal [m].
-        rest_weight: Of the preference for a pose, in the sum of squares.
-        chain: The joints as the solver takes them.
-        limbs: Those that ease out or stretch.
-        kept: What solvers have made of it, by name.
+        length: Unit of lengths inside the solver: the longest bone path to a goal [m].
+        rest_weight: Weight of the preferred pose in the sum of squares.
+        chain: The kinematic chain of the joints.
+        limbs: Soft and stretching limbs.
+        kept: Cache of solvers, by name.
     """
 
     rig: Rig
@@ -50,13 +49,13 @@ class Problem:
     length: float
     rest_weight: float
     chain: Chain = field(repr=False)
-    limbs: tuple[Limb, ...] = field(default=(), repr=False)
+    limbs: tuple[GoalLimb, ...] = field(default=(), repr=False)
     kept: dict[str, Any] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
     def __repr__(self) -> str:
-        """Return whose it is, and how much there is of what."""
+        """Return the rig's name and the numbers of goals, joints and degrees."""
         goals = counted(len(self.goals), "goal")
         joints = counted(len(self.joints), "joint")
         degrees = "degree" if self.degrees == 1 else "degrees"
@@ -66,12 +65,12 @@ class Problem:
 
     @cached_property
     def coordinates(self) -> int:
-        """Width Q of a row of joint coordinates of the whole rig."""
+        """Number Q of joint coordinates of the rig."""
         return self.rig.coordinates
 
     @property
     def limits(self) -> dict[str, RangeLimit | BallLimit]:
-        """Limits by the name of the joint; joints that turn freely have none."""
+        """Limits by joint name; unlimited joints are left out."""
         joints = (self.rig.joints[self.rig.index(name)] for name in self.joints)
         return {joint.name: joint.limits for joint in joints if joint.limits}
 
@@ -84,16 +83,15 @@ def build(
     pose: ArrayLike | None = None,
     rest_weight: float = 0.0,
 ) -> Problem:
-    """Return the problem of bringing a rig's joints to goals.
+    """Return the IK problem of a rig and goals.
 
     Args:
         rig: J joints, Q coordinates.
-        goals: What is asked for; at least one.
+        goals: At least one goal.
         joints: Names of those that may move; None is every one that moves a goal.
         pose: Coordinates ``(Q,)`` of the joints that do not move; None is rest.
-        rest_weight: How strongly the pose given to `solve` as ``prefer`` is kept: the
-            weight of the squared angles and shares of length from it. The goals then
-            give way by about as much.
+        rest_weight: Weight of the pose passed to `solve` as ``prefer``: of squared
+            angles and relative lengths from it. Goals are then missed by about as much.
 
     Raises:
         OptionError: With every fault: a joint that the rig lacks (TGT001), a goal that
@@ -122,11 +120,11 @@ def build(
     width = rig.coordinates
     at = np.zeros(width) if pose is None else as_floats(pose, (width,), "pose")
     moving = moving_joints(rig, goals, joints)
-    faults = _still_faults(rig, goals, moving)
+    faults = _immovable_faults(rig, goals, moving)
     if faults:
         raise OptionError(faults)
     chain, faults = assemble(rig, goals, moving, at)
-    limbs: tuple[Limb, ...] = ()
+    limbs: tuple[GoalLimb, ...] = ()
     if not faults:
         limbs, faults = find_limbs(rig, goals, moving, chain)
     if faults:
@@ -150,7 +148,7 @@ def _faults(
     joints: Collection[str] | None,
     rest_weight: float,
 ) -> list[Fault]:
-    """Return what is wrong with the wishes, before any geometry."""
+    """Return the faults of goals and options, before any geometry."""
     faults = [] if goals else [Fault("IK006", "the problem has no goals")]
     names = set(rig.names)
     for i, goal in enumerate(goals):
@@ -174,7 +172,7 @@ def _faults(
 
 
 def rest_faults(weight: float) -> list[Fault]:
-    """Return what is wrong with a weight of the pose that is kept."""
+    """Return the faults of a rest weight."""
     if np.isfinite(weight) and weight >= 0:
         return []
     return [Fault("IK014", f"rest_weight must be at least 0, not {weight}")]
@@ -193,17 +191,17 @@ def _reversed(limits: RangeLimit | BallLimit | None) -> bool:
 def moving_joints(
     rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None = None
 ) -> set[int]:
-    """Return the joints that move a goal and may; None says that all may."""
+    """Return the joints that move a goal, among those allowed; None allows all."""
     moving: set[int] = set()
     for goal in goals:
         j = rig.index(goal.joint)
-        # A joint does not move a point that it turns about.
+        # A joint does not move a point at its origin.
         pivots = goal.pivots
         while j >= 0:
             joint = rig.joints[j]
-            turns = joint.type in {JointType.PIN, JointType.BALL}
+            rotates = joint.type in {JointType.PIN, JointType.BALL}
             allowed = joints is None or joint.name in joints
-            moves = joint.type is not JointType.FIXED and not (pivots and turns)
+            moves = joint.type is not JointType.FIXED and not (pivots and rotates)
             if moves and allowed:
                 moving.add(j)
             slides = joint.type in {JointType.FREE, JointType.PRISMATIC}
@@ -212,8 +210,8 @@ def moving_joints(
     return with_sources(rig, moving, goals, joints) if rig.is_driven else moving
 
 
-def _still_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list[Fault]:
-    """Return the goals that nothing moves, and why."""
+def _immovable_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list[Fault]:
+    """Return a fault for each goal that no joint moves."""
     faults = []
     for i, goal in enumerate(goals):
         above = rig.upwards(rig.index(goal.joint))
@@ -233,9 +231,9 @@ def _still_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list[Fau
 def rest_pose(problem: Problem) -> FloatArray:
     """Return the coordinates ``(Q,)`` of the rest pose."""
     q = np.zeros(problem.coordinates)
-    for joint, place in zip(
+    for joint, columns in zip(
         problem.rig.joints, coordinate_slices(problem.rig), strict=True
     ):
         if joint.type in {JointType.BALL, JointType.FREE}:
-            q[place.stop - 1] = 1.0
+            q[columns.stop - 1] = 1.0
     return q

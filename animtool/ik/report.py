@@ -1,4 +1,4 @@
-"""What a take misses of its targets, in numbers."""
+"""Reports what a solved take misses of its targets."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ from animtool.ik.tracks import GoalTrack
 from animtool.maths.runs import runs
 from animtool.rig.skeleton import JointType
 
-# A goal that is off by more is missed, where nothing else is asked [m], [rad].
+# Default misses above which a goal is reported [m], [rad].
 MISSED_LENGTH, MISSED_ANGLE = parse_length(MISSED), math.radians(MISSED_DEGREES)
-# What is missed by more lengths of the chains than this is likely in other units.
+# Misses above this many chain lengths suggest wrong units.
 FAR = 10.0
-# So are targets that are this many sizes of the rig away from it in every frame.
+# So do targets at this many rig sizes from the rig in every frame.
 AWAY = 20.0
-# Share of its reach that a limb is told to ease out over.
+# Suggested fraction of a limb's reach for `soft`.
 EASED = 0.1
-# Distances whose squares have no number are at least this [m].
+# Distances whose squares overflow are at least this [m].
 BEYOND = 1e150
 
 
 @dataclass(frozen=True, slots=True)
 class Misses:
-    """How far one part of a goal is missed, over the frames that ask for it."""
+    """Misses of one part of a goal over the frames that use it."""
 
     part: str  # ``position`` [m], ``orientation``, ``aim`` or ``pole`` [rad]
-    frames: int  # how many ask for it
+    frames: int  # number of frames that use it
     mean: float  # over those
-    p95: float  # what 95 % of them do not exceed
+    p95: float  # 95th percentile
     max: float  # of the worst
     frame: float  # time code of the worst
 
@@ -54,7 +54,7 @@ class Misses:
 
     @property
     def metric(self) -> bool:
-        """Whether it is a length [m], not an angle [rad]."""
+        """Whether the miss is a length [m], not an angle [rad]."""
         return bool(METRIC[PARTS.index(self.part)])
 
     @property
@@ -65,31 +65,31 @@ class Misses:
 
 @dataclass(frozen=True, slots=True)
 class MissedSpan:
-    """Frames in a row in which a goal is not reached."""
+    """Consecutive frames in which a goal is not reached."""
 
     first: float  # time code of the first
     last: float  # time code of the last
-    # From the target to the nearest point that was reached, of the worst frame [m].
+    # Distance from the target to the reached point, of the worst frame [m].
     distance: float
     angle: float  # of the worst frame [rad]
     frame: float  # time code of the worst
-    # How the solve of the worst ended; or that one is on a steadier path.
+    # Status of the worst frame; STEADIER if any frame has it.
     status: IkStatus
 
 
 @dataclass(frozen=True, slots=True)
 class GoalReport:
-    """What became of one goal."""
+    """Result of one goal over a take."""
 
     name: str  # the effector
-    joint: str  # the joint that it is
-    place: tuple[int, int]  # line and column in the targets file
-    misses: tuple[Misses, ...]  # one for each part that is asked
+    joint: str  # its joint
+    location: tuple[int, int]  # line and column in the targets file
+    misses: tuple[Misses, ...]  # one for each part that is used
     spans: tuple[MissedSpan, ...]  # where it is missed by more than the tolerances
 
     @property
     def residuals(self) -> dict[str, Misses]:
-        """How far each part is missed."""
+        """Misses by part."""
         return {miss.part: miss for miss in self.misses}
 
 
@@ -98,9 +98,9 @@ def goal_reports(
     tolerance: float = MISSED_LENGTH,
     angle_tolerance: float = MISSED_ANGLE,
 ) -> list[GoalReport]:
-    """Return what became of each goal.
+    """Return a report of each goal.
 
-    Where a goal that is soft, or of a priority above 0, gives way, it is not missed.
+    A goal that is soft, or of a priority above 0, is not missed where it yields.
 
     Args:
         solved: A take at its targets.
@@ -123,7 +123,7 @@ def goal_reports(
             short = np.asarray(short & ~yielded, np.bool_)
         spans = tuple(_spans(solved, np.where(asked, misses, 0.0), short))
         reports.append(
-            GoalReport(track.name, track.goal.joint, track.place, parts, spans)
+            GoalReport(track.name, track.goal.joint, track.location, parts, spans)
         )
     return reports
 
@@ -134,7 +134,7 @@ def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
         part,
         len(misses),
         float(misses.mean()),
-        # Of the misses themselves, as between two that have no number there is none.
+        # Without interpolation, which fails between infinite misses.
         float(np.percentile(misses, 95, method="inverted_cdf")),
         float(misses[worst]),
         float(times[worst]),
@@ -142,12 +142,12 @@ def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
 
 
 def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedSpan]:
-    """Return the runs of frames that miss a goal, whose misses are ``(F, 4)``."""
+    """Return the spans of frames that miss a goal, from misses ``(F, 4)``."""
     times = solved.take.clock.times
     spans = []
     for first, end in runs(short):
         run = misses[first:end]
-        # Metres count as radians: only to choose the frame that is named.
+        # Metres count as radians, only to choose the reported frame.
         worst = first + int(np.argmax(run.sum(axis=1)))
         spans.append(
             MissedSpan(
@@ -167,10 +167,10 @@ def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedS
 def take_notices(
     solved: TakeIk, reports: list[GoalReport], *, smooth: bool = False
 ) -> list[Fault]:
-    """Return all warnings of a take that was brought to targets."""
+    """Return all warnings of a solved take."""
     return [
         *span_notices(solved),
-        *apart_notices(solved, smooth=smooth),
+        *single_frame_notices(solved, smooth=smooth),
         *away_notices(solved, reports),
         *missed_notices(solved, reports),
         *jump_notices(solved),
@@ -189,7 +189,7 @@ def missed_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
 
 
 def _advice(solved: TakeIk, report: GoalReport) -> str | None:
-    """Return what to do about a goal that is missed, where that is known."""
+    """Return a hint for a missed goal, where one is known."""
     far = FAR * solved.problem.length
     if any(span.distance > far for span in report.spans):
         return "far out of reach: do the targets use these units and this space?"
@@ -205,14 +205,18 @@ def _advice(solved: TakeIk, report: GoalReport) -> str | None:
 
 
 def _unbounded(solved: TakeIk) -> str | None:
-    """Return a hint of a free joint that a goal without a root moves below others."""
+    """Return a hint if a goal without root moves a free joint above other goals."""
     rig, goals = solved.take.rig, [track.goal for track in solved.tracks.goals]
     chains = [rig.upwards(rig.index(goal.joint)) for goal in goals]
     for e, (goal, chain) in enumerate(zip(goals, chains, strict=True)):
         if goal.root is not None:
             continue
         for below, joint in pairwise(chain):
-            others = any(joint in own for k, own in enumerate(chains) if k != e)
+            others = any(
+                joint in chain_of_other
+                for k, chain_of_other in enumerate(chains)
+                if k != e
+            )
             if others and rig.joints[joint].type is JointType.FREE:
                 message = f"the free joint {rig.names[joint]!r} moves for "
                 message += f"{solved.tracks.goals[e].name!r} and moves other goals "
@@ -221,9 +225,9 @@ def _unbounded(solved: TakeIk) -> str | None:
 
 
 def span_notices(solved: TakeIk) -> list[Fault]:
-    """Return a warning for each span to hold that has no frame of the take.
+    """Return a warning for each hold span outside the frames of the take.
 
-    Of one pose there are none: the others may be in other frames.
+    For a single pose there are none: the spans may be for other frames.
     """
     times = solved.take.clock.times
     if len(times) == 1:
@@ -243,7 +247,7 @@ def span_notices(solved: TakeIk) -> list[Fault]:
 
 
 def jump_notices(solved: TakeIk) -> list[Fault]:
-    """Return a warning where joints jump, with the largest of them."""
+    """Return a warning if joints jump, with the largest jump."""
     if not solved.jumps:
         return []
     worst = max(solved.jumps, key=_excess(solved))
@@ -251,9 +255,9 @@ def jump_notices(solved: TakeIk) -> list[Fault]:
         frame_label(solved.take.clock.times[worst.frame - back]) for back in (1, 0)
     )
     message = f"joint {worst.joint!r} {'slides' if worst.slides else 'rotates'} by "
-    message += f"{_much(worst, worst.size)} from frame {first} to {last}"
+    message += f"{_step_text(worst, worst.size)} from frame {first} to {last}"
     if worst.source > 0:
-        message += f" ({_much(worst, worst.source)} in the source)"
+        message += f" ({_step_text(worst, worst.source)} in the source)"
     frames = len({jump.frame for jump in solved.jumps} - {worst.frame})
     if frames:
         message += f"; joints jump in {counted(frames, 'other frame')} too"
@@ -263,11 +267,11 @@ def jump_notices(solved: TakeIk) -> list[Fault]:
     path = str(solved.tracks.path)
     expected = all(jump.by_goals for jump in solved.jumps)
     level = Severity.NOTE if expected else Severity.WARNING
-    return [Fault("IK102", message, path, (), _cure(solved, worst), level)]
+    return [Fault("IK102", message, path, (), _jump_hint(solved, worst), level)]
 
 
 def _excess(solved: TakeIk) -> Callable[[Jump], tuple[bool, float]]:
-    """Return how bad a jump is: slides are measured in lengths of the chain."""
+    """Return a sort key of jumps; slides are measured in chain lengths."""
 
     def bad(jump: Jump) -> tuple[bool, float]:
         unit = solved.problem.length if jump.slides else 1.0
@@ -276,13 +280,13 @@ def _excess(solved: TakeIk) -> Callable[[Jump], tuple[bool, float]]:
     return bad
 
 
-def _much(jump: Jump, size: float) -> str:
-    """Return how far a joint goes, with its unit."""
+def _step_text(jump: Jump, size: float) -> str:
+    """Return the size of a step as text with its unit."""
     return length_text(size) if jump.slides else angle_text(math.degrees(size), 3)
 
 
-def _cure(solved: TakeIk, worst: Jump) -> str:
-    """Return what makes the jumps of a take smaller, tried where it can be."""
+def _jump_hint(solved: TakeIk, worst: Jump) -> str:
+    """Return a hint that reduces the jumps of a take."""
     steadier = solved.steadier
     if steadier is not None:
         left = "leaves no jump"
@@ -290,13 +294,13 @@ def _cure(solved: TakeIk, worst: Jump) -> str:
             left = "leaves rotations of "
             left += f"{angle_text(math.degrees(steadier.angle), 3)} at most"
         return f"{argument('smooth', f'{steadier.seconds:g}')} {left}"
-    fading = _fading(solved, worst)
+    fading = _fading_goal(solved, worst)
     if fading is not None:
         hint = f"the goal {fading.name!r} starts or ends there within "
         return f"{hint}{counted(round(fading.ease), 'frame')}: a longer ease: slows it"
     if worst.by_goals:
         return "its goals move or rotate as fast there: space their keys farther apart"
-    goal = _stretching(solved, worst)
+    goal = _straightening_goal(solved, worst)
     if goal is not None:
         hint = f"the limb becomes straight there: soft: {EASED:g} on the goal "
         return f"{hint}{goal!r} eases it, and stops slightly short of its target"
@@ -309,8 +313,8 @@ def _cure(solved: TakeIk, worst: Jump) -> str:
     return f"{hint}from {worst.joint!r}, moves earlier or has less weight may help"
 
 
-def _fading(solved: TakeIk, worst: Jump) -> GoalTrack | None:
-    """Return a goal that moves the joint and comes or goes at a jump."""
+def _fading_goal(solved: TakeIk, worst: Jump) -> GoalTrack | None:
+    """Return a goal of the joint that fades in or out at a jump."""
     time = float(solved.take.clock.times[worst.frame])
     for track in solved.tracks.goals:
         ends = [(first - track.ease, first) for first, _ in track.during]
@@ -322,13 +326,13 @@ def _fading(solved: TakeIk, worst: Jump) -> GoalTrack | None:
 
 
 def _moving(solved: TakeIk, track: GoalTrack) -> list[str]:
-    """Return the joints that a goal hangs from."""
+    """Return the names of a goal's joint and the joints above it."""
     rig = solved.take.rig
     return [rig.names[j] for j in rig.upwards(rig.index(track.goal.joint))]
 
 
-def _stretching(solved: TakeIk, worst: Jump) -> str | None:
-    """Return the goal in or out of whose reach a pin snaps straight, if one does."""
+def _straightening_goal(solved: TakeIk, worst: Jump) -> str | None:
+    """Return the goal whose limb snaps straight with the pin, if any."""
     rig = solved.take.rig
     if rig.joints[rig.index(worst.joint)].type is not JointType.PIN:
         return None
@@ -343,7 +347,7 @@ def _stretching(solved: TakeIk, worst: Jump) -> str | None:
 
 
 def _may_ease(solved: TakeIk, e: int) -> bool:
-    """Return whether a goal may be soft, so that its limb eases out."""
+    """Return whether a goal may be soft."""
     problem = solved.problem
     goals = list(problem.goals)
     goals[e] = replace(goals[e], soft=EASED)
@@ -352,13 +356,13 @@ def _may_ease(solved: TakeIk, e: int) -> bool:
 
 
 def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
-    """Return a warning for each goal that is far from where its effector starts.
+    """Return a warning for each goal whose targets are far from its effector's start.
 
-    Those that are missed for it say so themselves.
+    Missed goals have a warning of their own.
 
     Args:
         solved: A take at its targets.
-        reports: What became of its goals, from `goal_reports`.
+        reports: Reports of its goals, from `goal_reports`.
     """
     notices = []
     for i, (report, away) in enumerate(zip(reports, solved.away, strict=True)):
@@ -372,12 +376,12 @@ def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     return notices
 
 
-def apart_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]:
-    """Return a notice where each frame was solved on its own: a warning if ``smooth``.
+def single_frame_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]:
+    """Return a notice if each frame was solved individually: a warning if ``smooth``.
 
     Args:
         solved: A take at its targets.
-        smooth: Motion was to be evened out, which takes frames that know of each other.
+        smooth: Whether smoothing was requested, which needs connected frames.
     """
     frames = len(solved.statuses)
     if not solved.between or frames == 1:
@@ -394,7 +398,7 @@ def apart_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]:
 
 def _warning(solved: TakeIk, code: str, goal: int, message: str) -> Fault:
     """Return a warning about one of the goals."""
-    line, column = solved.tracks.goals[goal].place
+    line, column = solved.tracks.goals[goal].location
     return Fault(
         code,
         message,
@@ -422,7 +426,7 @@ def _missed(report: GoalReport) -> str:
 
 
 def _length(meters: float) -> str:
-    """Return a distance in words, one that has no number too."""
+    """Return a distance as text, also an infinite one."""
     if not np.isfinite(meters):
         return f"over {BEYOND:g} m"
     return length_text(meters)
@@ -435,9 +439,9 @@ def _frames(span: MissedSpan) -> str:
 
 
 def status_text(solved: TakeIk) -> str:
-    """Return how many frames ended how, in words.
+    """Return the number of frames by status, as text.
 
-    Only where all frames out of reach are at the nearest is that said of them.
+    NEAREST and STEADIER frames are reported together if there are both.
     """
     counts = {IkStatus(name): count for name, count in solved.status_counts.items()}
     steadier = counts.pop(IkStatus.STEADIER, 0)

@@ -1,4 +1,4 @@
-"""What a solve achieved."""
+"""Results of a solve."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
 
-# A coordinate this near to its limit is on it [rad] or [m]: farther than what counts as
-# inside a narrower one.
+# A coordinate this near to its limit is on it [rad] or [m]; must exceed the tolerance
+# of limits.
 ON_LIMIT = 1e-8
 
 
@@ -34,17 +34,17 @@ class IkStatus(StrEnum):
 
     Attributes:
         CONVERGED: Every goal is reached.
-        NEAREST: A goal that is missed is out of reach by itself too, and no other
-            start ended nearer to it by a millimetre.
-        STEADIER: Likewise, and another pose is nearer, but on a path that jumps.
-        YIELDED: Goals are missed only for harder ones, for the pose preferred, or for
-            an extension that eases out.
-        CONFLICT: Every goal can be reached, but not those of one priority together:
-            the pose has the least sum of squares.
-        STALLED: A method for comparison made no more headway; nothing is known of what
-            can be reached.
-        BUDGET: Steps or time ran out on the way.
-        NOT_FINITE: A target is so far that its distance is no number.
+        NEAREST: A missed goal is out of reach by itself too, and no other start ended
+            nearer to it by a millimetre.
+        STEADIER: Likewise, but a nearer pose exists on a path that jumps.
+        YIELDED: Goals are missed only for goals of higher priority, the preferred pose
+            or soft extension.
+        CONFLICT: Each goal can be reached, but not all of one priority together: the
+            pose has the least sum of squares.
+        STALLED: A method for comparison stopped making progress; reachability is
+            unknown.
+        BUDGET: Iterations or time ran out.
+        NOT_FINITE: A target is so far that its distance overflows.
     """
 
     CONVERGED = "converged"
@@ -59,22 +59,21 @@ class IkStatus(StrEnum):
 
 @dataclass(frozen=True)
 class IkResult:
-    """Poses for B problems, and how near to the goals they are.
+    """Solved poses of B problems, and their misses.
 
     Attributes:
-        problem: What was asked.
-        coordinates: Of the whole rig ``(B, Q)``; limits are kept.
+        problem: The problem.
+        coordinates: Rig coordinates within limits ``(B, Q)``.
         statuses: ``(B,)``.
         iterations: ``(B,)``.
-        descents: Starts tried ``(B,)``.
-        seconds: Time of each ``(B,)`` [s], 0 of a closed form; the one part that
+        descents: Number of starts tried ``(B,)``.
+        seconds: Time of each ``(B,)`` [s], 0 of a closed form; the only field that
             differs between runs.
-        misses: What each goal misses of its position [m], orientation, aim and pole
-            [rad] ``(B, E, 4)``; 0 of what it does not ask for.
-        reached: Which goals are, within the tolerances ``(B, E)``.
-        stretches: What the bones of each goal's limb are multiplied by ``(B, E)``: 1
-            where none stretch.
-        jumps: Of a clip that was followed.
+        misses: Misses of each goal's position [m], orientation, aim and pole [rad]
+            ``(B, E, 4)``; 0 for unused parts.
+        reached: Mask of the goals within tolerances ``(B, E)``.
+        stretches: Bone length scales of each goal's limb ``(B, E)``: 1 without stretch.
+        jumps: Jumps of a clip.
     """
 
     problem: Problem
@@ -87,11 +86,11 @@ class IkResult:
     reached: BoolArray
     stretches: FloatArray
     jumps: tuple[Jump, ...] = ()
-    # Of a result of a session: no field, so that one with other coordinates has none.
+    # World transforms of a session's result: no field, so that `replace` drops them.
     _placed: ClassVar[WorldTransforms | None] = None
 
     def world(self) -> WorldTransforms:
-        """Return where every joint of the rig is in the poses, bones stretched."""
+        """Return the joints' world transforms in the poses, with stretched bones."""
         if self._placed is not None:
             return self._placed
         rig = self.problem.rig
@@ -99,49 +98,48 @@ class IkResult:
         return forward(rig, self.local_translations(), rotations)
 
     def with_world(self, world: WorldTransforms) -> IkResult:
-        """Return itself, knowing where the joints are."""
+        """Cache the world transforms of the joints; return the result itself."""
         object.__setattr__(self, "_placed", world)
         return self
 
     @property
     def positions(self) -> FloatArray:
-        """What each goal misses of its position ``(B, E)`` [m]; 0 if it has none."""
+        """Position misses of each goal ``(B, E)`` [m]; 0 without one."""
         return self.misses[:, :, PARTS.index("position")]
 
     @property
     def orientations(self) -> FloatArray:
-        """What each goal misses of its orientation ``(B, E)`` [rad]."""
+        """Orientation misses of each goal ``(B, E)`` [rad]."""
         return self.misses[:, :, PARTS.index("orientation")]
 
     @property
     def aims(self) -> FloatArray:
-        """What each goal misses of its aim ``(B, E)`` [rad]."""
+        """Aim misses of each goal ``(B, E)`` [rad]."""
         return self.misses[:, :, PARTS.index("aim")]
 
     @property
     def poles(self) -> FloatArray:
-        """What each goal misses of its pole ``(B, E)`` [rad]."""
+        """Pole misses of each goal ``(B, E)`` [rad]."""
         return self.misses[:, :, PARTS.index("pole")]
 
     @property
     def converged(self) -> BoolArray:
-        """Which problems reached every goal within the tolerance ``(B,)``."""
+        """Mask of the problems that reach every goal ``(B,)``."""
         return np.array([s is IkStatus.CONVERGED for s in self.statuses], np.bool_)
 
     @property
     def missed(self) -> list[tuple[int, int]]:
-        """Return problem and goal of every goal that is not reached.
+        """Return pairs of problem and goal for every missed goal.
 
-        At the status NEAREST, what they miss in ``positions`` is the distance from the
-        nearest point that can be reached.
+        With status NEAREST, ``positions`` is the distance from the nearest reachable
+        point.
         """
         return [(int(b), int(e)) for b, e in np.argwhere(~self.reached)]
 
     def local_translations(self) -> FloatArray:
-        """Return the joints' translations, stretched ``(B, J, 3)`` [m], from parents.
+        """Return the joints' local translations with stretch ``(B, J, 3)`` [m].
 
-        With the rotations of ``coordinates`` they put the goals' points where the
-        solver had them.
+        With the rotations of ``coordinates`` they reproduce the solver's goal points.
         """
         rig = self.problem.rig
         local = local_from_coordinates(rig, self.coordinates).translations.copy()
@@ -154,7 +152,7 @@ class IkResult:
         fps: FractionLike = 24,
         start: Fraction | int = 1,
     ) -> Take:
-        """Return the poses as a take of B frames, one after the other.
+        """Return the poses as a take of B consecutive frames.
 
         Args:
             fps: Frames a second, such as 24, ``"23.976"`` or ``Fraction(24000,
@@ -162,7 +160,7 @@ class IkResult:
             start: Number of the first frame.
 
         Raises:
-            OptionError: The rate is none (SCN022), or there is no pose (TAKE001).
+            OptionError: The rate is invalid (SCN022), or there is no pose (TAKE001).
         """
         clock = Clock(
             rate_option(fps),
@@ -179,13 +177,13 @@ class IkResult:
         return driven_take(Take(rig, clock, motion))
 
     def limits_active(self, index: int = 0) -> list[str]:
-        """Return the joints that stand on a limit in one of the poses."""
+        """Return the joints on a limit in one of the poses."""
         row = self.coordinates[index][None]
         names = frames_on_limits(self.problem, row)
         return [name for name, on in names.items() if on[0]]
 
     def __repr__(self) -> str:
-        """Return how many ended how, and the worst miss."""
+        """Return the number of problems by status, and the worst miss."""
         counts = Counter(map(str, self.statuses))
         ends = ", ".join(f"{count} {status}" for status, count in counts.items())
         worst = float(self.positions.max(initial=0.0))
@@ -194,27 +192,27 @@ class IkResult:
 
 
 def frames_on_limits(problem: Problem, coordinates: FloatArray) -> dict[str, BoolArray]:
-    """Return by joint in which poses it stands on a limit ``(B,)``.
+    """Return masks by joint of the poses in which it is on a limit ``(B,)``.
 
     ``coordinates`` ``(B, Q)``.
     """
     rig, names = problem.rig, set(problem.joints)
     return {
-        joint.name: _on_limit(joint.limits, coordinates[:, place])
-        for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True)
+        joint.name: _on_limit(joint.limits, coordinates[:, columns])
+        for joint, columns in zip(rig.joints, coordinate_slices(rig), strict=True)
         if joint.name in names and joint.limits is not None
     }
 
 
-def _on_limit(limit: RangeLimit | BallLimit, own: FloatArray) -> BoolArray:
+def _on_limit(limit: RangeLimit | BallLimit, coordinates: FloatArray) -> BoolArray:
     if isinstance(limit, RangeLimit):
-        room = np.minimum(own[:, 0] - limit.low, limit.high - own[:, 0])
+        room = np.minimum(coordinates[:, 0] - limit.low, limit.high - coordinates[:, 0])
         return np.asarray(room <= ON_LIMIT)
-    # What a limit a little narrower takes back stands on the true one.
+    # A pose that exceeds a slightly narrower limit is on the true one.
     swing, twist = limit.swing, limit.twist
     if swing is not None:
         swing = (max(swing[0] - ON_LIMIT, 0.0), max(swing[1] - ON_LIMIT, 0.0))
     if twist is not None and twist[1] - twist[0] > 2 * ON_LIMIT:
         twist = (twist[0] + ON_LIMIT, twist[1] - ON_LIMIT)
     inner = BallLimit(swing, twist, limit.twist_axis)
-    return np.asarray(inner.excess(own[:, -4:]) > ON_LIMIT / 10)
+    return np.asarray(inner.excess(coordinates[:, -4:]) > ON_LIMIT / 10)

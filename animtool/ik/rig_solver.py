@@ -1,4 +1,4 @@
-"""A problem and how to solve it, as the kernel takes both."""
+"""Builds the kernel solver of an IK problem."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from animtool.ik.two_bone import fits
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Rig
 
-# Coordinates, misses, reports, seconds, which goals are reached, what bones are
-# multiplied by, positions and linear parts of the joints.
+# Coordinates, misses, reports, seconds, mask of reached goals, bone length scales,
+# positions and linear parts of the joints.
 RigSolved: TypeAlias = tuple[
     FloatArray,
     FloatArray,
@@ -42,12 +42,12 @@ KERNEL_METHODS = {
 }
 # Methods that may take the closed form.
 CLOSED = {IkMethod.AUTO, IkMethod.TWO_BONE}
-# Damping of the first step: far from the goals, and beside them.
+# Damping of the first step: far from the goals, and near them.
 COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
 
 
 class ClosedForm(IntEnum):
-    """How a problem can be solved without steps, as kernels number it."""
+    """Closed forms of problems, as numbered in the kernel."""
 
     NONE = 0
     LIMB = 1  # two bones and a position
@@ -55,7 +55,7 @@ class ClosedForm(IntEnum):
 
 
 def closed_form(problem: Problem) -> ClosedForm:
-    """Return the closed form of a problem, or that it has none."""
+    """Return the closed form of a problem, or NONE."""
     if "closed" not in problem.kept:
         problem.kept["closed"] = _closed_form(problem)
     return ClosedForm(problem.kept["closed"])
@@ -69,7 +69,7 @@ def _closed_form(problem: Problem) -> ClosedForm:
 
 
 def make_solver(problem: Problem, options: IkOptions) -> _kernels.RigSolver:
-    """Return a solver of a problem, which remembers the last frame it solved."""
+    """Return a solver of a problem; it keeps the last solved frame."""
     closed = closed_form(problem) if options.method in CLOSED else ClosedForm.NONE
     if "arrays" not in problem.kept:
         problem.kept["arrays"] = _kernel_arrays(problem)
@@ -82,7 +82,7 @@ def make_solver(problem: Problem, options: IkOptions) -> _kernels.RigSolver:
 
 
 def option_numbers(options: IkOptions) -> dict[str, Any]:
-    """Return options as the solvers of the kernel take them."""
+    """Return options as arguments of kernel solvers."""
     return {
         "length_tolerance": options.tolerance,
         "angle_tolerance": options.angle_tolerance,
@@ -98,7 +98,7 @@ def option_numbers(options: IkOptions) -> dict[str, Any]:
 
 
 def _kernel_arrays(problem: Problem) -> dict[str, Any]:
-    """Return the chain, the goals, the limbs and the rig of a problem."""
+    """Return the kernel arguments of a problem's chain, goals, limbs and rig."""
     chain, rig = problem.chain, problem.rig
     limbs, limb_numbers = limb_arrays(problem.limbs)
     bones = [[j, limb.goal] for limb in problem.limbs for j in limb.joints]
@@ -114,8 +114,10 @@ def _kernel_arrays(problem: Problem) -> dict[str, Any]:
         "columns": chain.columns,
         "scales": chain.scales,
         "periods": chain.periods,
-        "balls": np.array([first for first, _ in chain.turns], np.int64),
-        "ball_frames": np.array([turn for _, turn in chain.turns]).reshape(-1, 4),
+        "balls": np.array([first for first, _ in chain.ball_frames], np.int64),
+        "ball_frames": np.array([frame for _, frame in chain.ball_frames]).reshape(
+            -1, 4
+        ),
         "mimics": pairs,
         "mimic_numbers": numbers,
         "limbs": limbs,
@@ -131,10 +133,10 @@ def _kernel_arrays(problem: Problem) -> dict[str, Any]:
 
 
 def _mimic_columns(rig: Rig, moved: tuple[str, ...]) -> tuple[IntArray, FloatArray]:
-    """Return columns of followers and leaders ``(M, 2)``, and gains and offsets.
+    """Return columns of mimic and lead joints ``(M, 2)``, gains and offsets ``(M, 2)``.
 
-    Leaders come before what follows them. Of a rig with drivers there are none: what
-    follows is the drivers' affair.
+    Lead joints come before their mimics. A rig with drivers has none: drivers evaluate
+    mimics too.
     """
     names = [] if rig.is_driven else mimics(rig, moved)
     slices = coordinate_slices(rig)

@@ -1,6 +1,6 @@
 """The keys of a targets file, as models; ``animtool schema targets`` prints them.
 
-The tables of ``docs/reference`` are made of their descriptions and examples.
+The tables of ``docs/reference`` are generated from the descriptions and examples.
 """
 
 from __future__ import annotations

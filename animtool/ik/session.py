@@ -1,4 +1,4 @@
-"""One pose after the other to the same goals: a viewer's loop, a script's."""
+"""Solves the same goals pose by pose, as in a viewer's or a script's loop."""
 
 from __future__ import annotations
 
@@ -22,43 +22,42 @@ if TYPE_CHECKING:
     from animtool import _kernels
     from animtool.rig.skeleton import Rig
 
-# Of a joint: a position, or a position and a rotation, one of them None.
+# Kinds of a plain joint goal: a position, a rotation, or both.
 PLAIN = (KINDS[0], KINDS[1])
-# Which kinds of targets a call has for which goal, in their order.
+# Goals of a call in order, each with a mask of its kinds.
 Asked: TypeAlias = tuple[tuple[str, tuple[bool, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class _Packed:
-    """A problem, its solver, and where its targets are written."""
+    """A problem, its solver, and its target buffer."""
 
     problem: Problem
     solver: _kernels.RigSolver
     targets: FloatArray  # ``(1, E, W)``
-    views: tuple[FloatArray, ...]  # of each part that is asked for, in order
+    views: tuple[FloatArray, ...]  # into it, of each used part in order
 
 
 class Session:
-    """Goals of a rig that are solved for again and again, one pose a call.
+    """Goals of a rig that are solved repeatedly, one pose per call.
 
-    What a call asks for is made a problem when it is first asked; later calls fill in
-    its targets. Poses, statuses and misses are those of `solve`, to the last bit.
+    The first call with a set of goals builds their problem; later calls only fill in
+    the targets. Poses, statuses and misses equal those of `solve` bit for bit.
 
-    Not with drivers of joints or ``near`` in the options are calls as quick: each is
-    then one of `solve`.
+    With joint drivers, or ``near`` in the options, each call is a call of `solve`.
 
     Args:
         rig: J joints, Q coordinates.
-        goals: Names of joints, whose position is asked for, rotation, or both; or a
-            `Goal` for all else.
+        goals: Names of joints with targets for position, rotation, or both; or a `Goal`
+            for anything else.
         joints: Names of those that may move; None is every one that moves a goal.
         pose: Coordinates ``(Q,)`` of the joints that do not move; None is rest.
         options: Tolerances, budget, seed.
-        rest_weight: How strongly the preferred pose is kept, see `build`.
+        rest_weight: Weight of the preferred pose, see `build`.
 
     Raises:
-        OptionError: No goals (IK006), a goal stands twice (IK006), a joint that the rig
-            lacks (TGT001), or an option makes no sense (IK014).
+        OptionError: No goals (IK006), a duplicate goal (IK006), a joint that the rig
+            lacks (TGT001), or an invalid option (IK014).
 
     >>> from animtool.rig.skeleton import Joint, JointType, Rig
     >>> upper = Joint("upper", -1, JointType.PIN)
@@ -81,7 +80,7 @@ class Session:
         options: IkOptions | None = None,
         rest_weight: float = 0.0,
     ) -> None:
-        """Take what stays from call to call."""
+        """Store what is common to all calls."""
         self.rig = rig
         self.options = options or IkOptions()
         check_options(self.options)
@@ -91,7 +90,7 @@ class Session:
         self._packed: dict[Asked, _Packed] = {}
 
     def __repr__(self) -> str:
-        """Return whose goals they are."""
+        """Return the rig's name and the goals."""
         return f"<Session of {self.rig.name!r}: {listed(list(self._goals))}>"
 
     def solve(
@@ -103,22 +102,22 @@ class Session:
         prefer: ArrayLike | None = None,
         **named: Any,
     ) -> IkResult:
-        """Return a pose that comes as near to the goals as joints and limits let it.
+        """Return the pose nearest to the goals within joint limits.
 
         Args:
-            targets: By the name of a goal, for names that are no words of Python.
+            targets: Targets by goal name, for names that are not Python identifiers.
             start: Pose ``(Q,)``; None is the rest pose.
-            prefer: Pose ``(Q,)`` that ``rest_weight`` draws to; None is the start.
-            named: The same by keyword. Of a joint a point of the world ``(3,)`` [m], or
-                a pair of that and a quaternion x y z w, either of them None; of a
-                `Goal` the values of what it asks for in the order of its kinds, or the
-                value if it is one. A goal that a call leaves out is not asked for.
+            prefer: Preferred pose ``(Q,)`` of ``rest_weight``; None is the start.
+            named: Targets by keyword. For a joint a world point ``(3,)`` [m], or a pair
+                of that and a quaternion x y z w, either of them None; for a `Goal` the
+                values of its kinds in their order, or the value if it has one kind.
+                Goals without a target are inactive.
 
         Raises:
-            OptionError: As of `build` and `solve`.
+            OptionError: As for `build` and `solve`.
         """
-        given = named if targets is None else {**targets, **named}
-        packed, values = self._filled(given)
+        values_by_goal = named if targets is None else {**targets, **named}
+        packed, values = self._filled(values_by_goal)
         if self.options.near or self.rig.is_driven:
             return solve(
                 packed.problem, start, _targets(values), self.options, prefer=prefer
@@ -129,15 +128,15 @@ class Session:
         ]
         first = rest_pose(packed.problem)[None] if poses[0] is None else poses[0]
         try:
-            found = packed.solver.solve(first, values, poses[1], placed=True)
+            solved = packed.solver.solve(first, values, poses[1], placed=True)
         except ValueError:
-            # Numbers that are none, or not as many: `solve` says of what.
+            # Invalid numbers or shapes: packing again raises the full error.
             pack_again = pack(_targets(values), packed.problem.goals)
             problem = packed.problem
             rows = pose_rows(problem, start, 1, "start")
             wished = None if prefer is None else pose_rows(problem, prefer, 1, "prefer")
-            found = packed.solver.solve(rows, pack_again, wished, placed=True)
-        return result_of(packed.problem, found)
+            solved = packed.solver.solve(rows, pack_again, wished, placed=True)
+        return result_of(packed.problem, solved)
 
     def branches(
         self,
@@ -147,20 +146,21 @@ class Session:
         start: ArrayLike | None = None,
         **named: Any,
     ) -> FloatArray:
-        """Return all poses ``(N, Q)`` of an arm that reach a pose of its end.
+        """Return all poses ``(N, Q)`` of an arm that reach a target pose of its end.
 
-        Within the limits, the nearest to ``start`` first; angles that are open, where
-        axes are in line, are the start's.
+        Within the limits, the nearest to ``start`` first; angles that are free, where
+        axes align, are those of the start.
 
         Raises:
             OptionError: The arm has no closed form (IK015): six pins in a row, of which
-                the last three meet, or the middle ones are parallel; and as of `solve`.
+                the last three meet or the middle ones are parallel; and as for `solve`.
         """
-        given = named if targets is None else {**targets, **named}
-        packed, values = self._filled(given)
+        values_by_goal = named if targets is None else {**targets, **named}
+        packed, values = self._filled(values_by_goal)
         problem = packed.problem
         if closed_form(problem) is not ClosedForm.ARM:
-            message = f"{', '.join(given)} ends no arm whose poses have a closed form"
+            names = ", ".join(values_by_goal)
+            message = f"{names} ends no arm whose poses have a closed form"
             hint = "six pins in a row, the last three meeting in a point or the second "
             hint += "to fourth parallel, with a position and a rotation to reach"
             raise OptionError(Fault("IK015", message, hint=hint))
@@ -168,16 +168,16 @@ class Session:
         row = pose_rows(problem, start, 1, "start")[0]
         return packed.solver.branches(row, values[0])
 
-    def _filled(self, given: Mapping[str, Any]) -> tuple[_Packed, FloatArray]:
-        """Return the problem of a call, with its targets filled in."""
+    def _filled(self, values_by_goal: Mapping[str, Any]) -> tuple[_Packed, FloatArray]:
+        """Return the problem of a call, and its filled target buffer."""
         asked: list[tuple[str, tuple[bool, ...]]] = []
         parts: list[Any] = []
-        for name, value in given.items():
+        for name, value in values_by_goal.items():
             if name not in self._goals:
                 raise self._unknown(name)
-            own, which = _parts(name, self._goals[name], value)
+            goal_parts, which = _parts(name, self._goals[name], value)
             asked.append((name, which))
-            parts += own
+            parts += goal_parts
         packed = self._packed.get(key := tuple(asked))
         if packed is None:
             packed = self._packed[key] = self._pack(key)
@@ -187,7 +187,7 @@ class Session:
                     raise ValueError  # noqa: TRY301 - of the same kind as numpy's
                 view[:] = part
         except (TypeError, ValueError) as error:
-            raise _misshapen(given) from error
+            raise _misshapen(values_by_goal) from error
         return packed, packed.targets
 
     def _unknown(self, name: str) -> OptionError:
@@ -197,7 +197,7 @@ class Session:
         return OptionError(Fault("TGT001", message, hint=hint))
 
     def _pack(self, asked: Asked) -> _Packed:
-        """Return the problem of some goals, targets at rest."""
+        """Return the packed problem of some goals, with an initial target buffer."""
         goals = [_asked_goal(self._goals[name], name, which) for name, which in asked]
         problem = build(
             self.rig,
@@ -222,7 +222,7 @@ class Session:
 def _named(
     rig: Rig, goals: Sequence[str | Goal], joints: Sequence[str]
 ) -> dict[str, Goal | None]:
-    """Return goals by the names of their joints; None is what a call makes of it."""
+    """Return goals by joint name; None for names whose kinds each call decides."""
     if not goals:
         raise OptionError(Fault("IK006", "there are no goals"))
     named: dict[str, Goal | None] = {}
@@ -250,7 +250,7 @@ def _kinds(goal: Goal | None) -> tuple[GoalKind, ...]:
 def _parts(
     name: str, goal: Goal | None, value: Any
 ) -> tuple[Sequence[Any], tuple[bool, ...]]:
-    """Return the targets that a value of a goal has, and of which kinds they are."""
+    """Return the targets in a goal's value, and a mask of their kinds."""
     kinds = _kinds(goal)
     if goal is None and (not isinstance(value, tuple) or len(value) == 3):
         return (value,), (True, False)
@@ -270,15 +270,15 @@ def _asked_goal(goal: Goal | None, name: str, which: tuple[bool, ...]) -> Goal:
     return Goal(name, position=float(which[0]), orientation=float(which[1]))
 
 
-def _misshapen(given: Mapping[str, Any]) -> OptionError:
-    message = f"targets of {', '.join(given)} are not what their goals ask for"
+def _misshapen(values_by_goal: Mapping[str, Any]) -> OptionError:
+    message = f"targets of {', '.join(values_by_goal)} are not what their goals ask for"
     hint = "of a joint a point (3,), or the pair of that and a quaternion (4,); of a "
     hint += "Goal a value for each of its kinds"
     return OptionError(Fault("IK010", message, hint=hint))
 
 
 def _targets(values: FloatArray) -> Targets:
-    """Return targets from their places side by side."""
+    """Return targets from a packed buffer."""
     return Targets(
         **{kind.targets: values[:, :, COLUMNS[kind.name]] for kind in KINDS},
         weights=values[:, :, WEIGHTS],

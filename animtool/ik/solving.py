@@ -1,4 +1,4 @@
-"""From a problem, starts and targets to poses, by a method that serves it."""
+"""Solves IK problems with a method that supports them."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _STATUSES = (
     IkStatus.CONFLICT,
     IkStatus.STALLED,
 )
-# How much the start draws poses that came of new ones, one after the other.
+# Decreasing weights that pull restarted poses towards the start.
 DRAWN = (1e-2, 1e-3, 1e-4, 0.0)
-# The least and the most of each, as the kernel has room for.
+# Range of each option in the kernel.
 COUNTS = {
     "iterations": (1, 2**31 - 1),
     "restarts": (0, 2**31 - 1),
@@ -47,28 +47,28 @@ def solve(
     *,
     prefer: ArrayLike | None = None,
 ) -> IkResult:
-    """Return poses that come as near to the goals as the joints and limits let them.
+    """Return the poses nearest to the goals within joint limits.
 
     Args:
         problem: E goals over a rig of Q coordinates.
-        start: ``(Q,)`` for all, or ``(B, Q)``; None is the rest pose. Brought inside
-            the limits first.
+        start: ``(Q,)`` for all, or ``(B, Q)``; None is the rest pose. Clamped to the
+            limits.
         targets: Of B problems.
         options: Tolerances, budget, seed.
-        prefer: Pose ``(Q,)`` or ``(B, Q)`` that the problem's ``rest_weight`` draws
-            to; None is the start.
+        prefer: Preferred pose ``(Q,)`` or ``(B, Q)``, weighted by the problem's
+            ``rest_weight``; None is the start.
 
-    A pose that came of a new start is then drawn to the one preferred, as far as the
-    goals leave it free, unless there is a bound of ``seconds``.
+    With ``near``, a pose found by a restart is then pulled towards the preferred one as
+    far as the goals leave it free, unless ``seconds`` is set.
 
     Raises:
         OptionError: Targets are missing, of another shape (IK010) or not finite
             (TGT007); a start is of another shape (IK012) or not finite (IK013); an
-            option makes no sense (IK014), or the method is not for this problem
+            option is invalid (IK014), or the method does not support this problem
             (IK015).
 
-    Limits of the method: a goal that no descent reached is answered with the best pose
-    found, which need not be the best there is.
+    Limits of the method: for a goal that no descent reached, the best pose found is
+    returned, which need not be the global optimum.
 
     >>> from animtool.ik.goals import Goal
     >>> from animtool.ik.problem import build
@@ -95,9 +95,9 @@ def solve(
     return result
 
 
-def result_of(problem: Problem, found: RigSolved) -> IkResult:
-    """Return what a solver found as a result."""
-    rows, misses, reports, seconds, reached, scales, positions, linear = found
+def result_of(problem: Problem, solved: RigSolved) -> IkResult:
+    """Return a kernel solver's output as a result."""
+    rows, misses, reports, seconds, reached, scales, positions, linear = solved
     if problem.rig.is_driven:
         rows = following(problem.rig, rows, problem.joints)
         positions = positions[:0]
@@ -118,10 +118,10 @@ def result_of(problem: Problem, found: RigSolved) -> IkResult:
 
 
 def chain_targets(problem: Problem, targets: Targets) -> FloatArray:
-    """Return targets of a problem's goals as its chain takes them ``(B, E, W)``."""
+    """Return targets packed in the chain's units and frames ``(B, E, W)``."""
     packed = pack(targets, problem.goals)
     chain = problem.chain
-    _kernels.place_ik_targets(packed, chain.goal_frames, chain.length)
+    _kernels.to_chain_targets(packed, chain.goal_frames, chain.length)
     return packed
 
 
@@ -132,9 +132,9 @@ def _settled(
     options: IkOptions,
     result: IkResult,
 ) -> IkResult:
-    """Draw poses that came of new starts to those preferred, while goals stay met.
+    """Pull poses found by restarts towards preferred ones while goals stay reached.
 
-    What the goals leave free would else stay as random as the starts were.
+    Otherwise redundant joints would be as random as the starts.
     """
     redundant = problem.degrees > problem.rows
     rows = np.flatnonzero((result.descents > 1) & result.reached.all(axis=1))
@@ -144,8 +144,8 @@ def _settled(
     poses, drawn = result.coordinates[rows], result
     for weight in DRAWN:
         solver = make_solver(replace(problem, rest_weight=weight), near)
-        found = solver.solve(poses, packed[rows], wished[rows], placed=False)
-        drawn = result_of(problem, found)
+        solved = solver.solve(poses, packed[rows], wished[rows], placed=False)
+        drawn = result_of(problem, solved)
         poses = drawn.coordinates
     chain = problem.chain
     before, after = (
@@ -159,7 +159,7 @@ def _settled(
 
 
 def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
-    """Return what makes no sense whatever the problem is, by option."""
+    """Return faults that do not depend on the problem, by option."""
     faults: dict[str, list[Fault]] = {}
     for name in ("tolerance", "angle_tolerance"):
         value = getattr(options, name)
@@ -175,13 +175,13 @@ def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
 
 
 def _unless(good: bool, name: str, rule: str, value: float) -> list[Fault]:
-    """Return the fault of an option that is not good."""
+    """Return the fault of an option unless it is valid."""
     message = f"{name} must be {rule}, not {value}"
     return [] if good else [Fault("IK014", message)]
 
 
 def check_options(options: IkOptions) -> None:
-    """Raise where options make no sense."""
+    """Raise if options are invalid."""
     faults = [
         fault for of_option in option_faults(options).values() for fault in of_option
     ]
@@ -192,7 +192,7 @@ def check_options(options: IkOptions) -> None:
 def pose_rows(
     problem: Problem, pose: ArrayLike | None, batch: int, name: str
 ) -> FloatArray:
-    """Return poses ``(B, Q)``, one for all repeated."""
+    """Return poses ``(B, Q)``; a single one is repeated."""
     width = problem.coordinates
     rows = rest_pose(problem) if pose is None else np.asarray(pose, np.float64)
     if rows.shape not in {(width,), (batch, width)}:
@@ -200,13 +200,13 @@ def pose_rows(
         raise OptionError(Fault("IK012", f"{message}, not {rows.shape}"))
     if not np.isfinite(rows).all():
         raise OptionError(Fault("IK013", f"{name} is not finite"))
-    whole = np.empty((batch, width))
-    whole[:] = rows
-    return whole
+    repeated = np.empty((batch, width))
+    repeated[:] = rows
+    return repeated
 
 
 def serving(problem: Problem) -> list[IkMethod]:
-    """Return the methods that can serve a problem.
+    """Return the methods that support a problem.
 
     >>> from animtool.ik.goals import Goal
     >>> from animtool.ik.problem import build
@@ -220,7 +220,7 @@ def serving(problem: Problem) -> list[IkMethod]:
 
 
 def check_method(problem: Problem, method: IkMethod) -> None:
-    """Raise where a method cannot serve a problem."""
+    """Raise if a method does not support a problem."""
     if method not in set(IkMethod):
         hint = f"methods for this problem: {', '.join(serving(problem))}"
         raise OptionError(Fault("IK015", f"unknown method {method!r}", hint=hint))
@@ -234,7 +234,7 @@ def check_method(problem: Problem, method: IkMethod) -> None:
 
 
 def _obstacle(problem: Problem, method: IkMethod) -> str | None:
-    """Return what of a problem a method cannot serve."""
+    """Return why a method does not support a problem; None if it does."""
     if method in {IkMethod.AUTO, IkMethod.DAMPED}:
         return None
     if method == IkMethod.TWO_BONE:
@@ -260,7 +260,7 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
 
 
 def _sliding(problem: Problem) -> list[str]:
-    """Return the names of the problem's joints that travel."""
+    """Return the names of the problem's joints that translate."""
     rig = problem.rig
     kinds = {JointType.FREE, JointType.PRISMATIC}
     return [n for n in problem.joints if rig.joints[rig.index(n)].type in kinds]

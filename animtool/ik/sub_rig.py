@@ -1,4 +1,4 @@
-"""The part of a rig that goals are about, and the joints that mimic others."""
+"""The part of a rig that goals involve, and joints that mimic others."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 
 
 def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
-    """Return the joints that follow one of some joints, or one that does, in order.
+    """Return the joints that mimic given joints, directly or not, in rig order.
 
-    They mimic it, or drivers give them its coordinates.
+    Joints driven from them count too.
 
     >>> from animtool.rig.skeleton import Joint, JointType, Mimic
     >>> lead = Joint("lead", -1, JointType.PIN)
@@ -38,7 +38,7 @@ def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
 
 
 def following(rig: Rig, coordinates: FloatArray, moved: Collection[str]) -> FloatArray:
-    """Return coordinates ``(B, Q)`` whose followers are where moved joints put them."""
+    """Return coordinates ``(B, Q)`` with mimic and driven joints updated."""
     names = mimics(rig, moved)
     if not names:
         return coordinates
@@ -56,8 +56,8 @@ def following(rig: Rig, coordinates: FloatArray, moved: Collection[str]) -> Floa
 def _with_mimics(
     rig: Rig, out: FloatArray, slices: list[slice], names: list[str]
 ) -> FloatArray:
-    """Return coordinates ``(B, Q)`` in which joints follow those that they mimic."""
-    # Once for each, so that the last of a row of followers has its leader's too.
+    """Return coordinates ``(B, Q)`` with mimic joints set from their leads."""
+    # Repeated for each name, so that chains of mimics are resolved.
     for _ in names:
         for name in names:
             mimic = rig.joints[rig.index(name)].mimic
@@ -68,12 +68,11 @@ def _with_mimics(
 
 
 def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
-    """Return a rig of some joints, of all that they hang from, and which those are.
+    """Return a rig of some joints and all above them, and the joints' indices.
 
-    Joints that follow one of them (`Mimic`), or that one of them follows, come too,
-    with what these hang from.
+    Mimic joints of them and the joints that they mimic are included, with all above.
 
-    Returns the rig, and the index of each of its joints in the whole ``(N,)``.
+    Returns the rig, and the index of each of its joints in the full rig ``(N,)``.
 
     >>> from animtool.rig.skeleton import Joint
     >>> tree = Rig("tree", (Joint("a", -1), Joint("b", 0), Joint("c", 0)))
@@ -100,19 +99,20 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
             for i, other in enumerate(rig.joints)
             if other.mimic is not None and other.mimic.joint == joint.name
         ]
-    own = sorted(kept)
-    place = {j: i for i, j in enumerate(own)} | {-1: -1}
+    indices = sorted(kept)
+    index_in_part = {j: i for i, j in enumerate(indices)} | {-1: -1}
     joints = tuple(
-        replace(rig.joints[j], parent=place[rig.joints[j].parent]) for j in own
+        replace(rig.joints[j], parent=index_in_part[rig.joints[j].parent])
+        for j in indices
     )
     part = Rig(rig.name, joints, rig.meters_per_unit, rig.up, chains=rig.chains)
     if linked:
         part = replace(part, controls=_read_controls(rig, part.names))
-    return part, np.array(own, np.int64)
+    return part, np.array(indices, np.int64)
 
 
 def _linked(rig: Rig) -> dict[int, list[int]]:
-    """Return by joint the joints that its driver reads, and those driven by it."""
+    """Return for each joint the joints that its driver reads or that it drives."""
     linked: dict[int, list[int]] = {}
     for name, others in plan_of(rig).reads.items():
         for other in others:
@@ -123,7 +123,7 @@ def _linked(rig: Rig) -> dict[int, list[int]]:
 
 
 def _read_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
-    """Return the controls, with drivers and drives that a rig of fewer joints has."""
+    """Return the controls with the drivers and drives that a reduced rig supports."""
     known = set(names)
     return tuple(
         replace(
@@ -144,10 +144,10 @@ def _joint_known(name: str, known: Collection[str]) -> bool:
 
 
 def with_types(rig: Rig) -> Rig:
-    """Return a rig whose joints turn about their parents.
+    """Return a rig with joint types: balls where all joints are free.
 
-    Where a file says of no joint what it can do, as USD of other tools, all would be
-    free: then all but the roots are balls.
+    In files without joint types, such as USD of other tools, all joints are free: then
+    all but the roots become balls.
     """
     if any(joint.type is not JointType.FREE for joint in rig.joints):
         return rig
@@ -159,9 +159,9 @@ def with_types(rig: Rig) -> Rig:
 
 
 def dressed(rig: Rig, other: Rig) -> Rig:
-    """Return a rig with what another says of the joints of the same names.
+    """Return a rig with the joint data of another rig, matched by name.
 
-    Their types, axes, limits and rest poses, and its chains whose joints the rig has.
+    Copies types, axes, limits and rest poses, and the chains whose joints the rig has.
 
     >>> from animtool.rig.skeleton import Joint
     >>> plain = Rig("a", (Joint("hip", -1), Joint("knee", 0)))
@@ -173,21 +173,21 @@ def dressed(rig: Rig, other: Rig) -> Rig:
     names = set(rig.names)
     joints = []
     for joint in with_types(rig).joints:
-        own = known.get(joint.name)
-        if own is None:
+        typed = known.get(joint.name)
+        if typed is None:
             joints.append(joint)
             continue
-        followed = own.mimic is not None and own.mimic.joint in names
+        followed = typed.mimic is not None and typed.mimic.joint in names
         joints.append(
             replace(
                 joint,
-                type=own.type,
-                translation=own.translation,
-                rotation=own.rotation,
-                axis=own.axis,
-                limits=own.limits,
-                mimic=own.mimic if followed else None,
-                driven=own.driven if _readable(own, names, rig) else None,
+                type=typed.type,
+                translation=typed.translation,
+                rotation=typed.rotation,
+                axis=typed.axis,
+                limits=typed.limits,
+                mimic=typed.mimic if followed else None,
+                driven=typed.driven if _readable(typed, names, rig) else None,
             )
         )
     chains = tuple(chain for chain in other.chains if {chain.root, chain.tip} <= names)
@@ -195,7 +195,7 @@ def dressed(rig: Rig, other: Rig) -> Rig:
 
 
 def _readable(joint: Joint, names: Collection[str], rig: Rig) -> bool:
-    """Return whether a rig has all that a joint's driver reads."""
+    """Return whether a rig has all inputs of a joint's driver."""
     known = {*names, *(control.name for control in rig.controls)}
     read = () if joint.driven is None else joint.driven.names
     return all((split_coordinate(name)[0] or name) in known for name in read)

@@ -1,4 +1,4 @@
-"""The pass ``ik``: a take brought to targets, feet held and hands on props."""
+"""The pass ``ik``: solves a take for targets, such as held feet and hands on props."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from animtool.rig.skeleton import Rig
 @with_written(TakeOptions, "joints")
 @dataclass(frozen=True)
 class IkPassOptions:
-    """What the take is brought to, and the options of `TakeOptions`."""
+    """The targets of the pass, and the options of `TakeOptions`."""
 
     targets: Path | None = None  # the targets file
-    # File of a rig whose types and limits of joints, and chains, are used for the
-    # joints of the same names; None is the take's own.
+    # File of a rig whose joint types, limits and chains are used for joints of the same
+    # names; None is the take's rig.
     rig: Path | None = None
 
 
 def asked_of(
     take: Take, options: IkPassOptions, folder: Path
 ) -> tuple[Take, TargetTracks]:
-    """Return a take with the rig that is to be solved, and what is asked of it.
+    """Return a take with the rig to solve, and its target tracks.
 
     Args:
-        take: That the pass is given.
-        options: Of the pass.
-        folder: Where relative paths start.
+        take: Input of the pass.
+        options: Options of the pass.
+        folder: Folder of relative paths.
 
     Raises:
         FormatError: The targets or the rig are malformed.
@@ -67,8 +67,8 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
         max(settings.tolerance, MISSED_LENGTH),
         max(settings.angle_tolerance, MISSED_ANGLE),
     )
-    odd = take_notices(solved, goals, smooth=settings.smooth > 0)
-    context.notices.extend(odd)
+    warnings = take_notices(solved, goals, smooth=settings.smooth > 0)
+    context.notices.extend(warnings)
     misses = [miss for goal in goals for miss in goal.misses]
     lengths = [miss.max for miss in misses if miss.metric]
     context.errors.extend(lengths)
@@ -76,12 +76,12 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
 
 
 def settings_of(options: Any) -> TakeOptions:
-    """Return how the options of the pass have it solved (tolerance: IK014)."""
+    """Return the solve options of the pass (invalid tolerance: IK014)."""
     return replace(_settings(options), tolerance=_length(options.tolerance))
 
 
 def _settings(options: Any) -> TakeOptions:
-    """Return the options but for the tolerance, which is text."""
+    """Return the solve options without the tolerance, which is text."""
     names = options_of(TakeOptions).keys() - {"tolerance", "angle_tolerance"}
     return TakeOptions(
         angle_tolerance=math.radians(options.angle_tolerance),

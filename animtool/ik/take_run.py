@@ -1,4 +1,4 @@
-"""Solving the parts of a take, and the take that comes of it."""
+"""Solves the frame spans of a take, and gathers the resulting take."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.core.values import plain_value
-from animtool.ik.chain_frame import Part
+from animtool.ik.chain_frame import FrameSpan
 from animtool.ik.goals import PARTS, Goal, Targets, rows_of
 from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.nearest import settled
@@ -34,40 +34,39 @@ from animtool.rig.joints import (
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-# Coordinates that a solve changes by less, it leaves as they were.
+# Coordinates that change by less are kept.
 UNCHANGED = 1e-12
-# Those that follow a clip over other branches; the others are there for comparison.
+# Methods that search a clip across branches; the others are for comparison.
 FOLLOWED = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
-# Times over which motion is smoothed on trial, where joints jump [s]; what makes jumps
-# no smaller than this share is no cure.
+# Smoothing times tried where joints jump [s], and the factor by which a jump must
+# shrink for the smoothing to be suggested.
 TRIED_SMOOTHING, SMALLER = (0.1, 0.3), 0.9
-# A pole stands this many lengths of its chain away, so that only its side counts.
+# Distance of a pole in chain lengths, so that only its side counts.
 FAR = 10.0
 
 
 @dataclass(frozen=True)
 class TakeIk:
-    """A take that was brought to targets, and what it misses.
+    """A take solved for targets, and its misses.
 
     Attributes:
-        take: With other poses of the joints that move a goal.
-        tracks: What was asked.
-        problem: Of the first frame.
-        asked: Which parts each goal asked for in each frame ``(F, E, 4)``.
-        misses: Of position [m], orientation, aim and pole [rad] ``(F, E, 4)``.
+        take: With solved poses of the joints that move a goal.
+        tracks: The targets.
+        problem: Problem of the first frame.
+        asked: Mask of the active parts of goals ``(F, E, 4)``.
+        misses: Misses of position [m], orientation, aim and pole [rad] ``(F, E, 4)``.
         statuses: ``(F,)``.
         iterations: ``(F,)``.
-        descents: Starts tried ``(F,)``.
-        seconds: Time of all frames [s], the one part that differs between runs.
-        jumps: Where joints jump and no steadier path was found.
-        on_limits: By joint, in which frames it stands on a limit ``(F,)``.
-        between: Joints between those that were solved which move by themselves, or in
-            ways that their types have not: each frame was then solved on its own.
-        away: How far the positions that each goal asks for are from its effector in
-            the take, in the frame where they are nearest ``(E,)`` [m]; 0 of none.
-        size: Of the rig, the largest extent of its joints in the first frame [m].
-        steadier: Smoothing that a trial found to leave smaller jumps; None where there
-            are none, or none was found.
+        descents: Number of starts tried ``(F,)``.
+        seconds: Time of all frames [s], the only field that differs between runs.
+        jumps: Jumps of joints that no path avoids.
+        on_limits: Masks by joint of the frames in which it is on a limit ``(F,)``.
+        between: Joints between the solved ones that move too, or move outside their
+            types: each frame was then solved individually.
+        away: Smallest distance of each goal's position targets from its effector in the
+            source take ``(E,)`` [m]; 0 without any.
+        size: Largest extent of the rig's joints in the first frame [m].
+        steadier: Smoothing that reduces the jumps in a trial; None without any.
     """
 
     take: Take
@@ -93,38 +92,38 @@ class TakeIk:
 
     @property
     def mean_iterations(self) -> float:
-        """Iterations of a frame in the mean."""
+        """Mean iterations of a frame."""
         return float(self.iterations.mean())
 
     @property
     def max_iterations(self) -> int:
-        """Iterations of a frame at most."""
+        """Largest number of iterations of a frame."""
         return int(self.iterations.max())
 
     @property
     def restarts(self) -> int:
-        """How often frames were begun again."""
+        """Number of restarts over all frames."""
         return int((self.descents - 1).clip(min=0).sum())
 
     @property
     def seconds_per_frame(self) -> float:
-        """How long a frame took [s]."""
+        """Mean time of a frame [s]."""
         return self.seconds / self.frames
 
     @property
     def microseconds_per_frame(self) -> float:
-        """How long a frame took [µs]."""
+        """Mean time of a frame [µs]."""
         return 1e6 * self.seconds / self.frames
 
     @property
     def status_counts(self) -> dict[str, int]:
-        """How many frames ended how."""
+        """Number of frames by status."""
         counts = Counter(self.statuses)
         return {str(status): counts[status] for status in IkStatus if counts[status]}
 
     @property
     def limit_counts(self) -> dict[str, int]:
-        """In how many frames joints stand on a limit, those that ever do."""
+        """Number of frames in which joints are on a limit, without zeros."""
         counts = {name: int(on.sum()) for name, on in self.on_limits.items()}
         return {name: count for name, count in counts.items() if count}
 
@@ -137,11 +136,11 @@ class TakeIk:
 
 @dataclass(frozen=True, slots=True)
 class Smoothing:
-    """What evening out motion over some time would leave.
+    """Result of a trial smoothing.
 
     Attributes:
-        seconds: The time, as of ``TakeOptions.smooth`` [s].
-        angle: The largest turn of a joint that would still be a jump [rad]; 0 of none.
+        seconds: Smoothing time, as of ``TakeOptions.smooth`` [s].
+        angle: Largest remaining jump [rad]; 0 of none.
     """
 
     seconds: float
@@ -150,17 +149,17 @@ class Smoothing:
 
 @dataclass(frozen=True, slots=True)
 class SolvedPart:
-    """The solution of a part.
+    """The solution of a frame span.
 
     Attributes:
-        part: Which frames, and what the chain hangs from in them.
-        targets: As the chain takes them ``(F, E, W)``.
+        part: The frame span.
+        targets: Packed targets ``(F, E, W)``.
         result: Poses and misses.
-        seconds: How long it took [s].
-        steadier: Smoothing that leaves smaller jumps.
+        seconds: Solve time [s].
+        steadier: Smoothing that reduces the jumps.
     """
 
-    part: Part
+    part: FrameSpan
     targets: FloatArray
     result: IkResult
     seconds: float
@@ -169,22 +168,22 @@ class SolvedPart:
 
 def gathered_take(
     take: Take,
-    own: IntArray,
+    indices: IntArray,
     local: LocalTransforms,
     tracks: TargetTracks,
     targets: Targets,
     parts: Sequence[SolvedPart],
     rate: float,
 ) -> TakeIk:
-    """Return a take with the poses that its parts were brought to."""
+    """Return a take with the solved poses of its frame spans."""
     results = [one.result for one in parts]
     motion = take.motion
     rig = parts[0].part.rig
     names = {*results[0].problem.joints, *mimics(rig, results[0].problem.joints)}
     stretched = {j for limb in results[0].problem.limbs for j in limb.joints}
     joints = sorted({rig.index(name) for name in names} | stretched)
-    places, turns = local.translations[:, joints], local.rotations[:, joints]
-    source = LocalTransforms(places.copy(), turns.copy())
+    translations, rotations = local.translations[:, joints], local.rotations[:, joints]
+    source = LocalTransforms(translations.copy(), rotations.copy())
     for one in parts:
         span = one.part.frames
         rows, before = one.result.coordinates, one.part.coordinates
@@ -195,19 +194,19 @@ def gathered_take(
             change = np.abs(rows[:, slices[j]] - before[:, slices[j]])
             grown = (longer[:, j] != locals_of_part.translations[:, j]).any(axis=1)
             moved = (change.max(axis=1, initial=0.0) > UNCHANGED) | grown
-            places[span, i][moved] = longer[moved, j]
-            turns[span, i][moved] = locals_of_part.rotations[moved, j]
-    index = own[joints]
+            translations[span, i][moved] = longer[moved, j]
+            rotations[span, i][moved] = locals_of_part.rotations[moved, j]
+    index = indices[joints]
     motion = replace(
         motion,
-        translations=motion.translations.put(index, places).compact(),
-        rotations=motion.rotations.put(index, so3.align_signs(turns)).compact(),
+        translations=motion.translations.put(index, translations).compact(),
+        rotations=motion.rotations.put(index, so3.align_signs(rotations)).compact(),
     )
     problem = results[0].problem
     jumps = find_jumps(
         [rig.names[j] for j in joints],
         source,
-        LocalTransforms(places, turns),
+        LocalTransforms(translations, rotations),
         goal_moves(problem, np.concatenate([one.targets for one in parts])),
         fps=rate,
         length=problem.length,
@@ -234,7 +233,7 @@ def gathered_take(
 
 
 def take_option_faults(options: TakeOptions) -> dict[str, list[Fault]]:
-    """Return what makes no sense for any take, by option.
+    """Return faults that do not depend on the take, by option.
 
     >>> faults = take_option_faults(TakeOptions(seed=-1, smooth=-0.1))
     >>> [name for name, found in faults.items() if found]
@@ -255,17 +254,19 @@ def take_option_faults(options: TakeOptions) -> dict[str, list[Fault]]:
 
 
 def check_options(options: TakeOptions) -> None:
-    """Refuse options that make no sense."""
+    """Raise if options are invalid."""
     faults = [
-        fault for found in take_option_faults(options).values() for fault in found
+        fault
+        for option_faults_of_name in take_option_faults(options).values()
+        for fault in option_faults_of_name
     ]
     if faults:
         raise OptionError(faults)
 
 
 @dataclass(frozen=True, slots=True)
-class TakeRun:
-    """How the parts of a take are solved."""
+class TakeSolver:
+    """Solves the frame spans of a take."""
 
     rig: Rig
     tracks: TargetTracks
@@ -273,7 +274,7 @@ class TakeRun:
     world: WorldTransforms
     options: TakeOptions
     joints: list[str] | None
-    still: bool
+    static: bool
     rate: float
 
     @property
@@ -281,12 +282,12 @@ class TakeRun:
         """The goals of the tracks."""
         return [track.goal for track in self.tracks.goals]
 
-    def solved(self, part: Part) -> SolvedPart:
-        """Return the solution of a part."""
+    def solved(self, part: FrameSpan) -> SolvedPart:
+        """Return the solution of a frame span."""
         problem = self._problem(part, self.goals)
         targets = part.to_chain_frame(self.targets)
         packed = chain_targets(problem, targets)
-        if not self.still:
+        if not self.static:
             start = part.coordinates
             done = self._timed(problem, start, targets, warm=False)
             return SolvedPart(
@@ -303,11 +304,11 @@ class TakeRun:
     def _steadier(
         self, result: IkResult, targets: Targets, start: FloatArray | None
     ) -> Smoothing | None:
-        """Return the smoothing that leaves the smallest jumps, if any helps."""
-        turns = [jump.size for jump in result.jumps if not jump.slides]
-        if not turns or self.options.smooth > 0:
+        """Return the smoothing with the smallest remaining jumps, if any helps."""
+        angles = [jump.size for jump in result.jumps if not jump.slides]
+        if not angles or self.options.smooth > 0:
             return None
-        best = Smoothing(0.0, SMALLER * max(turns))
+        best = Smoothing(0.0, SMALLER * max(angles))
         for seconds in TRIED_SMOOTHING:
             options = self._chosen(result.problem, warm=start is None)
             trial = smooth(
@@ -319,7 +320,7 @@ class TakeRun:
                 best = Smoothing(seconds, angle)
         return best if best.seconds > 0 else None
 
-    def _problem(self, part: Part, goals: Sequence[Goal]) -> Problem:
+    def _problem(self, part: FrameSpan, goals: Sequence[Goal]) -> Problem:
         return build(
             part.rig,
             goals,
@@ -329,12 +330,12 @@ class TakeRun:
         )
 
     def _begun(
-        self, part: Part, problem: Problem, start: FloatArray, targets: Targets
+        self, part: FrameSpan, problem: Problem, start: FloatArray, targets: Targets
     ) -> tuple[FloatArray, float]:
-        """Return where the first frame starts ``(Q,)``, and the time it took [s].
+        """Return the start of the first frame ``(Q,)``, and the time it took [s].
 
-        If it needs new starts, that is a solution near the pose of the part; what is
-        followed from any other would stay as random as these are.
+        If it needs restarts, that is a solution near the source pose; otherwise the
+        clip would keep the random pose of a restart.
         """
         first = rows_of(targets, slice(0, 1))
         kept = part.coordinates[0]
@@ -343,13 +344,13 @@ class TakeRun:
         return poses.coordinates[0] if new else start, seconds
 
     def _bent(
-        self, part: Part, problem: Problem, targets: Targets
+        self, part: FrameSpan, problem: Problem, targets: Targets
     ) -> tuple[FloatArray, float]:
-        """Return a first pose ``(Q,)`` with bent chains, and the time it took [s].
+        """Return a start ``(Q,)`` with bent chains, and the time it took [s].
 
         They bend towards their poles as far as they can. The goals are solved from
-        there, so that a pole that cannot be had takes nothing from them, and every
-        frame from the one before, which keeps the side.
+        there, so that an unreachable pole does not compromise them; each frame starts
+        from the previous one, which keeps the side.
         """
         poles = np.array(targets.poles)[:1]
         weights = np.array(targets.weights)[:1]
@@ -369,9 +370,11 @@ class TakeRun:
         if self.options.method not in serving(leaning):
             return part.coordinates[0], 0.0
         first = rows_of(targets, slice(0, 1))
-        given = replace(first, poles=poles, weights=weights)
+        leaning_targets = replace(first, poles=poles, weights=weights)
         start = part.coordinates[0]
-        poses, seconds = self._timed(leaning, start, given, warm=True, restarts=0)
+        poses, seconds = self._timed(
+            leaning, start, leaning_targets, warm=True, restarts=0
+        )
         return poses.coordinates[0], seconds
 
     def _timed(
@@ -384,7 +387,7 @@ class TakeRun:
         restarts: int | None = None,
         prefer: FloatArray | None = None,
     ) -> tuple[IkResult, float]:
-        """Return a solution, and how long it took [s]."""
+        """Return a solution, and its time [s]."""
         options = self.options
         chosen = self._chosen(problem, warm=warm, restarts=restarts)
         began = time.perf_counter()
@@ -393,13 +396,13 @@ class TakeRun:
             from animtool.ik.clip_solver import follow
 
             searched = restarts is None
-            way = FollowOptions(
+            follow_options = FollowOptions(
                 chosen,
                 self.rate,
                 smooth=options.smooth if searched else 0.0,
                 branches=FollowOptions().branches if searched else 0,
             )
-            result = follow(problem, starts, targets, way, prefer=prefer)
+            result = follow(problem, starts, targets, follow_options, prefer=prefer)
         else:
             result = solve(problem, starts, targets, chosen, prefer=prefer)
             if options.method in FOLLOWED and restarts is None:
@@ -411,7 +414,7 @@ class TakeRun:
     def _chosen(
         self, problem: Problem, *, warm: bool, restarts: int | None = None
     ) -> IkOptions:
-        """Return how a problem's frames are solved."""
+        """Return the solver options of a problem's frames."""
         options = self.options
         return IkOptions(
             method=options.method,
@@ -426,7 +429,7 @@ class TakeRun:
 
 
 def _bends(problem: Problem, track: GoalTrack, origins: FloatArray) -> bool:
-    """Return whether a goal's chain says where its middle points, and has one.
+    """Return whether a goal's chain has a pole direction and a middle joint.
 
     ``origins`` ``(J, 3)``.
     """
@@ -443,7 +446,7 @@ def _bends(problem: Problem, track: GoalTrack, origins: FloatArray) -> bool:
 
 
 def _pole(rig: Rig, track: GoalTrack, world: WorldTransforms, frame: int) -> FloatArray:
-    """Return a point far along the pole direction of a chain ``(3,)`` [m]."""
+    """Return a distant point along the pole direction of a chain ``(3,)`` [m]."""
     chain = track.chain
     assert chain is not None
     root = rig.index(chain.root)

@@ -1,4 +1,4 @@
-"""The limb of two bones, in closed form: a ball, then a pin across both, or two balls.
+"""The closed form of a limb of two bones: a ball, then a pin or a ball.
 
 The elbow opens until the tip is as far from the root as its target is, then the
 shoulder turns it there by the shortest way, and about the line to the target until the
@@ -15,12 +15,12 @@ from animtool.ik.problem import Problem
 
 # A pin is across a bone within this [1].
 ACROSS = 1e-12
-# Lengths below this share of the limb's are none.
+# Lengths below this fraction of the limb's count as zero.
 NO_LENGTH = 1e-12
 
 
 def misfit(problem: Problem) -> str | None:
-    """Return why a problem is no limb of two bones with one position to reach."""
+    """Return why a problem is not a limb of two bones with a position goal."""
     nodes, goal = problem.chain.nodes, problem.goals[0]
     if len(problem.goals) != 1:
         return "the problem has more than one goal"
@@ -29,19 +29,19 @@ def misfit(problem: Problem) -> str | None:
         return "the goal is not a position, with or without a pole"
     if problem.rest_weight > 0:
         return "a pose is preferred"
-    # A ball that hangs on nothing, and a joint of its own on it.
+    # A ball at the root, and an independent joint below it.
     if nodes[:, :2].tolist() != [[BALL, -1], [nodes[-1, 0], 0]] or nodes[1, 3]:
         return "the joints that move are not a ball joint and a child of it"
     return _stiffness(problem.chain)
 
 
 def fits(problem: Problem) -> bool:
-    """Return whether a problem is a limb of two bones with one position to reach."""
+    """Return whether a problem is a limb of two bones with a position goal."""
     return misfit(problem) is None
 
 
 def _stiffness(chain: Chain) -> str | None:
-    """Return why the joints do not open, close and turn the limb all the way."""
+    """Return why the joints cannot bend and rotate the limb fully; None if they can."""
     if not _unlimited(chain.numbers[0]):
         return "its first joint has limits"
     upper = chain.numbers[1, 9:12]

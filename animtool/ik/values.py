@@ -1,4 +1,4 @@
-"""What a targets file gives a goal: a value for any frame, held or eased, as read."""
+"""Target values of a targets file, sampled at any frame, with holds and eases."""
 
 from __future__ import annotations
 
@@ -26,79 +26,82 @@ from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 
 Span = tuple[float, float]
-# From seconds (F,) to the positions [m] (F, 3) and rotations (F, 4) of a prim, in the
-# world of the rig.
+# Returns positions [m] (F, 3) and rotations (F, 4) of a prim, in the world of the rig,
+# at seconds (F,).
 PrimMotion: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-# A time this near to a row [frame] is meant to be the row.
+# A time this near to a row [frame] counts as on the row.
 ON_ROW = 1e-9
-# Of a value that follows a prim only, and of one that has keys only.
+# Keys of values that follow a prim, and of values with keys.
 _OF_PRIM = ("file", "space", "offset", "rotate")
 _OF_KEYS = ("interp", "tangents", "parametrization", "euler", "pre", "post")
 
 
-def smoothstep(share: FloatArray) -> FloatArray:
-    """Return an ease from 0 to 1 whose speed and acceleration are 0 at both ends.
+def smoothstep(fraction: FloatArray) -> FloatArray:
+    """Return an ease from 0 to 1 with zero speed and acceleration at both ends.
 
     >>> smoothstep(np.array([-1.0, 0.5, 2.0])).tolist()
     [0.0, 0.5, 1.0]
     """
-    u = np.clip(share, 0.0, 1.0)
+    u = np.clip(fraction, 0.0, 1.0)
     # Rounding may lead past 1.
     return np.minimum(u * u * u * (u * (6.0 * u - 15.0) + 10.0), 1.0)
 
 
-def hold_shares(times: FloatArray, spans: Sequence[Span], ease: float) -> FloatArray:
-    """Return how much each of H spans holds at times ``(H, F)``, 0 to 1.
+def hold_weights(times: FloatArray, spans: Sequence[Span], ease: float) -> FloatArray:
+    """Return the hold weights of H spans at times ``(H, F)``, 0 to 1.
 
-    It is 1 inside the span. Where two spans are nearer than both eases, each has half
-    of the gap, so that at no time more than one holds.
+    They are 1 inside the span. Where two spans are nearer than both eases, each eases
+    over half of the gap, so that at most one holds at a time.
 
     ``times`` [frame] ``(F,)``, ``ease`` [frame].
 
-    >>> hold_shares(np.array([0.0, 2.0, 4.0, 9.0]), [(4.0, 6.0)], 4.0).tolist()
+    >>> hold_weights(np.array([0.0, 2.0, 4.0, 9.0]), [(4.0, 6.0)], 4.0).tolist()
     [[0.0, 0.5, 1.0, 0.103515625]]
     """
-    shares = np.zeros((len(spans), len(times)))
+    weights = np.zeros((len(spans), len(times)))
     for i, (first, last) in enumerate(spans):
         before = ease if i == 0 else min(ease, (first - spans[i - 1][1]) / 2)
         behind = (
             ease if i + 1 == len(spans) else min(ease, (spans[i + 1][0] - last) / 2)
         )
         inside = (times >= first) & (times <= last)
-        shares[i, inside] = 1.0
-        for length, way in ((before, first - times), (behind, times - last)):
-            near = (way > 0) & (way < length)
-            shares[i, near] = smoothstep(1.0 - way[near] / length)
-    return shares
+        weights[i, inside] = 1.0
+        for length, distance in ((before, first - times), (behind, times - last)):
+            near = (distance > 0) & (distance < length)
+            weights[i, near] = smoothstep(1.0 - distance[near] / length)
+    return weights
 
 
-def held(values: FloatArray, shares: FloatArray, stills: FloatArray) -> FloatArray:
-    """Return a motion with spans held.
+def with_holds(
+    values: FloatArray, weights: FloatArray, hold_values: FloatArray
+) -> FloatArray:
+    """Return a motion with held spans.
 
     Args:
-        values: The free motion ``(F, 3)``, or rotations ``(F, 4)``, which go to the
-            held one by the shortest way.
-        shares: From `hold_shares` ``(H, F)``.
-        stills: What each span holds ``(H, 3)`` or ``(H, 4)``.
+        values: The free motion ``(F, 3)``, or rotations ``(F, 4)``, which take the
+            shortest arc to the held one.
+        weights: From `hold_weights` ``(H, F)``.
+        hold_values: Value that each span holds ``(H, 3)`` or ``(H, 4)``.
 
-    >>> held(np.zeros((2, 3)), np.array([[0.5, 1.0]]), np.ones((1, 3)))[:, 0].tolist()
+    >>> weights = np.array([[0.5, 1.0]])
+    >>> with_holds(np.zeros((2, 3)), weights, np.ones((1, 3)))[:, 0].tolist()
     [0.5, 1.0]
     """
     out = values.copy()
-    for share, still in zip(shares, stills, strict=True):
-        part = (share > 0) & (share < 1)
+    for weight, hold_value in zip(weights, hold_values, strict=True):
+        part = (weight > 0) & (weight < 1)
         if values.shape[1] == 4:
-            ends = np.broadcast_to(still, out[part].shape)
-            out[part] = so3.slerp(out[part], ends, share[part])
+            ends = np.broadcast_to(hold_value, out[part].shape)
+            out[part] = so3.slerp(out[part], ends, weight[part])
         else:
-            out[part] += share[part, None] * (still - out[part])
-        out[share >= 1] = still
+            out[part] += weight[part, None] * (hold_value - out[part])
+        out[weight >= 1] = hold_value
     return so3.align_signs(out) if values.shape[1] == 4 else out
 
 
 @dataclass(frozen=True, slots=True)
-class Frames:
-    """When values are wanted."""
+class SampleFrames:
+    """Times at which values are sampled."""
 
     times: FloatArray  # [frame] ``(F,)``
     fps: Fraction  # frames a second
@@ -112,53 +115,53 @@ class Frames:
 class Value(Protocol):
     """Points ``(F, 3)`` [m], rotations ``(F, 4)`` or weights ``(F, 1)`` over frames."""
 
-    def at(self, frames: Frames) -> FloatArray:
-        """Return the values at frames."""
+    def at(self, frames: SampleFrames) -> FloatArray:
+        """Return the values at times."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
-class Still:
-    """One value, always."""
+class Constant:
+    """A constant value."""
 
     value: tuple[float, ...]
 
-    def at(self, frames: Frames) -> FloatArray:
+    def at(self, frames: SampleFrames) -> FloatArray:
         """Return the value for each time."""
         return np.tile(np.array(self.value, np.float64), (len(frames.times), 1))
 
 
 @dataclass(frozen=True, slots=True)
 class Keyed:
-    """The curve of keys."""
+    """A value with keys."""
 
     channel: ClipChannel
 
-    def at(self, frames: Frames) -> FloatArray:
+    def at(self, frames: SampleFrames) -> FloatArray:
         """Return the curve at times."""
         values = evaluate_channels([self.channel], frames.times)[self.channel.target]
         return np.array(np.broadcast_to(values, (len(frames.times), values.shape[1])))
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class ArrayRows:
     """An array with a row for each frame."""
 
     name: str  # as the file spells it
     values: FloatArray = field(repr=False)  # ``(R, 3)`` or ``(R, 4)``
-    first: Fraction | None  # frame of the first row; None where nothing says: 1
-    place: tuple[int, int] = (1, 1)  # line and column of the name in the file
+    first: Fraction | None  # frame of the first row; None is 1
+    location: tuple[int, int] = (1, 1)  # line and column of the name in the file
 
-    def at(self, frames: Frames) -> FloatArray:
-        """Return the rows at times, and between two rows what lies between them.
+    def at(self, frames: SampleFrames) -> FloatArray:
+        """Return the rows at times, interpolated between rows.
 
         Raises:
             OptionError: There is no row for a time (TGT015).
         """
         first = 1.0 if self.first is None else float(self.first)
-        places = frames.times - first
+        row_numbers = frames.times - first
         last = len(self.values) - 1
-        beyond = (places < -ON_ROW) | (places > last + ON_ROW)
+        beyond = (row_numbers < -ON_ROW) | (row_numbers > last + ON_ROW)
         if beyond.any():
             message = f"{self.name!r} has {last + 1} rows, for the frames {first:g} to "
             message += (
@@ -166,75 +169,75 @@ class Rows:
             )
             hint = "add range to the targets, or use an array of that length"
             raise OptionError(self.fault(message, hint))
-        return between(self.values, places)
+        return between(self.values, row_numbers)
 
     def fault(self, message: str, hint: str, path: str | None = None) -> Fault:
-        """Return what is wrong with frames and rows, in its place (TGT015)."""
-        line, column = self.place
+        """Return a fault of frames and rows, located at the array's name (TGT015)."""
+        line, column = self.location
         return Fault("TGT015", message, path, (line,), hint, column=column)
 
 
-def between(values: FloatArray, places: FloatArray) -> FloatArray:
-    """Return rows at places ``(F,)``, held at both ends.
+def between(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
+    """Return rows interpolated at row numbers ``(F,)``, held at both ends.
 
-    Between two, rotations ``(R, 4)`` go by the shortest arc, points straight.
+    Rotations ``(R, 4)`` are interpolated along the shortest arc, points linearly.
 
     >>> between(np.array([[0.0], [2.0]]), np.array([0.25, 9.0])).tolist()
     [[0.5], [2.0]]
     """
-    places = np.clip(places, 0.0, len(values) - 1.0)
-    near = np.round(places)
-    places = np.where(np.abs(places - near) <= ON_ROW, near, places)
-    low = np.floor(places).astype(np.int64)
-    share = places - low
+    row_numbers = np.clip(row_numbers, 0.0, len(values) - 1.0)
+    near = np.round(row_numbers)
+    row_numbers = np.where(np.abs(row_numbers - near) <= ON_ROW, near, row_numbers)
+    low = np.floor(row_numbers).astype(np.int64)
+    fraction = row_numbers - low
     values_between = values[low]
-    part = share > 0
+    part = fraction > 0
     if part.any():
         high = values[low[part] + 1]
         if values.shape[1] == 4:
-            values_between[part] = so3.slerp(values_between[part], high, share[part])
+            values_between[part] = so3.slerp(values_between[part], high, fraction[part])
         else:
-            values_between[part] += share[part, None] * (high - values_between[part])
+            values_between[part] += fraction[part, None] * (high - values_between[part])
     return values_between
 
 
 @dataclass(frozen=True, slots=True)
-class PrimPlace:
-    """A point that a prim carries."""
+class PrimPoint:
+    """A point in the frame of a prim."""
 
     motion: PrimMotion  # of the prim
     offset: tuple[float, ...]  # the point in its frame [m]
 
-    def at(self, frames: Frames) -> FloatArray:
-        """Return where the point is."""
+    def at(self, frames: SampleFrames) -> FloatArray:
+        """Return the positions of the point."""
         positions, rotations = self.motion(frames.seconds)
         return np.asarray(positions + so3.rotate(rotations, np.array(self.offset)))
 
 
 @dataclass(frozen=True, slots=True)
-class PrimTurn:
-    """A rotation that a prim carries."""
+class PrimRotation:
+    """A rotation relative to a prim."""
 
     motion: PrimMotion  # of the prim
-    turn: tuple[float, ...]  # from its frame, quaternion
+    rotation: tuple[float, ...]  # from its frame, quaternion
 
-    def at(self, frames: Frames) -> FloatArray:
-        """Return how it is turned."""
-        _, rotations = self.motion(frames.seconds)
-        return so3.align_signs(so3.multiply(rotations, np.array(self.turn)))
+    def at(self, frames: SampleFrames) -> FloatArray:
+        """Return the rotations."""
+        _, prim_rotations = self.motion(frames.seconds)
+        return so3.align_signs(so3.multiply(prim_rotations, np.array(self.rotation)))
 
 
 @dataclass(frozen=True, slots=True)
 class ValueReader:
-    """Makes values of what stands in a document; what is wrong is noted there."""
+    """Builds target values from a document; faults are added to it."""
 
     document: Document  # the file
-    rig: Rig | None  # in whose world prims are; None reads none
+    rig: Rig | None  # prims are in its world; None reads no prims
     units: ClipUnits  # of the file
     roots: Sequence[Path]  # folders that references may lead into
-    archives: Archives  # opens arrays, for as long as values are read
-    first: Fraction | None  # frame of the first row of arrays; None where no range says
-    count: int | None  # how many rows they must have; None where no range says
+    archives: Archives  # opens arrays while values are read
+    first: Fraction | None  # frame of the first row of arrays; None without a range
+    count: int | None  # required number of rows; None without a range
 
     def curve(self, at: Location, model: CurveModel, key: str) -> Keyed | None:
         """Return a curve of keys; ``weight`` is a key too."""
@@ -250,26 +253,26 @@ class ValueReader:
     def value(
         self, at: Location, model: list[float] | str | ValueModel | None, key: str
     ) -> Value | None:
-        """Return a value; None where there is none, or a faulty one."""
+        """Return a value; None if absent or faulty."""
         if model is None or self.document.is_placeholder(at):
             return None
         if isinstance(model, str):
             return self._rows(at, model, key)
         if isinstance(model, ValueModel):
-            return self._moving(at, model, key)
+            return self._keyed_or_prim(at, model, key)
         if key == "orientation":
-            return self._turn(at, model)
-        return Still(tuple(value * self.units.length for value in model))
+            return self._rotation(at, model)
+        return Constant(tuple(value * self.units.length for value in model))
 
-    def _turn(self, at: Location, numbers: list[float]) -> Still | None:
+    def _rotation(self, at: Location, numbers: list[float]) -> Constant | None:
         rotations, wrong = file_quaternions(np.array([numbers], np.float64))
         if wrong:
             message = f"quaternion {numbers} has zero length"
             self.document.add("TGT007", at, message)
             return None
-        return Still(tuple(rotations[0].tolist()))
+        return Constant(tuple(rotations[0].tolist()))
 
-    def _moving(self, at: Location, model: ValueModel, key: str) -> Value | None:
+    def _keyed_or_prim(self, at: Location, model: ValueModel, key: str) -> Value | None:
         if (model.keys is None) == (model.prim is None):
             has = "both keys and a prim" if model.prim else "neither keys nor a prim"
             self.document.add("TGT009", at, f"has {has}", "write one of them")
@@ -284,12 +287,12 @@ class ValueReader:
             what = "keys have" if model.keys is not None else "only a prim has here"
             self.document.add("TGT009", (*at, name), f"{what} no {name}")
         if model.keys is not None:
-            given = {
+            stated = {
                 name: getattr(model, name)
                 for name in CurveModel.model_fields
                 if name in model.model_fields_set
             }
-            return self.curve(at, CurveModel.model_construct(**given), key)
+            return self.curve(at, CurveModel.model_construct(**stated), key)
         return self._prim(at, model, key)
 
     def _prim(self, at: Location, model: ValueModel, key: str) -> Value | None:
@@ -298,12 +301,12 @@ class ValueReader:
             return None
         if key != "orientation":
             x, y, z = (v * self.units.length for v in model.offset or (0.0, 0.0, 0.0))
-            return PrimPlace(motion, (x, y, z))
-        turn = self._turn((*at, "rotate"), model.rotate or [1.0, 0.0, 0.0, 0.0])
-        return None if turn is None else PrimTurn(motion, turn.value)
+            return PrimPoint(motion, (x, y, z))
+        rotation = self._rotation((*at, "rotate"), model.rotate or [1.0, 0.0, 0.0, 0.0])
+        return None if rotation is None else PrimRotation(motion, rotation.value)
 
     def _motion(self, at: Location, model: ValueModel) -> PrimMotion | None:
-        """Return what a prim does; None where it cannot be read, or needs a rig."""
+        """Return the motion of a prim; None if it cannot be read, or without a rig."""
         path = self._stage(at, model)
         if path is None or self.rig is None:
             return None
@@ -318,21 +321,21 @@ class ValueReader:
             return None
 
     def _stage(self, at: Location, model: ValueModel) -> Path | None:
-        """Return the file of a prim; None where it is not there."""
+        """Return the file of a prim; None if missing."""
         if model.file is None:
             message = f"prim {model.prim!r} has no file"
             self.document.add("TGT009", at, message, "add file: shot.usda")
             return None
-        place = (*at, "file")
-        path = referred(self.document, place, model.file, self.roots)
+        location = (*at, "file")
+        path = referred(self.document, location, model.file, self.roots)
         wrong = None if path is None else why_no_file(path)
         if wrong is not None:
             hint = missing_hint(self.document, model.file)
-            self.document.add("DOC015", place, f"{model.file!r} {wrong}", hint)
+            self.document.add("DOC015", location, f"{model.file!r} {wrong}", hint)
             return None
         return path
 
-    def _rows(self, at: Location, text: str, key: str) -> Rows | None:
+    def _rows(self, at: Location, text: str, key: str) -> ArrayRows | None:
         name, array = split_reference(text, key)
         path = referred(self.document, at, name, self.roots)
         if path is None:
@@ -358,7 +361,7 @@ class ValueReader:
 
     def _finite_rows(
         self, at: Location, text: str, values: FloatArray, first: Fraction | None
-    ) -> Rows | None:
+    ) -> ArrayRows | None:
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if bad.size:
             row = int(bad[0])
@@ -366,12 +369,12 @@ class ValueReader:
             message += "numbers"
             self.document.add("TGT007", at, message)
             return None
-        place = self.document.position(at)
+        location = self.document.position(at)
         if values.shape[1] == 3:
-            return Rows(text, values * self.units.length, first, place)
+            return ArrayRows(text, values * self.units.length, first, location)
         rotations, wrong = file_quaternions(values)
         if wrong:
             message = f"{text!r} contains a quaternion of zero length in row {wrong[0]}"
             self.document.add("TGT007", at, message)
             return None
-        return Rows(text, rotations, first, place)
+        return ArrayRows(text, rotations, first, location)

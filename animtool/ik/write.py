@@ -1,4 +1,4 @@
-"""Writing targets as a targets file, from which they come back."""
+"""Writes target tracks as a targets file."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from animtool.core.units import unit_name
 from animtool.ik.goals import PARTS, Goal
 from animtool.ik.schema import GoalModel
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import Keyed, Rows, Still, Value
+from animtool.ik.values import ArrayRows, Constant, Keyed, Value
 
-USUAL_EASE = float(GoalModel.model_fields["ease"].default)
+DEFAULT_EASE = float(GoalModel.model_fields["ease"].default)
 
 
 @dataclass(frozen=True, slots=True)
 class TargetsText:
-    """A targets file, and the arrays that it refers to."""
+    """The text of a targets file, and the arrays it refers to."""
 
     text: str  # of the file
     # By their references, ``file.npz#name``, in the units of the file and quaternions w
@@ -34,22 +34,22 @@ class TargetsText:
 def targets_text(tracks: TargetTracks, units: ClipUnits) -> TargetsText:
     """Return tracks as the text of a targets file, and their arrays.
 
-    Read again, numbers are the same to the last digit, but for those that a unit cannot
-    give back: these to the last but one.
+    Numbers are read back exactly, except that a unit conversion may round the last
+    digit.
 
     Args:
-        tracks: Of constants, keys and arrays; whose files those are, their names say.
-        units: Which the file is to have.
+        tracks: With constants, keys and arrays, whose names contain their files.
+        units: Units of the file.
 
     Raises:
-        ValueError: A value follows a prim: where that is, is in its own file.
+        ValueError: A value follows a prim, which cannot be written.
     """
-    writer = _Writer(units)
+    writer = _TargetsWriter(units)
     return TargetsText("\n".join(writer.lines(tracks)) + "\n", writer.arrays)
 
 
 @dataclass(frozen=True, slots=True)
-class _Writer:
+class _TargetsWriter:
     units: ClipUnits
     arrays: dict[str, FloatArray] = field(default_factory=dict)
 
@@ -90,9 +90,9 @@ class _Writer:
     def _value(self, key: str, value: Value) -> Iterator[str]:
         unit = 1.0 if key in {"orientation", "weight"} else self.units.length
         match value:
-            case Still(row):
+            case Constant(row):
                 yield f"{key}: {_flow(_in_file(np.array([row]))[0].tolist(), unit)}"
-            case Rows(name, rows):
+            case ArrayRows(name, rows):
                 self.arrays[name] = _in_file(rows) / unit
                 yield f"{key}: {text(name)}"
             case Keyed(channel):
@@ -107,12 +107,12 @@ class _Writer:
         if not weights:
             return
         first = weights.get(PARTS[0])
-        if isinstance(first, Still) and weights == dict.fromkeys(PARTS, first):
+        if isinstance(first, Constant) and weights == dict.fromkeys(PARTS, first):
             yield f"weight: {number(first.value[0])}"
             return
         yield "weight:"
         for part, weight in weights.items():
-            if isinstance(weight, Still):
+            if isinstance(weight, Constant):
                 yield f"  {part}: {number(weight.value[0])}"
             elif isinstance(weight, Keyed):
                 yield f"  {part}:"
@@ -120,19 +120,19 @@ class _Writer:
 
 
 def _choices(track: GoalTrack, goal: Goal) -> Iterator[str]:
-    """Yield what else is said of a goal, where it is not as usual."""
+    """Yield the lines of a goal's options that differ from the defaults."""
     stretch = 0.0 if track.chain is None else track.chain.stretch
-    for key, value, usual in (
+    for key, value, default in (
         ("priority", goal.priority, 0),
         ("soft", goal.soft, 0.0),
         ("stretch", goal.stretch, stretch),
     ):
-        if value != usual:
+        if value != default:
             yield f"{key}: {number(value)}"
     for key, spans in (("hold", track.spans), ("during", track.during)):
         if spans:
             yield f"{key}: {flow([_flow(span) for span in spans])}"
-    if track.ease != USUAL_EASE:
+    if track.ease != DEFAULT_EASE:
         yield f"ease: {number(track.ease)}"
 
 

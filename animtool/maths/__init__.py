@@ -1,1 +1,1 @@
-"""Arrays in, arrays out: rotations and Euler angles."""
+"""Array functions: rotations, curves, filters and meshes."""

@@ -1,4 +1,4 @@
-"""The convention of additive motion: what it means to add one motion to another.
+"""The convention of additive motion: how deltas combine with a base.
 
 ============ =====================================
 rotations    ``base · delta``: about the joint's axes
@@ -60,15 +60,15 @@ def scaled(
 
 
 def unturned(source: FloatArray, base: FloatArray) -> FloatArray:
-    """Return the delta that `turned` makes ``source`` with, of rotations."""
+    """Return the rotation delta with which `turned` gives ``source``."""
     return so3.multiply(so3.conjugate(base), source) + 0.0
 
 
 def unshifted(source: FloatArray, base: FloatArray) -> FloatArray:
-    """Return the delta that `shifted` makes ``source`` with."""
+    """Return the delta with which `shifted` gives ``source``."""
     return source - base
 
 
 def unscaled(source: FloatArray, base: FloatArray) -> FloatArray:
-    """Return the delta that `scaled` makes ``source`` with; no base may be 0."""
+    """Return the delta with which `scaled` gives ``source``; no base may be 0."""
     return source / base

@@ -1,4 +1,4 @@
-"""Scalar curves over time: segments between keys, times beyond them, sparse fits."""
+"""Scalar key curves: segments between keys, and extrapolation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.maths.tangents import KeySlopes, Tangent
 
 
 class Interp(StrEnum):
-    """How a channel runs from a key to the next."""
+    """Interpolation of a channel from a key to the next."""
 
     STEP = "step"
     LINEAR = "linear"
@@ -30,7 +30,7 @@ class Interp(StrEnum):
 
 
 class Extrapolation(StrEnum):
-    """How a curve goes on before its first key or behind its last."""
+    """Extrapolation of a curve before its first or after its last key."""
 
     HOLD = "hold"
     LINEAR = "linear"
@@ -41,14 +41,14 @@ class Extrapolation(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Folded:
-    """Times brought into the range of the keys, and what that left over."""
+    """Times folded into the range of the keys, with the remainders."""
 
     times: FloatArray  # within the range ``(F,)``
-    # Time before (negative) or behind the range, where the curve goes on linearly; else
-    # 0 ``(F,)``.
+    # Time before (negative) or after the range for linear extrapolation; else 0
+    # ``(F,)``.
     beyond: FloatArray
-    # Whole cycles before (negative) or behind the range, where each adds the curve's
-    # rise; else 0 ``(F,)``.
+    # Cycles before (negative) or after the range, if each adds the curve's rise; else 0
+    # ``(F,)``.
     cycles: FloatArray
 
 
@@ -59,11 +59,12 @@ def fold(
     pre: Extrapolation = Extrapolation.HOLD,
     post: Extrapolation = Extrapolation.HOLD,
 ) -> Folded:
-    """Bring times into ``start`` to ``end``.
+    """Fold times into the range from ``start`` to ``end``.
 
-    A time that is a whole number of cycles away belongs to the cycle nearer to the
-    range: behind it the value is the last key's, before it the first key's. A range
-    without length is held.
+    A time at an integer number of cycles belongs to the cycle nearer to the range:
+        after
+    it the value is the last key's, before it the first key's. A range without length is
+    held.
 
     >>> fold(np.array([-1.0, 4.0, 5.0]), 0.0, 4.0, post=Extrapolation.CYCLE).times
     array([0., 4., 1.])
@@ -79,18 +80,18 @@ def fold(
         if mode is Extrapolation.LINEAR:
             beyond[outside] = -away if before else away
         elif length > 0:
-            turns = np.ceil(away / length)
-            left = turns * length - away  # to the far edge of that cycle
-            mirrored = (mode is Extrapolation.OSCILLATE) & (turns % 2 == 1)
+            cycles_away = np.ceil(away / length)
+            left = cycles_away * length - away  # to the far edge of that cycle
+            mirrored = (mode is Extrapolation.OSCILLATE) & (cycles_away % 2 == 1)
             from_start = np.where(mirrored ^ before, left, length - left)
             inside[outside] = np.clip(start + from_start, start, end)
             if mode is Extrapolation.CYCLE_OFFSET:
-                cycles[outside] = -turns if before else turns
+                cycles[outside] = -cycles_away if before else cycles_away
     return Folded(inside, beyond, cycles)
 
 
 class SegmentKind(IntEnum):
-    """How a curve runs from a key to the next."""
+    """Interpolation of a segment between two keys."""
 
     HOLD = 0
     LINEAR = 1
@@ -111,21 +112,21 @@ class Curves:
     first: IntArray  # index of each curve's first key, and K at the end ``(C + 1,)``
     times: FloatArray  # of the keys, strictly ascending within a curve ``(K,)``
     values: FloatArray  # ``(K,)``
-    # `SegmentKind` of the segment after each key ``(K,)``; that of a curve's last key
-    # says nothing.
+    # `SegmentKind` of the segment after each key ``(K,)``; ignored for a curve's last
+    # key.
     kinds: IntArray
     ins: FloatArray  # handle before each key, as offset (dt ≤ 0, dv) ``(K, 2)``
-    outs: FloatArray  # handle behind each key, as offset (dt ≥ 0, dv) ``(K, 2)``
-    # How each curve goes on before its first key, C long.
+    outs: FloatArray  # handle after each key, as offset (dt ≥ 0, dv) ``(K, 2)``
+    # Extrapolation of each curve before its first key, C long.
     pre: tuple[Extrapolation, ...]
-    post: tuple[Extrapolation, ...]  # how each curve goes on behind its last, C long
+    post: tuple[Extrapolation, ...]  # extrapolation after its last key, C long
 
     def sample(self, times: ArrayLike) -> FloatArray:
         """Return every curve's values ``(C, F)`` at times ``(F,)``; see `evaluate`."""
         return evaluate(self, times)
 
     def retimed(self, start: float, ratio: float, first: float) -> Curves:
-        """Return the curves with time t at ``first + (t - start) · ratio``, ratio > 0.
+        """Return the curves with time t mapped to ``first + (t - start) · ratio``.
 
         >>> zero = np.zeros((2, 1))
         >>> cubic_curves(np.array([0.0, 2.0]), zero, zero, zero).retimed(
@@ -150,14 +151,14 @@ def key_handles(
     free_ins: FloatArray,
     free_outs: FloatArray,
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return handles ``(K, 1 + D)`` before and behind the keys, and segment kinds.
+    """Return handles ``(K, 1 + D)`` before and after the keys, and segment kinds.
 
     Args:
-        slopes: Of the keys' times and values, by rules.
-        interps: Of the segment behind each key, K long.
-        tangents: Before and behind each key, K long.
+        slopes: Key slopes by tangent rule.
+        interps: Interpolation of the segment after each key, K long.
+        tangents: Before and after each key, K long.
         free_ins: Handles before the keys, where tangents are free ``(K, 1 + D)``.
-        free_outs: Handles behind the keys, likewise.
+        free_outs: Handles after the keys, likewise.
     """
     keys, width = slopes.values.shape
     ins, outs = np.zeros((keys, 1 + width)), np.zeros((keys, 1 + width))
@@ -177,7 +178,7 @@ def key_handles(
             continue
         for key, side in ((k, 1), (k + 1, 0)):
             handles = outs if side else ins
-            given = (free_outs if side else free_ins)[key]
+            free = (free_outs if side else free_ins)[key]
             tangent = tangents[key][side]
             signed = third if side else -third
             if interp is Interp.TCB:
@@ -186,11 +187,11 @@ def key_handles(
                 slope = slopes.by_rule(tangent, key, k)
                 handles[key] = [signed, *(slope * signed)]
             elif interp is Interp.HERMITE:
-                slope = given[1:] / given[0] if given[0] else np.zeros(width)
+                slope = free[1:] / free[0] if free[0] else np.zeros(width)
                 handles[key] = [signed, *(slope * signed)]
             else:
-                handles[key] = given
-                if given[0] != signed:
+                handles[key] = free
+                if free[0] != signed:
                     kinds[k] = SegmentKind.BEZIER
     return ins, outs, kinds
 
@@ -204,7 +205,7 @@ def cubic_curves(
         times: Strictly ascending ``(K,)``.
         values: ``(K, D)``.
         ins: Value offsets of the handles before the keys ``(K, D)``.
-        outs: Value offsets of the handles behind the keys ``(K, D)``.
+        outs: Value offsets of the handles after the keys ``(K, D)``.
 
     >>> zero = np.zeros((2, 1))
     >>> ease = cubic_curves(np.array([0.0, 2.0]), np.array([[0.0], [1.0]]), zero, zero)
@@ -263,7 +264,7 @@ def evaluate(curves: Curves, times: ArrayLike) -> FloatArray:
         raise ValueError("times must be finite")
     going_on = _going_on(curves, at)
     if not len(going_on):
-        return _held(curves, at[None])
+        return _clamped(curves, at[None])
     starts, ends = _ends(curves)
     rows = np.tile(at, (len(curves.pre), 1))
     beyond, cycles = np.zeros(rows.shape), np.zeros(rows.shape)
@@ -273,7 +274,7 @@ def evaluate(curves: Curves, times: ArrayLike) -> FloatArray:
         rows[c], beyond[c], cycles[c] = folded.times, folded.beyond, folded.cycles
     slopes = end_slopes(curves)
     rises = curves.values[ends] - curves.values[starts]
-    values = _held(curves, rows)
+    values = _clamped(curves, rows)
     values += beyond * np.where(beyond < 0, slopes[:, :1], slopes[:, 1:])
     values += cycles * rises[:, None]
     return values
@@ -282,10 +283,9 @@ def evaluate(curves: Curves, times: ArrayLike) -> FloatArray:
 def end_slopes(curves: Curves) -> FloatArray:
     """Return the slopes ``(C, 2)`` at each curve's first and last key.
 
-    By which LINEAR extrapolation goes on: 0 for a single key and beside a HOLD
-    segment, else the slope of the first or last segment at that key. A BEZIER handle
-    with no length in time has no slope of its own: the straight line between the two
-    keys counts instead.
+    LINEAR extrapolation uses them: 0 for a single key and next to a HOLD segment, else
+    the slope of the first or last segment at that key. For a BEZIER handle without
+    length in time, the slope of the line between the two keys is used.
 
     >>> line = Curves(
     ...     first=np.array([0, 2]),
@@ -316,7 +316,7 @@ def end_slopes(curves: Curves) -> FloatArray:
 def _slopes(
     curves: Curves, keys: IntArray, following: IntArray, handles: FloatArray
 ) -> FloatArray:
-    """Return slopes of the segments between keys, at the end that has the handles."""
+    """Return slopes of segments at the end with the given handles."""
     spans = curves.times[following] - curves.times[keys]
     kinds = curves.kinds[keys]
     spans = np.where((spans > 0) & (kinds != SegmentKind.HOLD), spans, np.inf)
@@ -333,7 +333,7 @@ def _ends(curves: Curves) -> tuple[IntArray, IntArray]:
 
 
 def _going_on(curves: Curves, at: FloatArray) -> IntArray:
-    """Return the curves that are not held at some of the times."""
+    """Return the curves that are extrapolated without hold at some of the times."""
     if not len(at):
         return np.zeros(0, np.int64)
     starts, ends = _ends(curves)
@@ -344,7 +344,7 @@ def _going_on(curves: Curves, at: FloatArray) -> IntArray:
     return np.flatnonzero(early | late)
 
 
-def _held(curves: Curves, at: FloatArray) -> FloatArray:
+def _clamped(curves: Curves, at: FloatArray) -> FloatArray:
     """Return values ``(C, F)`` at ``(1, F)`` or ``(C, F)``, held outside the keys."""
     return _kernels.evaluate_curves(
         curves.first,

@@ -1,4 +1,4 @@
-"""Polygons and points: sides, edges, triangles, and the rigid motion between points."""
+"""Polygon meshes: edges, triangles and normals; rigid motion between points."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from animtool.maths import so3
 
 
 def sides(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return each corner of polygons with the next of the same ``(C, 2)``.
+    """Return the directed edges of polygons: each corner and the next ``(C, 2)``.
 
     Args:
         counts: Corners of each ``(M,)``.
@@ -19,25 +19,25 @@ def sides(counts: IntArray, indices: IntArray) -> IntArray:
     [[5, 6], [6, 7], [7, 5]]
     """
     ends = np.cumsum(counts)
-    ahead = np.roll(indices, -1)
-    ahead[ends - 1] = indices[ends - counts]
-    return np.stack([indices, ahead], axis=1)
+    following = np.roll(indices, -1)
+    following[ends - 1] = indices[ends - counts]
+    return np.stack([indices, following], axis=1)
 
 
 def distinct_pairs(pairs: IntArray) -> IntArray:
-    """Return pairs ``(P, 2)`` each once, both ways alike, without those of one number.
+    """Return distinct unordered pairs ``(P, 2)``, without pairs of equal numbers.
 
-    They ascend, and so do the two of each.
+    They ascend, and so do the numbers of each pair.
 
     >>> distinct_pairs(np.array([[2, 1], [1, 2], [0, 3], [4, 4]])).tolist()
     [[0, 3], [1, 2]]
     """
-    apart = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
-    return np.unique(apart, axis=0)
+    distinct = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
+    return np.unique(distinct, axis=0)
 
 
 def edges(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return the sides of polygons, each once, ascending ``(E, 2)``.
+    """Return the distinct edges of polygons, ascending ``(E, 2)``.
 
     Args:
         counts: Corners of each ``(M,)``.
@@ -50,7 +50,7 @@ def edges(counts: IntArray, indices: IntArray) -> IntArray:
 
 
 def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the sides of polygons, each once ``(E, 2)``, and how many each is of.
+    """Return the distinct edges of polygons ``(E, 2)``, and the faces on each ``(E,)``.
 
     Args:
         counts: Corners of each ``(M,)``.
@@ -65,7 +65,7 @@ def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray
 
 
 def closed(counts: IntArray, indices: IntArray) -> bool:
-    """Return whether each side of polygons is of two of them: none has an open edge.
+    """Return whether polygons form a closed mesh: every edge has two faces.
 
     Args:
         counts: Corners of each ``(M,)``.
@@ -83,7 +83,7 @@ def closed(counts: IntArray, indices: IntArray) -> bool:
 
 
 def of_one_edge(pairs: IntArray) -> tuple[IntArray, IntArray]:
-    """Return each two of some sides ``(C, 2)`` that have the same ends: their numbers.
+    """Return the indices of pairs of edges ``(C, 2)`` with the same ends.
 
     >>> one, other = of_one_edge(np.array([[0, 1], [1, 2], [1, 0]]))
     >>> one.tolist(), other.tolist()
@@ -93,17 +93,17 @@ def of_one_edge(pairs: IntArray) -> tuple[IntArray, IntArray]:
     order = np.lexsort((ends[:, 1], ends[:, 0]))
     ends = ends[order]
     edges = [np.zeros((0, 2), np.int64)]
-    for apart in range(1, len(order)):
-        same = (ends[apart:] == ends[:-apart]).all(axis=1)
+    for gap in range(1, len(order)):
+        same = (ends[gap:] == ends[:-gap]).all(axis=1)
         if not same.any():
             break
-        edges.append(np.stack([order[:-apart][same], order[apart:][same]], axis=1))
+        edges.append(np.stack([order[:-gap][same], order[gap:][same]], axis=1))
     one, other = np.concatenate(edges).T
     return one, other
 
 
 def triangulated(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return the triangles of polygons, each cut into a fan ``(T, 3)``.
+    """Return the triangle fans of polygons ``(T, 3)``.
 
     Args:
         counts: Corners of each ``(M,)``.
@@ -115,9 +115,9 @@ def triangulated(counts: IntArray, indices: IntArray) -> IntArray:
     firsts = np.cumsum(counts) - counts
     fans = np.maximum(counts - 2, 0)
     starts = np.repeat(firsts, fans)
-    turn = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
+    step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
     return np.stack(
-        [indices[starts], indices[starts + turn + 1], indices[starts + turn + 2]], 1
+        [indices[starts], indices[starts + step + 1], indices[starts + step + 2]], 1
     )
 
 
@@ -148,52 +148,54 @@ def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
     return normals
 
 
-# Of the largest spread: what rounding makes of points on a line, or at one place.
+# Relative spread below which points count as collinear or coincident.
 FLAT = 1e-9
 
 
 def rigid_motion(before: ArrayLike, after: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return the turn ``(4,)`` and shift ``(3,)`` that bring points nearest to others.
+    """Return the best-fit rotation ``(4,)`` and translation ``(3,)`` between points.
 
-    A point p goes to ``rotate(turn, p) + shift``. Points on a line leave the turn about
-    it open, and points at one place any: there the least turn is taken.
+    A point p maps to ``rotate(rotation, p) + translation``. For collinear or coincident
+    points, which leave the rotation undetermined, the smallest one is returned.
 
     Args:
         before: At least one ``(P, 3)``.
-        after: Where they are to go ``(P, 3)``.
+        after: Their targets ``(P, 3)``.
 
     References:
         W. Kabsch, A solution for the best rotation to relate two sets of vectors, 1976.
 
-    >>> turn, shift = rigid_motion([[0, 0, 0]], [[1, 2, 3]])
-    >>> turn.tolist(), shift.tolist()
+    >>> rotation, translation = rigid_motion([[0, 0, 0]], [[1, 2, 3]])
+    >>> rotation.tolist(), translation.tolist()
     ([0.0, 0.0, 0.0, 1.0], [1.0, 2.0, 3.0])
     """
     start, end = np.asarray(before, np.float64), np.asarray(after, np.float64)
     middle, target = start.mean(axis=0), end.mean(axis=0)
-    turn = _turn((start - middle).T @ (end - target), _scale(start) * _scale(end))
-    return turn, np.asarray(target - so3.rotate(turn, middle), np.float64)
+    rotation = _best_rotation(
+        (start - middle).T @ (end - target), _scale(start) * _scale(end)
+    )
+    return rotation, np.asarray(target - so3.rotate(rotation, middle), np.float64)
 
 
 def _scale(points: FloatArray) -> float:
     return float(np.abs(points).max(initial=0.0))
 
 
-def _turn(covariance: FloatArray, scale: float) -> FloatArray:
-    ways, spreads, others = np.linalg.svd(covariance)
-    if spreads[0] <= FLAT**2 * scale:
+def _best_rotation(covariance: FloatArray, scale: float) -> FloatArray:
+    left, singular, right = np.linalg.svd(covariance)
+    if singular[0] <= FLAT**2 * scale:
         return so3.IDENTITY.copy()
-    if spreads[1] <= FLAT * spreads[0]:
-        return _least_turn(ways[:, 0], others[0])
-    sign = np.sign(np.linalg.det(ways) * np.linalg.det(others))
-    return so3.from_matrix(others.T @ np.diag([1.0, 1.0, sign]) @ ways.T)
+    if singular[1] <= FLAT * singular[0]:
+        return _least_rotation(left[:, 0], right[0])
+    sign = np.sign(np.linalg.det(left) * np.linalg.det(right))
+    return so3.from_matrix(right.T @ np.diag([1.0, 1.0, sign]) @ left.T)
 
 
-def _least_turn(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the least turn from a unit vector to another."""
+def _least_rotation(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the smallest rotation from a unit vector to another."""
     axis = np.cross(a, b)
     angle = float(np.arctan2(np.linalg.norm(axis), a @ b))
     if not np.linalg.norm(axis) > 0:
-        # Any axis across will do for half a turn.
+        # Any perpendicular axis will do for 180 degrees.
         axis = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])
     return so3.from_axis_angle(axis / np.linalg.norm(axis), angle)

@@ -1,10 +1,10 @@
-"""Zero-lag filters of evenly sampled signals, with a cut-off that noise decides.
+"""Zero-lag low-pass filters of evenly sampled signals, with automatic cut-off.
 
 The filter is the smoother of E. T. Whittaker: the curve that stays near the samples and
 whose differences of some order are small. Its gain at frequency f is
 ``1 / (1 + (sin(pi f / rate) / sin(pi cutoff / rate)) ** (2 order))``, that of a
-Butterworth filter run to and fro. It needs no samples beyond the ends, leaves straight
-lines as they are, and goes over gaps.
+Butterworth filter run forward and backward. It needs no padding, preserves straight
+lines, and bridges gaps.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 
-# Differences of this order hold next to nothing but noise: of what moves slower than a
-# tenth of the rate, less than a hundred-thousandth of the power.
+# Differences of this order are almost only noise: less than a hundred-thousandth of the
+# power of motion slower than a tenth of the rate remains.
 NOISE_ORDER = 8
-# Cut-offs that are tried, as shares of the rate.
-MIN_SHARE, MAX_SHARE, TRIED = 0.005, 0.4, 24
-# A filter that would leave more of the noise's power than this is left out.
+# Range and number of cut-offs tried, as fractions of the rate.
+MIN_CUTOFF, MAX_CUTOFF, CUTOFFS = 0.005, 0.4, 24
+# A filter that leaves more than this fraction of the noise power is not applied.
 WORTH = 0.8
 # Median of the square of one normal number [1].
 MEDIAN_SQUARE = 0.454936
-# An axis with less than this share of the largest noise's power has none of its own.
+# An axis with less than this fraction of the largest noise power has no noise.
 HINGE = 0.05
-# Median of a square of a normal number, by how many numbers are added [1]
-# (Wilson and Hilferty).
+# Coefficient of the median of a sum of squared normal numbers [1] (Wilson and
+# Hilferty).
 _WILSON = 2 / 9
 
 
@@ -40,15 +40,15 @@ def lowpass(
     order: int = 2,
     known: BoolArray | None = None,
 ) -> FloatArray:
-    """Return signals without what is faster than a cut-off, without lag ``(F, ...)``.
+    """Return signals low-pass filtered without lag ``(F, ...)``.
 
     Args:
         values: ``(F, ...)``.
         cutoff: Frequency at which half of the amplitude is left [Hz].
         rate: Frames a second.
-        order: Of the differences that are kept small; higher cuts off sharper.
-        known: Which frames hold something ``(F,)``, ``order`` or more of them; others
-            follow from these.
+        order: Order of the penalised differences; higher cuts off sharper.
+        known: Mask of valid frames ``(F,)``, at least ``order``; others are
+            interpolated.
     """
     from scipy.linalg import solveh_banded
 
@@ -66,20 +66,20 @@ def lowpass(
     return np.asarray(smooth.reshape(values.shape) + origin)
 
 
-def lowpass_turns(
-    turns: FloatArray,
+def lowpass_rotations(
+    rotations: FloatArray,
     cutoff: float,
     rate: float,
     *,
     order: int = 2,
     known: BoolArray | None = None,
 ) -> FloatArray:
-    """Return rotations ``(F, ..., 4)``, signs continuous, as `lowpass` does numbers."""
-    return so3.normalize(lowpass(turns, cutoff, rate, order=order, known=known))
+    """Return low-pass filtered rotations ``(F, ..., 4)`` of continuous sign."""
+    return so3.normalize(lowpass(rotations, cutoff, rate, order=order, known=known))
 
 
 def _penalty(count: int, order: int) -> FloatArray:
-    """Return the sum of squares of differences as a banded matrix, lower form."""
+    """Return the difference penalty as a banded matrix, lower form."""
     steps = _differences(order)
     bands = np.zeros((order + 1, count))
     rows = count - order
@@ -97,7 +97,7 @@ def _differences(order: int) -> FloatArray:
 def noise_level(values: FloatArray) -> float:
     """Return the standard deviation of the white noise in a signal ``(F, K)``.
 
-    It is that of its fastest part, by a median, so that a few jumps do not count.
+    Estimated from its fastest part by a median, so that a few jumps do not count.
 
     >>> rng = np.random.default_rng(1)
     >>> slow = np.sin(np.arange(2000)[:, None] / 20)
@@ -107,32 +107,32 @@ def noise_level(values: FloatArray) -> float:
     return math.sqrt(_noise(values, rotation=False)[0])
 
 
-def noise_of_turns(turns: FloatArray) -> float:
+def rotation_noise(rotations: FloatArray) -> float:
     """Return the standard deviation of the white noise of rotations ``(F, 4)`` [rad].
 
-    It is that about each axis that they shake about: three, or the one of a hinge.
+    It is per axis with noise: three, or one for a hinge.
     """
-    return 2 * math.sqrt(_noise(turns, rotation=True)[0])
+    return 2 * math.sqrt(_noise(rotations, rotation=True)[0])
 
 
 def _noise(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
-    """Return the variance of the noise in each direction, and how many it has."""
+    """Return the noise variance per direction, and the number of directions."""
     order = min(NOISE_ORDER, len(values) - 1)
     if order < 1:
         return 0.0, 1
     fast = np.diff(values, order, axis=0)
-    share = math.comb(2 * order, order)
+    gain = math.comb(2 * order, order)
     if not rotation:
-        # In a signal that moves in fewer directions than it has, noise has as few.
+        # Static components have no noise.
         width = max(1, int((np.ptp(values, axis=0) > 0).sum()))
         middle_power = width * (1 - _WILSON / width) ** 3
         power = float(np.median((fast * fast).sum(axis=-1))) / middle_power
-        return power / share, width
-    # Seen from the frame in the middle, noise is about axes alone.
+        return power / gain, width
+    # Relative to the middle frame, noise is a rotation vector.
     middle = values[order // 2 : order // 2 + len(fast)]
     fast = so3.multiply(so3.conjugate(middle), fast)[:, :3]
     along = fast @ np.linalg.eigh(fast.T @ fast)[1]
-    powers = np.median(along * along, axis=0) / MEDIAN_SQUARE / share
+    powers = np.median(along * along, axis=0) / MEDIAN_SQUARE / gain
     width = max(1, int((powers > HINGE * powers.max()).sum()))
     return float(powers.sum()) / width, width
 
@@ -140,11 +140,11 @@ def _noise(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
 def best_cutoff(
     values: FloatArray, rate: float, *, rotation: bool = False
 ) -> float | None:
-    """Return the cut-off that brings a noisy signal nearest to what it was [Hz].
+    """Return the cut-off with the least expected error of a noisy signal [Hz].
 
-    The expected error of each cut-off is what the filter takes away and what it leaves
-    of the noise (C. L. Mallows, Some comments on Cp, 1973); the noise is that of
-    `noise_level`. None is a signal that is best left alone.
+    The expected error of a cut-off is the signal it removes plus the noise it keeps (C.
+    L. Mallows, Some comments on Cp, 1973), with the noise of `noise_level`. None if the
+    signal is best left unfiltered.
 
     Args:
         values: ``(F, K)``.
@@ -155,27 +155,27 @@ def best_cutoff(
     noise = variance * width
     if noise == 0 or len(values) <= NOISE_ORDER:
         return None
-    shares = np.geomspace(MIN_SHARE, MAX_SHARE, TRIED)
+    fractions = np.geomspace(MIN_CUTOFF, MAX_CUTOFF, CUTOFFS)
     waves = np.sin(np.pi * np.arange(len(values)) / (2 * len(values)))
     errors = []
-    for share in shares.tolist():
-        away = values - lowpass(values, share * rate, rate)
-        gains = 1 / (1 + (waves / math.sin(math.pi * share)) ** 4)
+    for fraction in fractions.tolist():
+        away = values - lowpass(values, fraction * rate, rate)
+        gains = 1 / (1 + (waves / math.sin(math.pi * fraction)) ** 4)
         taken = float((away * away).sum()) / len(values)
         errors.append(taken + (2 * float(gains.mean()) - 1) * noise)
     best = int(np.argmin(errors))
-    return float(shares[best] * rate) if errors[best] < WORTH * noise else None
+    return float(fractions[best] * rate) if errors[best] < WORTH * noise else None
 
 
-def put_between(values: FloatArray, times: FloatArray | IntArray) -> FloatArray:
-    """Return values ``(N, C)``, missing ones (NaN) put in between; 0 where all are.
+def fill_gaps(values: FloatArray, times: FloatArray | IntArray) -> FloatArray:
+    """Return values ``(N, C)`` with missing ones (NaN) interpolated; 0 if all are.
 
-    ``times`` ``(N,)`` ascend. Before the first value and after the last these stay.
+    ``times`` ``(N,)`` ascend. The first and last values extend to the ends.
     """
-    made = values.copy()
-    for column in made.T:
+    filled = values.copy()
+    for column in filled.T:
         there = np.isfinite(column)
         if not there.all():
-            found = there.any()
-            column[:] = np.interp(times, times[there], column[there]) if found else 0.0
-    return made
+            known = there.any()
+            column[:] = np.interp(times, times[there], column[there]) if known else 0.0
+    return filled

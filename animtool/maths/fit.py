@@ -1,4 +1,4 @@
-"""Sparse cubic keys through dense samples, within a tolerance at every sample."""
+"""Fits sparse cubic keys to dense samples, within a tolerance at every sample."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from animtool.maths.curves import cubic_curves, evaluate
 
 @dataclass(frozen=True, slots=True)
 class FittedKeys:
-    """K keys that D components share, with cubic segments between them.
+    """K keys shared by D components, with cubic segments between them.
 
     A segment's handles lie at thirds of it in time, so that time is linear in the
     curve's parameter: as a Bézier curve and as a cubic over time it is the same.
@@ -28,12 +28,12 @@ class FittedKeys:
     values: FloatArray  # the samples there ``(K, D)``
     # Handle before each key, as offset in value ``(K, D)``; 0 at the first.
     ins: FloatArray
-    # Handle behind each key, as offset in value ``(K, D)``; 0 at the last.
+    # Handle after each key, as offset in value ``(K, D)``; 0 at the last.
     outs: FloatArray
 
     @property
     def smooth(self) -> BoolArray:
-        """Whether each key has one slope on both sides ``(K,)``; the ends have."""
+        """Mask of keys with equal slopes on both sides ``(K,)``; true at the ends."""
         flags = np.ones(len(self.frames), np.bool_)
         lengths = np.diff(self.frames)[:, None]
         before, behind = self.ins[1:-1] / -lengths[:-1], self.outs[1:-1] / lengths[1:]
@@ -46,7 +46,7 @@ def fit_keys(
     values: ArrayLike,
     tolerance: ArrayLike,
     *,
-    share: ArrayLike | None = None,
+    tolerance_scale: ArrayLike | None = None,
     anchors: ArrayLike = (),
     within: tuple[ArrayLike, ArrayLike] | None = None,
     straight: ArrayLike = (),
@@ -70,7 +70,7 @@ def fit_keys(
         tolerance: Largest error > 0, in the unit of the values: a number, for the
             Euclidean norm over D; or one for each component ``(D,)``, for the norm of
             the errors over their tolerances.
-        share: How much of the tolerance each frame has ``(F,)`` [1], > 0; None is 1.
+        tolerance_scale: Factor of the tolerance at each frame ``(F,)``, > 0; None is 1.
         anchors: Frames inside that are keys in any case, ascending [frame]. The keys
             between two anchors depend on nothing outside, their slopes apart.
         within: Least and largest of each component ``(D,)`` that curves keep to
@@ -81,8 +81,8 @@ def fit_keys(
         One key where all samples are within the tolerance of the first.
 
     Raises:
-        ValueError: A shape does not fit, a value is not finite, a tolerance or share
-            is not above 0, anchors do not ascend, or ``within`` is reversed.
+        ValueError: A shape does not fit, a value is not finite, a tolerance or its
+            scale is not above 0, anchors do not ascend, or ``within`` is reversed.
 
     References:
         C. L. Lawson, Contributions to the theory of linear least maximum
@@ -103,8 +103,12 @@ def fit_keys(
             f"not {limits.shape}"
         )
     frames = len(samples)
-    shares = np.ones(frames) if share is None else as_floats(share, (frames,), "share")
-    for name, array in (("tolerance", limits), ("share", shares)):
+    scales = (
+        np.ones(frames)
+        if tolerance_scale is None
+        else as_floats(tolerance_scale, (frames,), "tolerance_scale")
+    )
+    for name, array in (("tolerance", limits), ("tolerance_scale", scales)):
         if not ((array > 0) & np.isfinite(array)).all():
             raise ValueError(f"{name} must be above 0 and finite")
     if not np.isfinite(samples).all():
@@ -117,7 +121,7 @@ def fit_keys(
     )
     at, ins, outs = _kernels.fit_cubics(
         samples / limits,
-        shares,
+        scales,
         np.ascontiguousarray(anchors, np.int64),
         low,
         high,
@@ -129,7 +133,7 @@ def fit_keys(
 def evaluate_keys(keys: FittedKeys, frames: ArrayLike) -> FloatArray:
     """Return the values ``(F, D)`` of fitted keys at frames ``(F,)``.
 
-    Before the first key and behind the last, their values hold.
+    Before the first key and after the last, their values are held.
 
     >>> keys = fit_keys([[0.0], [1.0], [4.0], [9.0]], 0.01)
     >>> evaluate_keys(keys, [1.5]).round(9).tolist()

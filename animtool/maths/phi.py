@@ -1,4 +1,4 @@
-"""Functions φ of matrices, by which linear equations are solved exactly over a step.
+"""Matrix functions φ, for the exact solution of linear equations over a step.
 
 References:
     M. Hochbruck, A. Ostermann, "Exponential integrators", Acta Numerica 2010, eq. 2.10:
@@ -16,12 +16,12 @@ from animtool.core.array_types import FloatArray
 
 # Matrices are halved until their norm is below this; then the series needs few terms.
 _NORM = 0.5
-# Terms of the series for matrices up to a norm: what is left out is below rounding.
+# Terms of the series for matrices up to a norm: the remainder is below rounding.
 _TERMS = ((0.02, 7), (0.15, 10), (_NORM, 14))
 
 
 def phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return φ1 and φ2 of matrices ``(M, n, n)``; of those that are equal, one is made.
+    """Return φ1 and φ2 of matrices ``(M, n, n)``, computed once for equal ones.
 
     >>> phi_functions(np.array([[[0.0]], [[-1e3]]]))[0][:, 0, 0].tolist()
     [1.0, 0.001]
@@ -42,9 +42,9 @@ def _phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     for k in range(terms - 1, -1, -1):
         two = scaled @ two + unit / math.factorial(k + 2)
     one = unit + scaled @ two
-    whole = unit + scaled @ one
+    exponential = unit + scaled @ one
     for _ in range(halvings):
-        two = (whole @ two + one + two) / 4
-        one = (whole @ one + one) / 2
-        whole = whole @ whole
+        two = (exponential @ two + one + two) / 4
+        one = (exponential @ one + one) / 2
+        exponential = exponential @ exponential
     return one, two

@@ -1,4 +1,4 @@
-"""Steps from one frame to the next that the motion around them does not predict."""
+"""Detects pops: steps between frames that the motion around does not predict."""
 
 from __future__ import annotations
 
@@ -8,63 +8,63 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 
-# A smaller difference to the motion around is seen as a part of it [rad].
-MIN_TURN = math.radians(17.0)
-# No motion at the rates in use turns a joint so far in one frame [rad].
+# Smaller deviations from the motion around are not pops [rad].
+MIN_ROTATION = math.radians(17.0)
+# No real motion rotates a joint this far in one frame [rad].
 FLIP = math.radians(120.0)
-# A pop is as many times rougher than the motion around: kicks, claps and landings at
-# 24 to 120 fps come to 6, and 20 degrees in a smooth walk to 9 and more [1]. Motion is
-# never taken for smoother than this, which is the noise of captures [rad].
+# Roughness of a pop relative to the motion around: kicks, claps and landings at 24 to
+# 120 fps reach 6, and 20 degrees in a smooth walk 9 and more [1]. The roughness of the
+# motion is at least the noise of captures [rad].
 STANDS_OUT = 8.0
-TURN_NOISE = math.radians(1.0)
-# Of the steps beside it [1]; fast motion begins and ends over several frames.
+ROTATION_NOISE = math.radians(1.0)
+# Roughness of a pop relative to adjacent steps [1]; fast motion starts and stops over
+# several frames.
 ABOVE_NEIGHBOURS = 5.5
-# A move is as many times what the speed changes by: a ball that bounces turns its speed
-# round in one step, and that is the jump [1].
+# Deviation of a translation pop relative to the change of speed: a bouncing ball
+# reverses its speed in one step, which is no pop [1].
 ABOVE_CHANGE = 2.5
-# Smooth motion explains some of a surprise that is a pop, but leaves this part of the
-# least one [1].
+# Part of the smallest pop that a smooth interpolation must leave unexplained [1].
 LEFT = 0.6
-# A step is a part of fast motion where the next one is this part of it [1].
+# A step belongs to fast motion if the adjacent one has this fraction of its length [1].
 ALONG = 0.4
-# Motion around: this long before and after, but some steps at least [s], [1].
+# Window of the motion around: seconds before and after, and least number of steps.
 REACH_SECONDS, MIN_STEPS = 0.12, 12
-# Steps beside a pop that it disturbs itself [1].
+# Steps next to a pop that are excluded from the motion around.
 GAP = 2
-# Fewer frames do not show what is usual in them.
+# Fewer frames do not show what is typical.
 MIN_FRAMES = 8
 
 
-def turn_pops(
-    turns: FloatArray, interval: float, cuts: BoolArray
+def rotation_pops(
+    rotations: FloatArray, interval: float, cuts: BoolArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Return the steps at which joints pop ``(S, N)``, and their surprise [rad].
+    """Return a mask of rotation pops ``(S, N)``, and the deviations [rad].
 
     Args:
-        turns: Rotation vectors from each frame to the next ``(S, N, 3)`` [rad].
+        rotations: Rotation vectors from each frame to the next ``(S, N, 3)`` [rad].
         interval: Time of a step [s].
-        cuts: Steps that are no motion ``(S,)``.
+        cuts: Mask of cuts, which are ignored ``(S,)``.
 
     Fewer than 8 frames have no pops.
     """
-    if len(turns) + 1 < MIN_FRAMES or not turns.shape[1]:
-        empty = np.zeros(turns.shape[:2])
+    if len(rotations) + 1 < MIN_FRAMES or not rotations.shape[1]:
+        empty = np.zeros(rotations.shape[:2])
         return empty.astype(bool), empty
-    amounts = surprises(turns, cuts)
-    flags = stands_out(turns, amounts, cuts, MIN_TURN, TURN_NOISE, interval)
-    # Where every other step is one, none is above what is around it.
-    flips = np.linalg.norm(turns, axis=2) > FLIP
-    flags |= flips & (amounts > MIN_TURN + 2.0 * np.median(amounts, axis=0))
+    amounts = surprises(rotations, cuts)
+    flags = stands_out(rotations, amounts, cuts, MIN_ROTATION, ROTATION_NOISE, interval)
+    # If every other step is a flip, none exceeds the motion around it.
+    flips = np.linalg.norm(rotations, axis=2) > FLIP
+    flags |= flips & (amounts > MIN_ROTATION + 2.0 * np.median(amounts, axis=0))
     return flags, amounts
 
 
-def shift_pops(
+def translation_pops(
     shifts: FloatArray, interval: float, cuts: BoolArray, least: float, noise: float
 ) -> tuple[BoolArray, FloatArray]:
-    """Return the steps at which joints pop ``(S, N)``, and their surprise [m].
+    """Return a mask of translation pops ``(S, N)``, and the deviations [m].
 
-    As `turn_pops`, of moves ``(S, N, 3)`` [m] against the parent. ``least`` is the
-    smallest surprise that counts and ``noise`` what is no motion [m].
+    As `rotation_pops`, for steps ``(S, N, 3)`` [m] in the parent's frame. ``least`` is
+    the smallest pop and ``noise`` the noise of the motion [m].
     """
     if len(shifts) + 1 < MIN_FRAMES or not shifts.shape[1]:
         empty = np.zeros(shifts.shape[:2])
@@ -82,9 +82,9 @@ def stands_out(
     noise: float,
     interval: float,
 ) -> BoolArray:
-    """Return where surprises are far above those around ``(S, N)``.
+    """Return a mask of deviations far above those around ``(S, N)``.
 
-    ``steps`` ``(S, N, 3)`` and their surprises, ``amounts`` ``(S, N)``.
+    ``steps`` ``(S, N, 3)`` and their deviations, ``amounts`` ``(S, N)``.
     """
     candidates = (amounts > least).any(axis=0)
     flags = np.zeros(amounts.shape, bool)
@@ -92,25 +92,25 @@ def stands_out(
         return flags
     amounts = amounts[:, candidates]
     steps = _without(steps[:, candidates], cuts)
-    # Of steps beyond numbers nothing is explained.
+    # Overflowing steps stay unexplained.
     with np.errstate(over="ignore", invalid="ignore"):
-        left, apart = _unexplained(steps, amounts)
+        left, near_pops = _unexplained(steps, amounts)
         reach = max(MIN_STEPS, round(REACH_SECONDS / interval))
-        usual = noise + mean_around(left, reach, GAP)
+        typical = noise + mean_around(left, reach, GAP)
     flags[:, candidates] = (
         (amounts > least)
         & (left > LEFT * least)
-        & (left > STANDS_OUT * usual)
-        & (left > ABOVE_NEIGHBOURS * around(apart))
+        & (left > STANDS_OUT * typical)
+        & (left > ABOVE_NEIGHBOURS * around(near_pops))
     )
     return flags
 
 
 def surprises(steps: FloatArray, cuts: BoolArray) -> FloatArray:
-    """Return how far each step is from those around it ``(S, N)``.
+    """Return the deviation of each step from the steps around it ``(S, N)``.
 
     The prediction is the mean of the middle two of the two steps before and the two
-    after, by component, so that one bad step does not spoil that of its neighbours.
+    after, by component, so that one bad step does not spoil its neighbours.
 
     ``steps`` ``(S, N, 3)``, ``cuts`` ``(S,)``.
     """
@@ -126,13 +126,13 @@ def surprises(steps: FloatArray, cuts: BoolArray) -> FloatArray:
 def _unexplained(
     steps: FloatArray, amounts: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what fast motion that is smooth leaves of surprises ``(S, N)``, twice.
+    """Return deviations that smooth fast motion does not explain ``(S, N)``, twice.
 
-    Cubics go through four steps about each: those next to it, or without the one before
-    or after, which a frame that is off disturbs as well; and straight lines through the
-    two steps before or after, where the nearer one is as fast, as a strike that ends
-    gets faster until then. What these lines leave of all steps is the second one: it is
-    of the steps beside a pop, which the lines on their other sides do not know of.
+    Each step is predicted by cubics through four steps around it: the nearest ones, or
+    without the one before or after, which a bad frame also disturbs; and by lines
+    through the two steps before or after, if the nearer one is as fast, as a strike
+    accelerates until it ends. The second array applies the lines to all steps: it is
+    for steps next to a pop, which lines on their far sides do not contain.
     """
     a, b, c, d, e, f = (_shifted(steps, offset) for offset in (-3, -2, -1, 1, 2, 3))
     left = amounts
@@ -142,18 +142,18 @@ def _unexplained(
         d - 0.3 * e + 0.5 * b - 0.2 * a,
     ):
         left = np.fmin(left, _lengths(steps - cubic))
-    apart = left
-    own = np.einsum("snc,snc->sn", steps, steps)
+    by_lines = left
+    squares = np.einsum("snc,snc->sn", steps, steps)
     for nearer, farther in ((c, b), (d, e)):
         off = _lengths(steps - (2.0 * nearer - farther))
-        along = np.einsum("snc,snc->sn", nearer, nearer) > ALONG**2 * own
+        along = np.einsum("snc,snc->sn", nearer, nearer) > ALONG**2 * squares
         left = np.where(along, np.fmin(left, off), left)
-        apart = np.fmin(apart, off)
-    return left, apart
+        by_lines = np.fmin(by_lines, off)
+    return left, by_lines
 
 
 def _shifted(steps: FloatArray, offset: int) -> FloatArray:
-    """Return the step that is so many after each, held at the ends ``(S, N, 3)``."""
+    """Return the steps shifted by an offset, held at the ends ``(S, N, 3)``."""
     rows = np.arange(len(steps)) + offset
     return np.asarray(steps[rows.clip(0, len(steps) - 1)])
 
@@ -163,16 +163,16 @@ def _lengths(vectors: FloatArray) -> FloatArray:
 
 
 def _without(steps: FloatArray, cuts: BoolArray) -> FloatArray:
-    """Return steps in which cuts do what the nearest other step does."""
+    """Return steps with cuts replaced by the nearest other step."""
     if not cuts.any() or cuts.all():
         return steps
     kept = np.flatnonzero(~cuts)
-    place = np.searchsorted(kept, np.arange(len(steps))).clip(0, len(kept) - 1)
-    return np.asarray(steps[kept[place]])
+    nearest = np.searchsorted(kept, np.arange(len(steps))).clip(0, len(kept) - 1)
+    return np.asarray(steps[kept[nearest]])
 
 
 def mean_around(values: FloatArray, reach: int, gap: int) -> FloatArray:
-    """Return the mean of the rows within reach, the nearest left out ``(S, N)``.
+    """Return the mean of the rows within reach, without the nearest ``(S, N)``.
 
     ``values`` ``(S, N)``.
     """
@@ -186,11 +186,10 @@ def mean_around(values: FloatArray, reach: int, gap: int) -> FloatArray:
 
 
 def around(values: FloatArray) -> FloatArray:
-    """Return the larger of the values beside a step that may stay or come back.
+    """Return the larger of the values adjacent to a step that may stay or return.
 
-    A joint that jumps and stays makes one bad step, one that is back in the next
-    frame makes two: of the ways to leave such a neighbour out, the one that leaves
-    the least counts.
+    A joint that jumps and stays makes one bad step, one that returns in the next frame
+    makes two: of the choices to skip such a neighbour, the smallest result counts.
 
     ``values`` ``(S, N)``.
     """
@@ -203,10 +202,10 @@ def around(values: FloatArray) -> FloatArray:
 
 
 def changes(steps: FloatArray) -> FloatArray:
-    """Return how far the steps after each differ from those before ``(S, N)``.
+    """Return the change from the steps before to the steps after each ``(S, N)``.
 
-    A ball that bounces goes on another way, and a root that jumps goes on as before.
-    As in `around`, of the ways to leave out a neighbour the best one counts.
+    A bouncing ball continues in another direction, and a root that jumps continues as
+    before. As in `around`, the best choice of skipped neighbours counts.
 
     ``steps`` ``(S, N, 3)``.
     """

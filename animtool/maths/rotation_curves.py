@@ -1,10 +1,10 @@
-"""Rotations keyed over time: stepped, slerped, squad or a C1 spline between keys.
+"""Rotation key curves: step, slerp, squad or a C1 spline between keys.
 
 Quaternions are unit ``(x, y, z, w)``; angular velocities are in the body frame,
 q' = q·ω/2. The formulas work on the double cover of the rotations, where q and -q
-differ: an arc runs from a sign to a sign, and so through at most a whole turn.
-Sign-aligned keys make it the short way. Every segment turns with its keys, whether
-the rotation that turns them is multiplied from the left or from the right.
+differ: an arc connects signed quaternions, over at most 360 degrees. Sign-aligned keys
+give the short arc. Segments are equivariant: multiplying all keys by a rotation from
+the left or the right multiplies the curve.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from animtool.maths.curves import Extrapolation, fold
 
 
 def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
-    """Return keys at unit length, signs such that arcs go the short way.
+    """Return normalised keys with signs that give the short arcs.
 
-    The first keeps its sign. Neighbours exactly half a turn apart keep their signs
-    relative to each other.
+    The first keeps its sign. Neighbours exactly 180 degrees apart keep their relative
+    signs.
 
     ``keys``: quaternions of any length but zero ``(K, 4)``, or ``(K, C, 4)`` of C
     curves.
@@ -44,7 +44,7 @@ def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
 
 
 def log_of_cover(q: ArrayLike) -> FloatArray:
-    """Return the rotation vector ``(..., 3)`` [rad] whose `so3.exp` is q, sign and all.
+    """Return the rotation vector ``(..., 3)`` [rad] whose `so3.exp` is q with its sign.
 
     Its length is at most 2π; q = (0, 0, 0, -1), where no axis is given, returns 0.
 
@@ -97,12 +97,12 @@ def squad(q: ArrayLike, u: ArrayLike) -> FloatArray:
 def squad_by_velocities(
     ends: ArrayLike, velocities: ArrayLike, u: ArrayLike
 ) -> FloatArray:
-    """Return squad segments whose inner points follow from the velocities at the ends.
+    """Return squad segments with given angular velocities at the ends.
 
-    Its derivative is that of the arc between the ends and twice the rotation towards
-    the inner point; each inner point is put where that gives the velocity asked for.
-    Neighbours of other lengths then join with one velocity. At even times and with
-    central differences these are Shoemake's points.
+    The derivative at an end is that of the arc between the ends plus twice the rotation
+    towards the inner point; each inner point is placed to give the required velocity.
+    Segments of different lengths then join smoothly. At even times and with central
+    differences these are Shoemake's points.
 
     ``ends`` ``(2, ..., 4)``, ``velocities`` ``(2, ..., 3)`` [rad], ``u`` ``(...)`` [1].
 
@@ -124,9 +124,9 @@ def squad_by_velocities(
 def hermite(ends: ArrayLike, velocities: ArrayLike, u: ArrayLike) -> FloatArray:
     """Return cubic segments by the rotations and angular velocities at their ends.
 
-    The cumulative cubic Bézier form: q₀·exp(β₁ω₁)·exp(β₂ω₂)·exp(β₃ω₃). The three are
-    applied in this order, so that the curve of the ends swapped is not quite this one
-    run backwards, unless all turn about one axis.
+    The cumulative cubic Bézier form: q₀·exp(β₁ω₁)·exp(β₂ω₂)·exp(β₃ω₃). The order of the
+    factors matters: swapping the ends does not quite reverse the curve, unless all
+    rotations share an axis.
 
     Args:
         ends: Unit quaternions at u = 0 and 1 ``(2, ..., 4)``.
@@ -202,10 +202,10 @@ def _cumulate(
 
 
 class RotationKind(IntEnum):
-    """How rotations run from a key to the next.
+    """Interpolation of rotations from a key to the next.
 
-    STEP holds the key, SLERP turns evenly along the shortest arc. SQUAD and SPLINE
-    are C1 where they meet each other or a SLERP.
+    STEP holds the key, SLERP rotates at constant speed along the shortest arc. SQUAD
+    and SPLINE are C1 at keys shared with each other or a SLERP.
     """
 
     STEP = 0
@@ -234,43 +234,44 @@ def evaluate_rotations(
     pre: Extrapolation = Extrapolation.HOLD,
     post: Extrapolation = Extrapolation.HOLD,
 ) -> FloatArray:
-    """Return rotations at times, from rotation keys.
+    """Return rotations at times, interpolated from rotation keys.
 
     SQUAD and SPLINE segments have one angular velocity at each key: that of the
-    quadratic through the key and its neighbours, which any spacing of the times
-    keeps. Next to a SLERP it is the slerp's; at an end, or next to a STEP, that of
-    the slerp on the other side. It is limited to a whole turn over the longer of the
-    key's segments: only where a short, fast one meets a long one.
-    A key therefore changes no more than the two segments before and the two behind
-    it, where a C2 interpolant would pass every change on to all of them.
+    quadratic through the key and its neighbours, for any spacing of times. Next to a
+    SLERP it is the slerp's; at an end, or next to a STEP, that of the slerp on the
+    other side. It is limited to a full revolution over the longer of the key's
+    segments, which only matters where a short, fast segment joins a long one. A key
+    therefore affects only the two segments before and after it, while a C2 interpolant
+    would propagate every change to all segments.
 
-    LINEAR goes on with the velocity that the curve has at its end, which is constant
-    in the body frame and in the world frame alike; a STEP there holds.
-    CYCLE_OFFSET multiplies each cycle from the left by the shortest rotation from
-    the first key to the last: q(t + T) = last·first⁻¹·q(t).
+    LINEAR extrapolation continues with the curve's velocity at its end, constant in
+    body and world frame; after a STEP it holds. CYCLE_OFFSET multiplies each cycle from
+    the left by the shortest rotation from the first key to the last: q(t + T) =
+    last·first⁻¹·q(t).
 
-    Limits: between neighbours more than half a turn apart the curve goes the short
-    way; exactly half a turn apart, the way of the given signs. Angular acceleration
-    jumps at keys; so does velocity between SLERP segments, at a STEP, and where the
-    limit above cuts what a SLERP arrives with.
+    Limits: between neighbours more than 180 degrees apart the curve takes the short
+        arc;
+    at exactly 180 degrees, the arc of the given signs. Angular acceleration jumps at
+    keys; so does velocity between SLERP segments, at a STEP, and where the limit above
+    clips the velocity of a SLERP.
 
     Args:
         times: Of the keys, strictly ascending ``(K,)``, K ≥ 1.
         keys: Quaternions of any length but zero ``(K, 4)``, or ``(K, C, 4)`` for C
             curves with keys at the same times.
         kinds: `RotationKind` of the segment after each key ``(K,)``, or one for all;
-            that of the last key says nothing.
-        at: Where to evaluate, in any order ``(F,)``.
-        pre: How the curve goes on before its first key.
-        post: How it goes on behind its last.
+            ignored for the last key.
+        at: Times to evaluate, in any order ``(F,)``.
+        pre: Extrapolation before the first key.
+        post: Extrapolation after the last key.
 
     Returns:
         Unit quaternions ``(F, 4)`` or ``(F, C, 4)``, of continuous sign in the order
-        of ``at``. At its own time a key is returned as it is, normalized.
+        of ``at``. At its time a key is returned exactly, normalised.
 
     Raises:
         ValueError: A shape does not fit, times do not ascend, a number is not finite,
-            a key is zero, or a kind is none.
+            a key is zero, or a kind is unknown.
 
     References:
         M.-J. Kim, M.-S. Kim, S. Y. Shin, A general construction scheme for unit
@@ -297,7 +298,7 @@ def evaluate_rotations(
         raise ValueError(f"kinds must be of {[int(kind) for kind in RotationKind]}")
     at = _finite(at, ("F",), "at")
     folded = fold(at, times[0], times[-1], pre, post)
-    found = _kernels.evaluate_rotations(
+    rotations = _kernels.evaluate_rotations(
         times,
         rows if several else rows[:, None],
         np.broadcast_to(kinds, times.shape).astype(np.int64),
@@ -305,7 +306,7 @@ def evaluate_rotations(
         folded.beyond,
         folded.cycles,
     )
-    return found if several else found[:, 0]
+    return rotations if several else rotations[:, 0]
 
 
 def _finite(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Dataclasses of arrays that have a row for each of what they describe."""
+"""Base class of records of arrays with equal numbers of rows."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from animtool.core.array_types import BoolArray, IntArray
 
 
 class Rows:
-    """Base of dataclasses whose fields all are such arrays."""
+    """Base of dataclasses whose fields are arrays with a row for each element."""
 
     __slots__ = ()
 
     def select(self, rows: IntArray | BoolArray) -> Self:
-        """Return some of them, by number in an order, or by a mask ``(N,)``."""
-        own: Any = self
-        return type(self)(*(getattr(own, each.name)[rows] for each in fields(own)))
+        """Return some rows, by indices or by a mask ``(N,)``."""
+        record: Any = self
+        return type(self)(
+            *(getattr(record, each.name)[rows] for each in fields(record))
+        )
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """Return those of many, one after the other: at least one."""
+        """Return the concatenated rows of at least one record."""
         kind: Any = cls
         columns = ([getattr(one, f.name) for one in parts] for f in fields(kind))
         return cls(*map(np.concatenate, columns))

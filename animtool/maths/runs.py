@@ -1,4 +1,4 @@
-"""Runs: where a mask holds without a break."""
+"""Runs of true values in masks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from animtool.core.array_types import BoolArray
 
 
 def runs(mask: BoolArray) -> list[tuple[int, int]]:
-    """Return the runs of a mask ``(F,)``: first indices, and those behind the last.
+    """Return the runs of a mask ``(F,)`` as half-open spans of indices.
 
     >>> runs(np.array([True, False, True, True]))
     [(0, 1), (2, 4)]
@@ -19,14 +19,14 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
-def joined(found: Iterable[tuple[int, int]], gap: int) -> list[tuple[int, int]]:
-    """Return runs in their order, those less than a gap apart as one.
+def joined(spans: Iterable[tuple[int, int]], gap: int) -> list[tuple[int, int]]:
+    """Return sorted runs, with those separated by less than a gap merged.
 
     >>> joined([(0, 1), (2, 4), (9, 10)], 3)
     [(0, 4), (9, 10)]
     """
     wide: list[tuple[int, int]] = []
-    for first, end in found:
+    for first, end in spans:
         if wide and first - wide[-1][1] < gap:
             wide[-1] = (wide[-1][0], end)
         else:

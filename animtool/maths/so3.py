@@ -17,7 +17,7 @@ IDENTITY.setflags(write=False)
 SMALL_ANGLE = 1e-5
 
 
-# Unit vectors whose product is nearer to -1 than this are opposite.
+# Unit vectors whose dot product is within this of -1 are opposite.
 OPPOSITE = 1e-12
 
 
@@ -31,7 +31,7 @@ def multiply(a: ArrayLike, b: ArrayLike) -> FloatArray:
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     ax, ay, az, aw = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
     bx, by, bz, bw = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
-    # Beside what is computed, stacking would take as long again.
+    # Stacking the components would take as long again.
     x = aw * bx + ax * bw + ay * bz - az * by
     product = np.empty((*x.shape, 4))
     product[..., 0] = x
@@ -57,7 +57,7 @@ def normalize(q: ArrayLike) -> FloatArray:
     [0.0, 0.0, 0.0, 1.0]
     """
     q = np.asarray(q, np.float64)
-    # Scaled first, so that neither tiny nor huge values leave the float range.
+    # Scaled first, so that tiny and huge values neither underflow nor overflow.
     scale = np.abs(q).max(axis=-1, keepdims=True)
     scaled = q / np.where(scale > 0, scale, 1.0)
     length = np.linalg.norm(scaled, axis=-1, keepdims=True)
@@ -65,7 +65,7 @@ def normalize(q: ArrayLike) -> FloatArray:
 
 
 def rotate(q: ArrayLike, v: ArrayLike) -> FloatArray:
-    """Return vectors ``(..., 3)`` turned by unit quaternions ``(..., 4)``.
+    """Return vectors ``(..., 3)`` rotated by unit quaternions ``(..., 4)``.
 
     >>> np.allclose(rotate(from_axis_angle([0, 0, 1], np.pi / 2), [1, 0, 0]), [0, 1, 0])
     True
@@ -77,7 +77,7 @@ def rotate(q: ArrayLike, v: ArrayLike) -> FloatArray:
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return cross products ``(..., 3)``; `numpy.cross` takes longer to begin."""
+    """Return cross products ``(..., 3)``, with less overhead than `numpy.cross`."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     x = ay * bz - az * by
@@ -105,16 +105,16 @@ def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> FloatArray:
 
 
 def between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the shortest turn of a unit vector ``(3,)`` to another; half a turn back.
+    """Return the shortest rotation from a unit vector ``(3,)`` to another.
 
     >>> between(np.array([1.0, 0, 0]), np.array([-1.0, 0, 0])).tolist()
     [0.0, 1.0, 0.0, 0.0]
     """
-    share = 1.0 + float(a @ b)
-    if share < OPPOSITE:
+    scalar = 1.0 + float(a @ b)
+    if scalar < OPPOSITE:
         side = np.eye(3)[int(np.argmin(np.abs(a)))]
         return normalize(np.append(side - (side @ a) * a, 0.0))
-    return normalize(np.append(cross(a, b), share))
+    return normalize(np.append(cross(a, b), scalar))
 
 
 def exp(vector: ArrayLike) -> FloatArray:
@@ -156,15 +156,15 @@ def log(q: ArrayLike) -> FloatArray:
 def steps(q: FloatArray) -> FloatArray:
     """Return the shortest rotation vectors ``(F - 1, A, 3)`` [rad] from frame to frame.
 
-    They are about the body's own axes: ``q[f + 1]`` is ``q[f]`` times their rotation.
+    They are about the body's axes: ``q[f + 1]`` is ``q[f]`` times their rotation.
 
-    >>> turns = from_axis_angle([0, 0, 1], [[0.0], [0.5], [0.25]])
-    >>> steps(turns)[:, 0, 2].round(12).tolist()
+    >>> rotations = from_axis_angle([0, 0, 1], [[0.0], [0.5], [0.25]])
+    >>> steps(rotations)[:, 0, 2].round(12).tolist()
     [0.5, -0.25]
     """
     from animtool import _kernels
 
-    return _kernels.turn_steps(np.ascontiguousarray(q))
+    return _kernels.rotation_steps(np.ascontiguousarray(q))
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
@@ -177,17 +177,17 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     0.0
     """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    apart = np.linalg.norm(a - b, axis=-1)
+    distance = np.linalg.norm(a - b, axis=-1)
     opposed = np.linalg.norm(a + b, axis=-1)
-    low, high = np.minimum(apart, opposed), np.maximum(apart, opposed)
+    low, high = np.minimum(distance, opposed), np.maximum(distance, opposed)
     return np.asarray(4.0 * np.arctan2(low, high))
 
 
 def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
     """Return the shortest-arc interpolation of unit quaternions at t ``(...)`` [1].
 
-    At antipodal rotations (half a turn apart) the arc is not unique; the one
-    through the given signs is taken.
+    At rotations 180 degrees apart the arc is not unique; the one through the given
+    signs is taken.
 
     References:
         K. Shoemake, Animating rotation with quaternion curves, 1985.
@@ -196,7 +196,7 @@ def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
     >>> np.allclose(half, [0, 0, 0.5**0.5, 0.5**0.5])
     True
     """
-    # Rigs are also read by what needs no kernels.
+    # Imported here, as reading rigs needs no kernels.
     from animtool import _kernels
 
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
@@ -206,10 +206,10 @@ def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
         np.ascontiguousarray(q if q.size == 4 else np.broadcast_to(q, (*shape, 4)))
         for q in (a, b)
     )
-    found = _kernels.slerp(
+    rotations = _kernels.slerp(
         starts.reshape(-1, 4), ends.reshape(-1, 4), np.broadcast_to(t, shape).ravel()
     )
-    return found.reshape(*shape, 4)
+    return rotations.reshape(*shape, 4)
 
 
 def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:

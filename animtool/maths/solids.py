@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 
-# Points ``(N, 3)``, corners of each face ``(M,)``, and them face by face.
+# Points ``(N, 3)``, corner counts of faces ``(M,)``, and corner indices face by face.
 Solid: TypeAlias = tuple[FloatArray, IntArray, IntArray]
 
 SIDES, RINGS = 24, 12
@@ -35,7 +35,7 @@ def box(size: float) -> Solid:
 
 
 def turned(profile: FloatArray) -> Solid:
-    """Return what a profile of radius and height ``(P, 2)`` is, turned about z.
+    """Return the surface of revolution about z of radii and heights ``(P, 2)``.
 
     >>> len(turned(np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0]]))[0])
     72
@@ -61,7 +61,7 @@ def sphere(radius: float) -> Solid:
 
 
 def capsule(radius: float, height: float) -> Solid:
-    """Return a capsule; height: of its straight part."""
+    """Return a capsule; ``height`` is that of its straight part."""
     angles = np.linspace(-math.pi / 2, math.pi / 2, RINGS + 1)
     z = radius * np.sin(angles)
     z += np.where(angles > 1e-9, height / 2, -height / 2)
@@ -69,7 +69,7 @@ def capsule(radius: float, height: float) -> Solid:
 
 
 def cylinder(radius: float, height: float, top: float | None = None) -> Solid:
-    """Return a cylinder with its ends; top: another radius there, 0 of a cone."""
+    """Return a closed cylinder; ``top``: radius of its top, 0 for a cone."""
     end = radius if top is None else top
     half = height / 2
     return turned(np.array([[0.0, -half], [radius, -half], [end, half], [0.0, half]]))

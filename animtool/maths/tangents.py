@@ -1,8 +1,8 @@
-"""Slopes of curves at their keys, and controls of paths through points.
+"""Slopes of curves at their keys, and Bézier handles of paths through points.
 
 Functions of keys take times ``(K,)``, ascending, and values ``(K, D)``; they return
-slopes [value/time] of that shape. With two or more keys the first and the last take
-the straight slope of their one segment, if nothing else is said; one key is flat.
+slopes [value/time] of that shape. With two or more keys the first and the last take the
+secant slope of their segment unless stated otherwise; a single key is flat.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from animtool.core.array_types import ArrayLike, FloatArray, as_floats
 
 
 class Tangent(StrEnum):
-    """How steep a curve is at a key: given, or by a rule."""
+    """Tangent of a curve at a key: explicit, or by a rule."""
 
     FREE = "free"
     FLAT = "flat"
@@ -27,7 +27,7 @@ class Tangent(StrEnum):
 
 
 class Parametrization(StrEnum):
-    """How Catmull-Rom spaces its knots."""
+    """Knot spacing of Catmull-Rom splines."""
 
     UNIFORM = "uniform"
     CENTRIPETAL = "centripetal"
@@ -35,7 +35,7 @@ class Parametrization(StrEnum):
 
 
 def secant(times: ArrayLike, values: ArrayLike) -> FloatArray:
-    """Return the slope ``(K, D)`` from the key before to the key behind.
+    """Return the slope ``(K, D)`` from the key before to the key after.
 
     >>> secant([0, 1, 4], [[0], [1], [2]])[1].tolist()
     [0.5]
@@ -46,7 +46,7 @@ def secant(times: ArrayLike, values: ArrayLike) -> FloatArray:
 
 
 def nonuniform(times: ArrayLike, values: ArrayLike) -> FloatArray:
-    """Return the slope ``(K, D)`` of the parabola through each key and both beside it.
+    """Return the slope ``(K, D)`` of the parabola through each key and its neighbours.
 
     >>> nonuniform([0, 1, 4], [[0], [1], [16]])[1].tolist()
     [2.0]
@@ -63,16 +63,16 @@ def tcb(
     parameters: ArrayLike,
     rule: Literal["nonuniform", "kb84"] = "nonuniform",
 ) -> tuple[FloatArray, FloatArray]:
-    """Return slopes before and behind each key, each ``(K, D)``.
+    """Return slopes before and after each key, each ``(K, D)``.
 
     With tension, continuity and bias all 0, "nonuniform" gives `nonuniform`. "kb84"
-    is the paper's own, with its correction for keys unevenly spaced.
+    is the paper's rule, with its correction for uneven keys.
 
     Args:
         times: ``(K,)``.
         values: ``(K, D)``.
         parameters: Tension, continuity, bias of each key ``(K, 3)`` [1].
-        rule: How uneven spacing is weighed.
+        rule: Treatment of uneven spacing.
 
     References:
         D. Kochanek and R. Bartels, Interpolating splines with local tension,
@@ -86,7 +86,7 @@ def tcb(
     settings = as_floats(parameters, (len(values), 3), "parameters")[1:-1]
     tension, continuity, bias = settings.T[:, :, None]
     a, b = spans[:-1], spans[1:]
-    # What each secant slope is multiplied by; its key difference is a or b times it.
+    # Factor of each secant slope; its key difference is a or b times the slope.
     before, behind = (b, a) if rule == "nonuniform" else (a, b)
     sides = []
     for c in (-continuity, continuity):
@@ -97,12 +97,11 @@ def tcb(
 
 
 def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
-    """Return slopes ``(K, D)`` with which a cubic curve never overshoots.
+    """Return slopes ``(K, D)`` of a cubic curve that never overshoots.
 
-    Between two keys it stays between their values, and it is flat at a key that is
-    higher or lower than both beside it. Elsewhere the slope is `nonuniform`'s, cut
-    to three times the smaller of the straight slopes on both sides; the ends take
-    the one-sided parabola, cut alike.
+    Between two keys it stays between their values, and it is flat at local extrema.
+    Elsewhere the slope is `nonuniform`'s, limited to three times the smaller secant
+    slope of both sides; the ends take the one-sided parabola, limited likewise.
 
     References:
         F. N. Fritsch and R. E. Carlson, Monotone piecewise cubic interpolation,
@@ -149,7 +148,7 @@ def catmull_rom_spatial(points: ArrayLike, alpha: float, u: ArrayLike) -> FloatA
     outs, ins = _controls(points, alpha)
     start, end = points[1], points[2]
     w = 1.0 - u
-    # Counted from the nearer point, so that both ends are met exactly.
+    # Computed from the nearer point, so that both ends are exact.
     early = start + u * u * (3 * w + u) * (end - start)
     late = end + w * w * (3 * u + w) * (start - end)
     handles = 3 * u * w * (w * outs[0] + u * ins[0])
@@ -159,11 +158,11 @@ def catmull_rom_spatial(points: ArrayLike, alpha: float, u: ArrayLike) -> FloatA
 def catmull_rom_controls(
     points: ArrayLike, alpha: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the Bézier handles before and behind each point, each ``(K, D)``.
+    """Return the Bézier handles before and after each point, each ``(K, D)``.
 
-    A segment with these as control offsets runs along `catmull_rom_spatial`, evenly
-    in its knots. Before the first point and behind the last, the path is mirrored in
-    that point. A point that coincides with the next has no handles between them.
+    A segment with these as control offsets equals `catmull_rom_spatial`, uniform in its
+    knots. The path is mirrored at the first and the last point. Coinciding points have
+    no handles between them.
 
     ``points`` ``(K, D)``.
 
@@ -177,7 +176,7 @@ def catmull_rom_controls(
     first, last = 2 * points[:1] - points[1:2], 2 * points[-1:] - points[-2:-1]
     path = np.concatenate([first, points, last])
     behind, before = _controls(path, alpha)
-    # The ends' other sides have no segment; straight on, they change nothing.
+    # The outer handles of the ends have no segment and no effect.
     return (
         np.concatenate([-behind[:1], before]),
         np.concatenate([behind, -before[-1:]]),
@@ -185,7 +184,7 @@ def catmull_rom_controls(
 
 
 def _controls(path: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
-    """Return handles behind the start and before the end of each inner segment."""
+    """Return handles after the start and before the end of each inner segment."""
     steps = np.diff(path, axis=0)
     knots = np.linalg.norm(steps, axis=1, keepdims=True) ** alpha
     a, h, b = knots[:-2], knots[1:-1], knots[2:]
@@ -200,8 +199,8 @@ def _handle(
 ) -> FloatArray:
     """Return a third of the slope of the parabola at the knot between two steps.
 
-    Times the knot interval h of the step ``along``: (h² beside / a + a along) /
-    (a + h) / 3. Steps of no length have no direction to give.
+    Times the knot interval h of the step ``along``: (h² other / a + a along) /
+    (a + h) / 3. Steps of no length have no direction.
     """
     proper = (a > 0) & (h > 0)
     ratio = np.where(proper, h, 1.0) / np.where(proper, a, 1.0)
@@ -237,7 +236,7 @@ _ALPHA = {
 
 
 class KeySlopes:
-    """Slopes at the keys of a channel, by the rules that it uses."""
+    """Slopes at the keys of a channel by tangent rules, computed once."""
 
     def __init__(
         self,
@@ -256,13 +255,13 @@ class KeySlopes:
 
     @property
     def tcb(self) -> tuple[FloatArray, FloatArray]:
-        """Slopes before and behind each key ``(K, D)``."""
+        """Slopes before and after each key ``(K, D)``."""
         if self._tcb is None:
             self._tcb = tcb(self.times, self.values, self._weights)
         return self._tcb
 
     def by_rule(self, tangent: Tangent, key: int, segment: int) -> FloatArray:
-        """Return the slope at a key, of a segment that it ends ``(D,)``."""
+        """Return the slope at a key of an adjacent segment ``(D,)``."""
         if tangent is Tangent.FLAT:
             return np.zeros(self.values.shape[1])
         if tangent is Tangent.LINEAR:
@@ -275,7 +274,7 @@ class KeySlopes:
         return np.asarray(self._slopes(rule.__name__, rule)[key])
 
     def catmull_rom(self, k: int, third: float) -> tuple[FloatArray, FloatArray]:
-        """Return the handles' values of a segment, behind and before its keys."""
+        """Return the handle values of a segment, after its start and before its end."""
         if self._parametrization is Parametrization.UNIFORM:
             slopes = self._slopes("secant", secant)
             return slopes[k] * third, -slopes[k + 1] * third

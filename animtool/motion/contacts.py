@@ -1,4 +1,4 @@
-"""When feet stand: found from how slow and how low they are."""
+"""Detects foot contacts from the speed and height of feet."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths.runs import runs
 
-# Jitter is smoothed by a Gaussian of this width [s]: speeds of walking feet change over
-# ten times of it.
+# Width of the Gaussian that smooths jitter [s]: the speed of walking feet changes over
+# ten times as long.
 SMOOTH = 0.03
-# Of jitter in speed, what is left of it must stay below the threshold so many times.
+# Margin of the speed threshold over the jitter that smoothing leaves.
 ABOVE_NOISE = 1.2
-# A foot that stands goes slower than this many lengths of its leg a second: the edge of
-# a step is found within a frame of 60 a second (F1 of 0.99 and more on takes whose
-# contacts are known, with jitter and without).
+# Largest speed of a standing foot in leg lengths per second: contact edges are then
+# within a frame at 60 fps (F1 of at least 0.99 on takes with known contacts, with and
+# without jitter).
 SLOW = 0.18
-# A foot that stands is no higher above where it is lowest than this many of these.
+# Largest height of a standing foot above its lowest, in leg lengths.
 LOW = 0.12
-# A heel that is higher than this many of these is raised: the toe alone stands.
+# A heel higher than this is raised, and only the toe stands.
 RAISED = 0.05
-# Of all frames, those that a foot is lower in are outliers.
+# Quantile of heights below which frames are outliers.
 LOWEST = 0.02
-# Of fewer frames nobody says what stands.
+# Fewer frames have no contacts.
 MIN_FRAMES = 3
-# Contacts, and gaps in them, that are shorter are none [s].
+# Shorter contacts and gaps are ignored [s].
 SHORT = 0.06
 
 
 @dataclass(frozen=True, slots=True)
 class FootContacts:
-    """When the parts of a foot stand."""
+    """Contact frames of the parts of a foot."""
 
     ankle: BoolArray  # (F,)
     toe: BoolArray  # (F,)
-    ground: float  # height of the ankle where it stands [m]
+    ground: float  # height of the standing ankle [m]
 
     @property
     def any(self) -> BoolArray:
-        """Whether the foot stands on any of both ``(F,)``."""
+        """Mask of frames in which ankle or toe stands ``(F,)``."""
         return self.ankle | self.toe
 
 
@@ -54,7 +54,7 @@ def smoothed(values: FloatArray, width: float) -> FloatArray:
     offsets = np.arange(-reach, reach + 1)
     weights = np.exp(-0.5 * (offsets / width) ** 2)
     weights /= weights.sum()
-    # Mirrored through the ends, so that straight ways stay straight.
+    # Mirrored at the ends, so that straight lines stay straight.
     count = len(values)
     folded = np.arange(-reach, count + reach)
     inside = np.clip(folded, 0, count - 1)
@@ -65,22 +65,21 @@ def smoothed(values: FloatArray, width: float) -> FloatArray:
         2 * values[inside] - values[beyond],
     )
     flat = padded.reshape(len(padded), -1)
-    made = [np.convolve(column, weights, "valid") for column in flat.T]
-    return np.stack(made, axis=1).reshape(values.shape)
+    smooth = [np.convolve(column, weights, "valid") for column in flat.T]
+    return np.stack(smooth, axis=1).reshape(values.shape)
 
 
 def find_contacts(
     ankle: FloatArray, toe: FloatArray | None, fps: float, leg: float, up: int = 1
 ) -> FootContacts:
-    """Return when a foot stands.
+    """Return the contact frames of a foot.
 
-    Speeds are those of smoothed positions; the width grows where a take has so much
-    jitter that it would hide contacts. Nothing is assumed of where the ground is: it is
-    where the foot is lowest while it is slow.
+    Speeds are of smoothed positions; the width grows for takes whose jitter would hide
+    contacts. The ground is not assumed: it is where the foot is lowest while slow.
 
     Args:
         ankle: Positions ``(F, 3)`` [m].
-        toe: Of its toe ``(F, 3)``, if it has one.
+        toe: Positions of its toe ``(F, 3)``, if any.
         fps: Frames a second.
         leg: Length of thigh and shin [m].
         up: Component that points up.
@@ -93,7 +92,7 @@ def find_contacts(
     width = SMOOTH * fps
     noise = jitter(points, fps)
     if noise > 0:
-        # What a Gaussian leaves of the speed of white noise falls with width^1.5.
+        # A Gaussian reduces the speed of white noise by width^1.5.
         left = noise / max(width, 1.0) ** 1.5
         width *= max(1.0, (ABOVE_NOISE * left / slow) ** (2 / 3))
     stands = []
@@ -102,11 +101,11 @@ def find_contacts(
         speed = np.linalg.norm(np.gradient(smooth, axis=0), axis=1) * fps
         stands.append((speed < slow, smooth[:, up]))
     masks = []
-    for k, (still, height) in enumerate(stands):
-        lows = height[still] if still.any() else height
+    for k, (slow_frames, height) in enumerate(stands):
+        lows = height[slow_frames] if slow_frames.any() else height
         base = float(np.quantile(lows, LOWEST))
         low = RAISED if k == 0 and toe is not None else LOW
-        masks.append(without_short(still & (height < base + low * leg), fps))
+        masks.append(without_short(slow_frames & (height < base + low * leg), fps))
     flat = masks[0] & masks[-1]
     height = stands[0][1]
     ground = float(np.median(height[flat])) if flat.any() else float(height.min())
@@ -114,24 +113,26 @@ def find_contacts(
 
 
 def jitter(points: Sequence[FloatArray], fps: float) -> float:
-    """Return the speed of white noise on points: of third differences [m/s]."""
+    """Return the speed of white noise on points, from third differences [m/s]."""
     if len(points[0]) < 8:
         return 0.0
-    found = [np.diff(point, 3, axis=0) for point in points]
-    # Of white noise, third differences are the root of 20 times as large.
-    sizes = [float(np.median(np.abs(each))) / 0.6745 / math.sqrt(20) for each in found]
+    differences = [np.diff(point, 3, axis=0) for point in points]
+    # Third differences of white noise are sqrt(20) times as large.
+    sizes = [
+        float(np.median(np.abs(each))) / 0.6745 / math.sqrt(20) for each in differences
+    ]
     return max(sizes) * fps * math.sqrt(3)
 
 
 def without_short(mask: BoolArray, fps: float) -> BoolArray:
-    """Return a mask without gaps and spans that are too short to be any."""
+    """Return a mask without short gaps and short spans."""
     least = SHORT * fps
-    made = mask.copy()
-    for start, end in runs(~made):
-        if start > 0 and end < len(made) and end - start < least:
-            made[start:end] = True
-    for start, end in runs(made):
-        # What the take cuts off may be longer.
-        if start > 0 and end < len(made) and end - start < least:
-            made[start:end] = False
-    return made
+    cleaned = mask.copy()
+    for start, end in runs(~cleaned):
+        if start > 0 and end < len(cleaned) and end - start < least:
+            cleaned[start:end] = True
+    for start, end in runs(cleaned):
+        # Spans cut off by the take may be longer.
+        if start > 0 and end < len(cleaned) and end - start < least:
+            cleaned[start:end] = False
+    return cleaned

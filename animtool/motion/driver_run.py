@@ -1,4 +1,4 @@
-"""Drives the motion of a rig with drivers, block by block."""
+"""Evaluates the drivers of a rig over its motion, block by block."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from animtool.rig.limits import RangeLimit
 from animtool.rig.shapes import combined_weights, uncombined_weights
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Less is rounding of float32 [rad], [m]; of weights and controls [1].
+# Smaller differences are float32 rounding [rad], [m]; of weights and controls [1].
 SAME, SAME_WEIGHT = 1e-5, 1e-6
-# Twists that step by more from frame to frame went through half a turn [rad].
-HALF_TURN = np.pi
+# Twists that step by more between frames wrapped at 180 degrees [rad].
+HALF_REVOLUTION = np.pi
 
 
 @dataclass(slots=True)
-class Worst:
-    """The largest of something, and the frame that has it."""
+class LargestAmount:
+    """The largest amount so far, and its frame."""
 
     amount: float = 0.0
     frame: float = 0.0
 
     def take(self, amounts: FloatArray, times: FloatArray) -> None:
-        """Look at amounts ``(F,)`` or ``(1,)``, of frames ``(F,)``."""
+        """Update from amounts ``(F,)`` or ``(1,)`` at times ``(F,)``."""
         if not len(times) or not len(amounts):
             return
         worst = int(np.argmax(amounts))
@@ -49,26 +49,26 @@ class Worst:
 
 @dataclass(slots=True)
 class DriverRun:
-    """Drives the motion of a rig, block by block in the order of time.
+    """Evaluates the drivers of a rig on consecutive blocks of its motion.
 
     Attributes:
         rig: A rig with drivers.
-        replaced: Whether to report motion of the source that drivers take the place of.
+        replaced: Whether to report source motion that drivers replace.
     """
 
     rig: Rig
     replaced: bool = False
     plan: DriverPlan = field(init=False)
-    # Angle of each pin without limits at the end of the last block [rad].
+    # Angle of each unlimited pin at the end of the last block [rad].
     _angles: dict[int, float] = field(default_factory=dict, init=False)
     _twists: dict[str, float] = field(default_factory=dict, init=False)
-    _excess: dict[str, Worst] = field(default_factory=dict, init=False)
-    _gone: dict[str, Worst] = field(default_factory=dict, init=False)
-    _wrapped: dict[str, Worst] = field(default_factory=dict, init=False)
+    _excess: dict[str, LargestAmount] = field(default_factory=dict, init=False)
+    _gone: dict[str, LargestAmount] = field(default_factory=dict, init=False)
+    _wrapped: dict[str, LargestAmount] = field(default_factory=dict, init=False)
     _kept: set[str] = field(default_factory=set, init=False)
 
     def __post_init__(self) -> None:
-        """Find the order of the rig's drivers."""
+        """Plan the order of the rig's drivers."""
         self.plan = plan_of(self.rig)
 
     def drive(
@@ -77,30 +77,30 @@ class DriverRun:
         times: FloatArray,
         coordinates: Mapping[str, FloatArray] | None = None,
     ) -> Motion:
-        """Return a motion whose driven joints, shapes and controls are driven.
+        """Return a motion with driven joints, shapes and controls evaluated.
 
         Args:
             motion: Consecutive frames.
-            times: Of its frames, for reports ``(F,)``.
-            coordinates: Coordinates of joints that are known better than the motion
-                says, over whole turns, by name such as ``elbow.angle``.
+            times: Times of its frames, for reports ``(F,)``.
+            coordinates: Unwrapped joint coordinates that override the motion's, by name
+                such as ``elbow.angle``.
 
         Raises:
             FormatError: A driver has no value at some frame (CLIP015).
         """
         if motion.frames == 1:
-            # Twice, so that what moves is told from what does not.
+            # Twice, as one frame does not distinguish moving from static values.
             twice = motion.select(np.zeros(2, np.int64))
             return self.drive(twice, np.repeat(times, 2), coordinates).select(slice(1))
         rig = self.rig
         controls = self._controls(motion)
-        read = _Reader(self, motion, times, coordinates or {})
+        read = _CoordinateReader(self, motion, times, coordinates or {})
         kept = self._keep(motion) if motion.controls is None else set()
         done = evaluate_drivers(self.plan, read, controls, kept)
         _refuse_undefined(rig, done, times)
         for j, excess in done.excess.items():
             name = rig.names[j]
-            self._excess.setdefault(name, Worst()).take(np.abs(excess), times)
+            self._excess.setdefault(name, LargestAmount()).take(np.abs(excess), times)
         return replace(
             self._joints(motion, done, times),
             weights=self._weights(motion, done, times),
@@ -108,11 +108,11 @@ class DriverRun:
         )
 
     def notices(self) -> list[Fault]:
-        """Return what drivers had to say of the frames so far."""
+        """Return the warnings of drivers so far."""
         return [fault for fault, _, _ in self.targeted()]
 
     def targeted(self) -> list[tuple[Fault, str, float]]:
-        """Return the same, each with its target and the frame where it is worst."""
+        """Return the warnings with their targets and worst frames."""
         notices = []
         for name, worst in self._excess.items():
             joint = self.rig.joints[self.rig.index(name)]
@@ -158,27 +158,27 @@ class DriverRun:
         return notices
 
     def unwrapped(self, j: int, angles: FloatArray) -> FloatArray:
-        """Return angles ``(F,)`` of a pin without limits, over whole turns."""
+        """Return the unwrapped angles ``(F,)`` of an unlimited pin."""
         before = self._angles.get(j, 0.0)
         out = np.unwrap(np.concatenate([[before], angles]))[1:]
         self._angles[j] = float(out[-1]) if len(out) else before
         return out
 
     def watch(self, name: str, twists: FloatArray, times: FloatArray) -> None:
-        """Look for frames to which a twist goes through half a turn."""
+        """Record the first frame at which a twist wraps."""
         before = self._twists.get(name, twists[0] if len(twists) else 0.0)
         steps = np.abs(np.diff(twists, prepend=before))
-        if (steps > HALF_TURN).any():
-            first = int(np.argmax(steps > HALF_TURN))
-            worst = Worst(1.0, float(times[first]))
+        if (steps > HALF_REVOLUTION).any():
+            first = int(np.argmax(steps > HALF_REVOLUTION))
+            worst = LargestAmount(1.0, float(times[first]))
             self._wrapped.setdefault(name, worst)
         if len(twists):
             self._twists[name] = float(twists[-1])
 
     def _keep(self, motion: Motion) -> set[str]:
-        """Return what reads controls that the motion lacks, where it has values of it.
+        """Return targets that keep the motion's values, as it lacks their controls.
 
-        Those came of the controls, and are better than what defaults would give.
+        These values result from the controls and are better than defaults.
         """
         kept = set()
         for target in self.plan.by_control:
@@ -210,19 +210,19 @@ class DriverRun:
         }
 
     def _joints(self, motion: Motion, done: DriverValues, times: FloatArray) -> Motion:
-        turns: dict[int, FloatArray] = {}
-        places: dict[int, FloatArray] = {}
+        rotations: dict[int, FloatArray] = {}
+        translations: dict[int, FloatArray] = {}
         for j, value in done.joints.items():
             joint = self.rig.joints[j]
             rest = np.array(joint.rotation)
             if joint.type is JointType.PRISMATIC:
                 slide = so3.rotate(rest, value[:, None] * np.array(joint.axis))
-                places[j] = np.array(joint.translation) + slide
+                translations[j] = np.array(joint.translation) + slide
             else:
-                turn = so3.from_axis_angle(joint.axis, value)
-                turns[j] = so3.multiply(rest, turn)
-        for j, new in [*turns.items(), *places.items()]:
-            rotates = j in turns
+                rotation = so3.from_axis_angle(joint.axis, value)
+                rotations[j] = so3.multiply(rest, rotation)
+        for j, new in [*rotations.items(), *translations.items()]:
+            rotates = j in rotations
             channel = motion.rotations if rotates else motion.translations
             old = _rows(channel, j)
             resting = self.rig.rest_rotations if rotates else self.rig.rest_translations
@@ -232,8 +232,8 @@ class DriverRun:
                 self._replace(f"joint/{self.rig.names[j]}", away(old, new), times, SAME)
         return replace(
             motion,
-            rotations=_with_rows(motion.rotations, turns),
-            translations=_with_rows(motion.translations, places),
+            rotations=_with_rows(motion.rotations, rotations),
+            translations=_with_rows(motion.translations, translations),
         )
 
     def _weights(
@@ -243,18 +243,18 @@ class DriverRun:
         if not plan.shapes:
             return motion.weights
         old = {shape.name: np.zeros(1) for shape in shapes}
-        channel = Channel.still(np.zeros((len(shapes), 1)), motion.frames)
+        channel = Channel.static(np.zeros((len(shapes), 1)), motion.frames)
         if motion.weights is not None:
             channel = motion.weights
             old = {s.name: _column(channel, i) for i, s in enumerate(shapes)}
-        own = uncombined_weights(shapes, old) | done.shapes
-        new = combined_weights(shapes, own)
+        independent = uncombined_weights(shapes, old) | done.shapes
+        new = combined_weights(shapes, independent)
         index = {shape.name: i for i, shape in enumerate(shapes)}
         changed = dict.fromkeys([*done.shapes, *plan.combined])
         for name in done.shapes:
             if old[name].any():
-                apart = np.abs(new[name] - old[name])
-                self._replace(f"shape/{name}", apart, times, SAME_WEIGHT)
+                differences = np.abs(new[name] - old[name])
+                self._replace(f"shape/{name}", differences, times, SAME_WEIGHT)
         rows = {index[name]: new[name][:, None] for name in changed}
         return _with_rows(channel, rows)
 
@@ -272,37 +272,37 @@ class DriverRun:
         for i, value in rows.items():
             old = _column(channel, i)
             if (old != controls[i].default).any():
-                apart = np.abs(value[:, 0] - old)
+                differences = np.abs(value[:, 0] - old)
                 target = f"control/{controls[i].name}"
-                self._replace(target, apart, times, SAME_WEIGHT)
+                self._replace(target, differences, times, SAME_WEIGHT)
         return _with_rows(channel, rows)
 
     def _replace(
-        self, target: str, apart: FloatArray, times: FloatArray, same: float
+        self, target: str, differences: FloatArray, times: FloatArray, same: float
     ) -> None:
-        """Note how far a source's motion of a target is from what drives it."""
-        if self.replaced and apart.max(initial=0.0) > same:
-            self._gone.setdefault(target, Worst()).take(apart, times)
+        """Record the difference of a target's source motion from its driven motion."""
+        if self.replaced and differences.max(initial=0.0) > same:
+            self._gone.setdefault(target, LargestAmount()).take(differences, times)
 
 
 @dataclass(frozen=True, slots=True)
-class _Reader:
-    """Reads coordinates of joints off a motion."""
+class _CoordinateReader:
+    """Reads joint coordinates from a motion."""
 
     run: DriverRun
     motion: Motion
     times: FloatArray
     known: Mapping[str, FloatArray]
-    # What was read already: whole turns are counted once a block.
-    seen: dict[str, FloatArray] = field(default_factory=dict)
+    # By name, as angles may be unwrapped only once a block.
+    cache: dict[str, FloatArray] = field(default_factory=dict)
 
     def __call__(self, name: str) -> FloatArray:
-        """Return a coordinate ``(F,)``, or ``(1,)`` where the joint does not move."""
+        """Return a coordinate ``(F,)``, or ``(1,)`` of a static joint."""
         if name in self.known:
             return self.known[name]
-        if name not in self.seen:
-            self.seen[name] = self._value(name)
-        return self.seen[name]
+        if name not in self.cache:
+            self.cache[name] = self._value(name)
+        return self.cache[name]
 
     def _value(self, name: str) -> FloatArray:
         rig = self.run.rig
@@ -313,20 +313,20 @@ class _Reader:
         if joint.type is JointType.PRISMATIC:
             away = _rows(self.motion.translations, j) - rig.rest_translations[j]
             return np.asarray(so3.rotate(undo, away) @ np.array(joint.axis))
-        turn = so3.multiply(undo, _rows(self.motion.rotations, j))
+        rotation = so3.multiply(undo, _rows(self.motion.rotations, j))
         if joint.type is JointType.BALL:
-            values = ball_part(joint, part, turn)
+            values = ball_part(joint, part, rotation)
             if part == TWIST:
                 self.run.watch(name, values, self.times)
             return values
-        along = turn[:, :3] @ np.array(joint.axis)
-        angles = 2.0 * np.arctan2(along, turn[:, 3])
+        along = rotation[:, :3] @ np.array(joint.axis)
+        angles = 2.0 * np.arctan2(along, rotation[:, 3])
         if isinstance(joint.limits, RangeLimit):
             middle = (joint.limits.low + joint.limits.high) / 2
             width = joint.limits.high - joint.limits.low
             if width <= 2 * np.pi:
-                whole = np.round((angles - middle) / (2 * np.pi))
-                return np.asarray(angles - 2 * np.pi * whole)
+                revolutions = np.round((angles - middle) / (2 * np.pi))
+                return np.asarray(angles - 2 * np.pi * revolutions)
         return self.run.unwrapped(j, angles)
 
 
@@ -347,15 +347,15 @@ def _refuse_undefined(rig: Rig, done: DriverValues, times: FloatArray) -> None:
 
 
 def _rows(channel: Channel, i: int) -> FloatArray:
-    """Return one row ``(F, K)`` of a channel, or ``(1, K)`` where it does not move."""
-    place = int(np.searchsorted(channel.animated, i))
-    if place < len(channel.animated) and channel.animated[place] == i:
-        return np.asarray(channel.values[:, place])
+    """Return one joint's values ``(F, K)`` of a channel, or ``(1, K)`` if static."""
+    column = int(np.searchsorted(channel.animated, i))
+    if column < len(channel.animated) and channel.animated[column] == i:
+        return np.asarray(channel.values[:, column])
     return np.asarray(channel.rest[i][None])
 
 
 def _states(channel: Channel, i: int, rest: FloatArray) -> bool:
-    """Return whether a channel moves a row, or holds it away from rest."""
+    """Return whether a joint of a channel moves or differs from rest."""
     away = min(np.abs(channel.rest[i] + sign * rest).max() for sign in (-1, 1))
     return i in channel.animated or bool(away > SAME)
 
@@ -365,16 +365,16 @@ def _column(channel: Channel, i: int) -> FloatArray:
 
 
 def _with_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channel:
-    """Return a channel with rows ``(F, K)``, or ``(1, K)`` that do not move."""
+    """Return a channel with joints' values ``(F, K)`` replaced; ``(1, K)``: static."""
     if not rows:
         return channel
     frames = len(channel.values)
-    still = [i for i, values in rows.items() if len(values) == 1 != frames]
-    moving = sorted(rows.keys() - still)
+    static = [i for i, values in rows.items() if len(values) == 1 != frames]
+    moving = sorted(rows.keys() - static)
     rest = channel.rest.copy()
-    for i in still:
+    for i in static:
         rest[i] = rows[i][0]
-    kept = ~np.isin(channel.animated, still)
+    kept = ~np.isin(channel.animated, static)
     out = Channel(rest, channel.animated[kept], channel.values[:, kept])
     if not moving:
         return out

@@ -1,8 +1,8 @@
-"""Motion of rigs with drivers: what is driven takes the place of what a source says.
+"""Evaluates drivers on the motion of rigs; driven values replace the source's.
 
-The result depends on the pose and controls of each frame alone, so to do it again
-changes nothing. Angles of pins without limits are the one exception: whole turns are
-counted from the first frame.
+The result depends only on the pose and controls of each frame, so evaluating again
+changes nothing. Angles of unlimited pins are the one exception: revolutions are counted
+from the first frame.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 
-# What drivers report of the same joint after every pass.
+# Codes that drivers report again for the same joint after every pass.
 REPEATED = frozenset({"RIG103", "RIG105"})
 
 
 def driven_take(take: Take) -> Take:
-    """Return a take whose driven joints, shapes and controls are driven.
+    """Return a take with driven joints, shapes and controls evaluated.
 
     Limits that drivers would exceed are added to its notices, once a joint.
 
@@ -41,13 +41,13 @@ def driven_take(take: Take) -> Take:
 
 
 def driven_stream(stream: TakeStream, *, replaced: bool = False) -> TakeStream:
-    """Return a stream whose driven joints, shapes and controls are driven.
+    """Return a stream with driven joints, shapes and controls evaluated.
 
     What drivers report is among its notices once the blocks are read.
 
     Args:
-        stream: Of any rig; one without drivers is returned as it is.
-        replaced: Whether to report motion of a source that drivers take the place of.
+        stream: Of any rig; a rig without drivers is returned unchanged.
+        replaced: Whether to report source motion that drivers replace.
     """
     if not stream.rig.is_driven:
         return stream
@@ -81,7 +81,7 @@ def _driven_curve(
 
 
 def unsaid(notices: Iterable[Fault], said: Iterable[Fault]) -> list[Fault]:
-    """Return notices without those of drivers of which the same is said already."""
+    """Return notices without driver warnings that are already known."""
     known = {(one.code, _named(one)) for one in said if one.code in REPEATED}
     return [
         one
@@ -91,6 +91,6 @@ def unsaid(notices: Iterable[Fault], said: Iterable[Fault]) -> list[Fault]:
 
 
 def _named(notice: Fault) -> str:
-    """Return what a driver's notice is about, which its message names first."""
+    """Return the joint or control that a driver's notice names first."""
     parts = notice.message.split("'")
     return parts[1] if len(parts) > 2 else notice.message.split(" ")[0]

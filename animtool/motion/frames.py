@@ -1,4 +1,4 @@
-"""What a moving prim is at one time: points, curves, a mesh, copies or characters."""
+"""Frames of simulated prims: points, curves, meshes, instances and characters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class PointsFrame:
 
 @dataclass(frozen=True, slots=True)
 class CurvesFrame:
-    """Linear curves, one after the other."""
+    """Linear curves, stored one after another."""
 
     points: FloatArray  # (N, 3) [m]
     velocities: FloatArray  # (N, 3) [m/s]
@@ -50,69 +50,70 @@ class MeshFrame:
     indices: IntArray  # corners, face by face
     closed: bool = False  # whether only its outside is visible
     primvars: Primvars = field(default_factory=dict)
-    tears: bool = False  # whether faces may be others in another frame
+    tears: bool = False  # whether faces may change from frame to frame
 
 
 @dataclass(frozen=True, slots=True)
 class TransformsFrame:
-    """Copies of meshes that appear and disappear, each placed as a whole."""
+    """Rigid copies of meshes that appear and disappear."""
 
     ids: IntArray  # (N,)
     points: FloatArray  # where the origin of each is (N, 3) [m]
     velocities: FloatArray  # of these (N, 3) [m/s]
     rotations: FloatArray  # unit quaternions x, y, z, w (N, 4)
-    spins: FloatArray  # angular velocities, in the world (N, 3) [rad/s]
+    spins: FloatArray  # angular velocities, world space (N, 3) [rad/s]
     scales: FloatArray  # (N, 3) [1]
     copied: IntArray  # which of the meshes each is (N,)
     meshes: tuple[MeshFrame, ...]  # about their own origins, the same in every frame
     primvars: Primvars = field(default_factory=dict)
     names: tuple[str, ...] = ()  # of each, the same in every frame; or none
-    xforms: bool = False  # whether each becomes a prim of its own, by its name
-    still: frozenset[int] = frozenset()  # places of such that never move
-    physics: Physics | None = None  # of such, if it is to be written
+    xforms: bool = False  # whether each becomes a named prim instead of an instance
+    static: frozenset[int] = frozenset()  # indices of prims that never move
+    physics: Physics | None = None  # of these prims, if it is written
 
 
 @dataclass(frozen=True, slots=True)
 class Cast:
-    """A rig that characters have, and what those do alike who stand.
+    """A rig shared by characters, and the idle cycle of standing ones.
 
     Attributes:
         rig: With y up.
-        moves: Joints that turn, ascending ``(M,)``.
-        feet: A joint of the left and of the right foot that stays where that stands.
-        turns: Local rotations of `moves` of who stands, at even times ``(K, M, 4)``.
-        roots: Of the first joint then ``(K, 3)`` [m].
-        period: After which these begin again [s].
+        moves: Joints that rotate, ascending ``(M,)``.
+        feet: A joint of the left and of the right foot, fixed while the foot stands.
+        rotations: Local rotations of `moves` in the idle cycle, at even times
+            ``(K, M, 4)``.
+        roots: Positions of the first joint in the idle cycle ``(K, 3)`` [m].
+        period: Length of the idle cycle [s].
     """
 
     rig: Rig
     moves: IntArray
     feet: tuple[int, int]
-    turns: FloatArray
+    rotations: FloatArray
     roots: FloatArray
     period: float
 
 
 @dataclass(frozen=True, slots=True)
 class CharactersFrame:
-    """Characters of some rigs, each placed as a whole and in a pose of its own.
+    """Characters of some rigs, each with a placement and a pose.
 
-    They are the same in every frame, in order of their rigs; some may not be visible.
+    They are the same in every frame, sorted by rig; some may be invisible.
 
     Attributes:
         ids: ``(N,)``.
-        points: Where the origin of each one's rig is ``(N, 3)`` [m].
-        velocities: Of these ``(N, 3)`` [m/s].
-        upright: How all are turned, the same in every frame ``(4,)``.
-        headings: How each is turned about y before that, continuous ``(N,)`` [rad].
-        scales: Of each over its rig, the same in every frame ``(N,)``.
+        points: Origins of the characters' rigs ``(N, 3)`` [m].
+        velocities: Velocities of these ``(N, 3)`` [m/s].
+        upright: Rotation to the up axis, the same in every frame ``(4,)``.
+        headings: Rotation of each about y before that, continuous ``(N,)`` [rad].
+        scales: Size of each over its rig, the same in every frame ``(N,)``.
         casts: The rigs, the same in every frame.
-        counts: How many have each rig ``(C,)``.
-        turns: Local rotations of joints that move, by rig ``(n, M, 4)`` each.
-        roots: Of the first joint of each ``(N, 3)`` [m].
-        stands: Which feet of each stand ``(N, 2)``.
-        near: Which stand, or are about to land or have just lifted ``(N, 2)``.
-        clocks: For how long who does but stand has done so, else NaN ``(N,)`` [s].
+        counts: Number of characters with each rig ``(C,)``.
+        rotations: Local rotations of joints that move, by rig ``(n, M, 4)`` each.
+        roots: Positions of the first joint of each ``(N, 3)`` [m].
+        stands: Mask of standing feet ``(N, 2)``.
+        near: Mask of feet that stand, are about to land or just lifted ``(N, 2)``.
+        clocks: Idle time of characters that only stand, else NaN ``(N,)`` [s].
         visible: ``(N,)``.
     """
 
@@ -124,7 +125,7 @@ class CharactersFrame:
     scales: FloatArray
     casts: tuple[Cast, ...]
     counts: IntArray
-    turns: tuple[FloatArray, ...]
+    rotations: tuple[FloatArray, ...]
     roots: FloatArray
     stands: BoolArray
     near: BoolArray

@@ -1,4 +1,4 @@
-"""Options that are curves, lists of pairs, or one of a few words."""
+"""Values of options: curves, lists of pairs, and choices."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Choice = TypeVar("Choice", bound=StrEnum)
 
 
 def chosen(choices: type[Choice], word: str, option: str) -> Choice:
-    """Return a choice by its word, or as it is (unknown: SCN025).
+    """Return a choice by its word (unknown: SCN025).
 
     >>> class Side(StrEnum):
     ...     LEFT = "left"
@@ -40,8 +40,8 @@ Keys: TypeAlias = Sequence[Sequence[float]]
 Weight: TypeAlias = float | Keys
 
 
-class Interpolation(StrEnum):
-    """How a list of pairs is joined up.
+class KeyInterpolation(StrEnum):
+    """Interpolation of a list of pairs.
 
     ``smooth`` has a continuous slope that is flat where the values turn, so that
     the curve never leaves the range of the two keys about it.
@@ -75,9 +75,9 @@ def keyed(
     times: FloatArray,
     values: FloatArray,
     at: FloatArray,
-    interpolation: Interpolation | str = Interpolation.LINEAR,
+    interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
 ) -> FloatArray:
-    """Return a curve at some times ``(F,)``, held outside its keys.
+    """Return a curve's values at times ``(F,)``, held outside its keys.
 
     The slopes of ``smooth`` are those of `animtool.maths.tangents.auto_clamped`.
 
@@ -85,10 +85,10 @@ def keyed(
     >>> keyed(*ramp, np.array([-1.0, 1.0])).tolist()
     [0.0, 0.5]
     """
-    how = chosen(Interpolation, interpolation, "interpolation")
-    if how is Interpolation.LINEAR or len(times) < 2:
+    how = chosen(KeyInterpolation, interpolation, "interpolation")
+    if how is KeyInterpolation.LINEAR or len(times) < 2:
         return np.asarray(np.interp(at, times, values))
-    # Handles lie at thirds of the segments beside a key.
+    # Handles are at thirds of the segments around a key.
     slopes = auto_clamped(times, values[:, None])
     thirds = np.diff(times)[:, None] / 3
     ins, outs = np.zeros(slopes.shape), np.zeros(slopes.shape)
@@ -100,18 +100,18 @@ def keyed(
 def weights_at(
     weight: Weight,
     at: FloatArray,
-    interpolation: Interpolation | str = Interpolation.LINEAR,
+    interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
     *,
     bounded: bool = True,
 ) -> FloatArray:
     """Return a weight [1], a number or ``[frame, weight]``, at time codes ``(F,)``.
 
-    Bounded, what is outside 0 to 1 is refused (SCN014).
+    If ``bounded``, weights outside 0 to 1 are refused (SCN014).
 
     >>> weights_at(0.5, np.arange(2.0)).tolist()
     [0.5, 0.5]
     """
-    chosen(Interpolation, interpolation, "interpolation")
+    chosen(KeyInterpolation, interpolation, "interpolation")
     if isinstance(weight, (int, float)):
         _check_weight(float(weight), bounded)
         return np.full(len(at), float(weight))

@@ -23,13 +23,13 @@ class Markers:
         names: Of each marker, unique; a point without label has a name that begins
             with ``*``.
         clock: Times of the frames.
-        positions: World space [m] ``(F, M, 3)``; NaN where a marker was not seen.
+        positions: World space [m] ``(F, M, 3)``; NaN where a marker is not visible.
         up: The up axis of the world.
-        cameras: How many cameras each position is from ``(F, M)``; None where unknown.
+        cameras: Number of cameras of each position ``(F, M)``; None where unknown.
         residuals: Reconstruction residual of each position [m] ``(F, M)``, NaN where
             unknown; None where no position has one.
-        filled: Positions that were computed over a gap and not measured ``(F, M)``;
-            None where there is none.
+        filled: Mask of positions that were filled and not measured ``(F, M)``; None for
+            none.
         notices: Warnings and notes about where they come from.
         begin: Time of the first frame [s]; None where frame 1 is time 0.
 
@@ -75,8 +75,8 @@ class Markers:
             raise OptionError(Fault("MKR002", message))
 
     @property
-    def seen(self) -> BoolArray:
-        """Which markers have a position in which frame ``(F, M)``."""
+    def visible(self) -> BoolArray:
+        """Mask of the markers with a position ``(F, M)``."""
         return np.asarray(np.isfinite(self.positions).all(axis=-1), np.bool_)
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""What a rig does over frames; what does not move is stored once."""
+"""Motion of a rig over frames; static values are stored once."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
+from animtool.core.renamed import rename_attributes
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One kind of value for every joint; what does not move is stored once.
+    """One kind of value for every joint; static values are stored once.
 
     Attributes:
-        rest: The value of each joint while it does not move ``(J, K)``.
+        rest: Value of each static joint ``(J, K)``.
         animated: Indices of the joints that move ``(A,)``, ascending.
         values: Their values ``(F, A, K)``.
     """
@@ -31,7 +32,7 @@ class Channel:
     values: FloatArray
 
     def __repr__(self) -> str:
-        """Return how much there is of what.
+        """Return the numbers of frames, moving joints and components.
 
         >>> Channel.from_dense(np.zeros((5, 2, 3)))
         <Channel: 5 frames, 0 of 2 move, 3 components>
@@ -46,33 +47,33 @@ class Channel:
         >>> Channel.from_dense(np.ones((2, 1, 3))).dense().tolist()
         [[[1.0, 1.0, 1.0]], [[1.0, 1.0, 1.0]]]
         """
-        whole = np.repeat(self.rest[None], len(self.values), axis=0)
-        whole[:, self.animated] = self.values
-        return whole
+        values = np.repeat(self.rest[None], len(self.values), axis=0)
+        values[:, self.animated] = self.values
+        return values
 
     def gather(self, joints: IntArray) -> FloatArray:
         """Return the values of some joints, moving or not ``(F, len(joints), K)``."""
         values = np.repeat(self.rest[joints][None], len(self.values), axis=0)
-        places = np.full(len(self.rest), -1)
-        places[self.animated] = np.arange(len(self.animated))
-        moving = places[joints] >= 0
+        columns = np.full(len(self.rest), -1)
+        columns[self.animated] = np.arange(len(self.animated))
+        moving = columns[joints] >= 0
         if moving.any():
-            values[:, moving] = self.values[:, places[joints[moving]]]
+            values[:, moving] = self.values[:, columns[joints[moving]]]
         return values
 
     def put(self, joints: IntArray, values: FloatArray) -> Channel:
-        """Return the channel with other values of some joints.
+        """Return the channel with the values of some joints replaced.
 
         Args:
             joints: Their indices, ascending ``(A,)``.
-            values: Of each frame ``(F, A, K)``.
+            values: New values ``(F, A, K)``.
         """
         moves = np.zeros(len(self.rest), np.bool_)
         moves[self.animated] = moves[joints] = True
         animated = np.flatnonzero(moves)
-        whole = self.gather(animated)
-        whole[:, np.searchsorted(animated, joints)] = values
-        return Channel(self.rest, animated, whole)
+        merged = self.gather(animated)
+        merged[:, np.searchsorted(animated, joints)] = values
+        return Channel(self.rest, animated, merged)
 
     def compact(self) -> Channel:
         """Return the channel with the joints that never move made static."""
@@ -90,10 +91,10 @@ class Channel:
         return replace(self, values=self.values[frames])
 
     @staticmethod
-    def still(rest: FloatArray, frames: int = 1) -> Channel:
-        """Return a channel whose joints all stay at ``rest`` ``(J, K)`` for frames.
+    def static(rest: FloatArray, frames: int = 1) -> Channel:
+        """Return a channel of static joints at ``rest`` ``(J, K)``.
 
-        >>> Channel.still(np.zeros((2, 3)), 5).dense().shape
+        >>> Channel.static(np.zeros((2, 3)), 5).dense().shape
         (5, 2, 3)
         """
         nothing = np.zeros((frames, 0, rest.shape[1]))
@@ -101,7 +102,7 @@ class Channel:
 
     @staticmethod
     def from_dense(values: FloatArray) -> Channel:
-        """Return the channel of values ``(F, J, K)``, static joints stored once.
+        """Return a channel of values ``(F, J, K)``, with static joints stored once.
 
         Raises:
             OptionError: They have another shape, or no frame (TAKE001).
@@ -123,15 +124,18 @@ class Channel:
         return replace(first, values=np.concatenate([c.values for c in channels]))
 
 
+rename_attributes(Channel, still="static")
+
+
 def _arrays(channel: Channel) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Return a channel as kernels take it."""
+    """Return the kernel arguments of a channel."""
     rest, values = (np.ascontiguousarray(a) for a in (channel.rest, channel.values))
     return rest, np.asarray(channel.animated, np.int64), values
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What a rig does over frames: its joints, its shapes, its controls.
+    """Motion of a rig over frames: joints, shapes and controls.
 
     Attributes:
         translations: Local, parent space, in place of rest [m], K = 3.
@@ -141,10 +145,10 @@ class Motion:
             none.
         controls: Values of the rig's controls, in its order, K = 1; None where the
             take has none. Joints and shapes already hold what they drive.
-        track_times: Which time of its own each of the take's tracks shows, K = 1; None
-            where the take has no tracks.
-        points: Where points of meshes and strands are in the world that do not follow
-            joints any more, by their name [m], K = 3.
+        track_times: Local time of each of the take's tracks, K = 1; None where the take
+            has no tracks.
+        points: World points of simulated meshes and strands, which no longer follow
+            joints, by name [m], K = 3.
     """
 
     translations: Channel
@@ -161,7 +165,7 @@ class Motion:
         return len(self.rotations.values)
 
     def __repr__(self) -> str:
-        """Return how much there is of what."""
+        """Return the numbers of frames, joints, weights and controls."""
         parts = [f"{self.frames} frames", f"{len(self.rotations.rest)} joints"]
         for name in ("weights", "controls"):
             channel: Channel | None = getattr(self, name)
@@ -178,7 +182,7 @@ class Motion:
         )
 
     def world(self, rig: Rig) -> WorldTransforms:
-        """Return where every joint of its rig is in every frame, world space."""
+        """Return the world transforms of every joint in every frame."""
         shape = (self.frames, len(rig.joints), 3)
         world = WorldTransforms(np.zeros(shape), np.zeros((*shape, 3)))
         _kernels.forward_motion(
@@ -233,5 +237,5 @@ class Motion:
         )
 
 
-# From times ``(F,)`` [time codes of a take], in any order, to its motion there.
+# Returns a take's motion at times ``(F,)`` [time codes], in any order.
 MotionCurve: TypeAlias = Callable[[FloatArray], Motion]

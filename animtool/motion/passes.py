@@ -1,7 +1,7 @@
-"""What a pass is, where passes are found, and how one is applied.
+"""Passes: their definition, the table of all passes, and their application.
 
-A pass changes a take: a plain function, a record of its options and a `Pass` that
-names both. The table holds the passes by name; they are imported when used.
+A pass changes a take: a function, a record of its options and a `Pass` with both. The
+table lists the passes by name; they are imported when used.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MAX_NAMED = 6
 
 
 class PassthroughTracks:
-    """Takes the tracks out of a take, and puts them back frame by frame."""
+    """Removes the tracks of a take for a pass, and restores them frame by frame."""
 
     def __init__(self, stream: TakeStream) -> None:
         self._tracks, curve = stream.tracks, stream.curve
@@ -48,7 +48,7 @@ class PassthroughTracks:
             yield replace(block, track_times=None)
 
     def restore(self, stream: TakeStream) -> TakeStream:
-        """Return what a pass made of the take, of as many frames, with its tracks."""
+        """Return the result of a pass, of as many frames, with tracks restored."""
         blocks = self._with(stream.blocks)
         return replace(stream, tracks=self._tracks, blocks=blocks)
 
@@ -57,7 +57,7 @@ class PassthroughTracks:
             yield replace(block, track_times=self._next(block.frames))
 
     def _next(self, frames: int) -> Channel:
-        """Return the times of the frames that come next."""
+        """Return the track times of the next frames."""
         taken: list[Channel] = []
         while frames:
             first = self._waiting.popleft()
@@ -72,7 +72,7 @@ class PassthroughTracks:
 def checked_tracks(
     stream: TakeStream, before: Sequence[Track], name: str
 ) -> TakeStream:
-    """Return what a pass made of a take, refused where it has lost the tracks."""
+    """Return the result of a pass; raises when it is read if tracks are lost."""
     if not before:
         return stream
     paths = listed([track.path for track in before], MAX_NAMED)
@@ -116,7 +116,7 @@ PASSES: dict[str, str] = {
 
 
 class Scope(StrEnum):
-    """How much of a take a pass must see at once."""
+    """How many frames of a take a pass needs at once."""
 
     FRAME = "frame"
     WINDOW = "window"
@@ -124,7 +124,7 @@ class Scope(StrEnum):
 
 
 class TakePart(StrEnum):
-    """A part of a take that a pass looks at or changes."""
+    """A part of a take that a pass reads or changes."""
 
     RIG = "rig"
     JOINTS = "joints"
@@ -138,65 +138,63 @@ class TakePart(StrEnum):
 EVERY_PART = frozenset(TakePart)
 # What moves.
 MOTION_PARTS = frozenset({TakePart.JOINTS, TakePart.SHAPES, TakePart.CONTROLS})
-# What is other than it was where frames lie between those of before.
+# Parts that change when frames are resampled.
 RETIMED_PARTS = MOTION_PARTS | {TakePart.CLOCK, TakePart.TRACKS, TakePart.POINTS}
 
 
 def named_take(path: Path | None, option: str = "take") -> Path:
-    """Return the file of another take that an option names."""
+    """Return the path of another take named by an option."""
     if path is None:
         message = f"{option} must name a file with another take"
         raise OptionError(Fault("SCN024", message))
     return path
 
 
-# A take, the name of a system and of a particle, and what is told the share done.
+# A take, the names of a system and of a particle, and a progress callback.
 Segments: TypeAlias = Callable[
     [Take, str, str, Callable[[float], None] | None], FloatArray
 ]
 
-# From a take, options with keys such as ``colliders``, and how long the first frame is
-# held [s], to the take, of which frames may have been read, and its `Colliders`. Shapes
-# are in the axes of the rig, and the first frame is at 0 s.
+# Takes a take, options with keys such as ``colliders``, and how long the first frame is
+# held [s]; returns the take, of which frames may have been read, and its `Colliders`.
+# Shapes are in the axes of the rig, and the first frame is at 0 s.
 Around: TypeAlias = Callable[[TakeStream, Any, float], tuple[TakeStream, Any]]
 
 
 @dataclass(frozen=True, slots=True)
 class PassContext:
-    """What a pass may use beside its take and options."""
+    """Services of a pass besides its take and options."""
 
     open: Callable[[Path], Take]  # opens another take on the same rig
     folder: Path  # where relative paths in options start
-    # Gathers what a pass has to say about its work.
+    # Collects the warnings and notes of the pass.
     notices: list[Fault] = field(default_factory=list)
-    # Gathers the largest distance in the world by which a pass that solves something
-    # missed it [m].
+    # Collects the largest miss of passes that solve [m].
     errors: list[float] = field(default_factory=list)
-    # Gathers how well it did, when its last frame is made.
+    # Collects scores after the last frame.
     scores: list[PassScores] = field(default_factory=list)
-    # How many frames stand before the take's own and hold its first, for a pass that
-    # settles.
+    # Number of frames prepended that repeat the first, for a pass that settles.
     early: int = 0
-    # Whether a pass writes files beside the take, which its options name as ``writes``:
-    # a bake does, what only looks at a take does not.
+    # Whether a pass writes the files that its options name as ``writes``: true for a
+    # bake, false for commands that only inspect a take.
     keeps: bool = True
-    # Codes of notes that are said once, however many passes find them.
+    # Codes of notes that are reported once over all passes.
     said: set[str] = field(default_factory=set)
-    # Whether time codes of the take are shot frames, which its samples need not be on.
+    # Whether time codes of the take are shot frames, which may lie between samples.
     in_shot: bool = False
-    # Told the share done of the frames in hand, 0 to 1, by passes that say that they
-    # tell it; None where nobody looks.
+    # Receives the fraction done, 0 to 1, of passes with ``tells``; None without
+    # progress.
     progress: Callable[[float], None] | None = None
-    # Simulates a rope or strands of the scene by their name; returns a particle of it,
-    # by name or number, and the one before it at every frame of a take, the latter
-    # first ``(F, 2, 3)`` [m]. None where there is no scene.
+    # Simulates a rope or strands of the scene by name; returns a particle, by name or
+    # number, and the one before it at every frame of a take, the latter first
+    # ``(F, 2, 3)`` [m]. None without a scene.
     segments: Segments | None = None
-    # Builds what the options of a pass name that is run into: see `Around`. None where
-    # there is no scene.
+    # Builds the colliders named by options of a pass, see `Around`; None without a
+    # scene.
     around: Around | None = None
 
     def note_once(self, notices: Iterable[Fault]) -> None:
-        """Add notices whose code is not said yet."""
+        """Add notices whose code was not reported yet."""
         for notice in notices:
             if notice.code not in self.said:
                 self.said.add(notice.code)
@@ -206,12 +204,12 @@ class PassContext:
         """Return the take that an option names.
 
         Raises:
-            OptionError: It names none (SCN024).
+            OptionError: The option names no take (SCN024).
         """
         return self.open(self.folder / named_take(path, option))
 
 
-# By option, what raises `OptionError` where its value makes no sense for any take.
+# By option, a function that raises `OptionError` if its value is invalid for any take.
 OptionChecks: TypeAlias = Mapping[str, Callable[[], object]]
 # A pass fills its own options record, which the caller need not know.
 ClipRun: TypeAlias = Callable[[Take, Any, PassContext], Take]
@@ -224,7 +222,7 @@ def _no_checks(_: object) -> OptionChecks:
 
 @dataclass(frozen=True, slots=True)
 class EvenTime:
-    """Time t of a take comes at ``first + (t - start) · ratio`` of another."""
+    """Linear map of time: t of a take is ``first + (t - start) · ratio`` of another."""
 
     start: float  # [time code]
     ratio: float  # above 0
@@ -248,20 +246,20 @@ class Pass:
     # Takes a `TakeStream` (FRAME, WINDOW) or a `Take` (CLIP), the options and the
     # context, and returns the same kind.
     run: ClipRun | StreamRun
-    # Takes the options and returns what can be checked of them before there is a take.
+    # Returns checks of the options that need no take.
     checks: Callable[[Any], OptionChecks] = _no_checks
-    # Parts of the take that decide what it does; nothing else shows in it.
+    # Parts of the take that the result depends on.
     reads: frozenset[TakePart] = EVERY_PART
-    # Parts that it may change; all else stays as it is. What stays does so at the time
-    # codes that are left, where the clock is among them. A pass that changes neither
-    # clock nor tracks does not see what is beside the rig.
+    # Parts that it may change. If the clock is among them, other parts are kept at the
+    # remaining time codes. A pass that changes neither clock nor tracks does not see
+    # tracks.
     changes: frozenset[TakePart] = EVERY_PART
-    # It begins from a state of its own and needs the pre-roll of a shot to come to the
-    # take; it keeps the frames that it is given.
+    # It starts from its own state and needs a shot's pre-roll to settle; it keeps the
+    # number of frames.
     settles: bool = False
-    tells: bool = False  # it takes its time, and tells the context its progress
-    # Of options and the clock of a take, how its times run evenly in the result, see
-    # `EvenTime`: curves of controls stay curves. None changes time otherwise, or more.
+    tells: bool = False  # it is slow, and reports its progress to the context
+    # Returns the linear time mapping of the pass, from its options and a take's clock,
+    # so that curves of controls stay curves; None if time changes otherwise.
     even: Callable[[Any, Clock], EvenTime | None] = _not_even
 
 
@@ -289,13 +287,13 @@ class ListedPass:
 
     name: str  # as a scene writes it
     source: str  # ``animtool``, or the object that an entry point names
-    scope: Scope | None  # none where it cannot be loaded
-    about: str  # what it does, or why it cannot be loaded
+    scope: Scope | None  # None if it fails to load
+    about: str  # what it does, or why it fails to load
     json_keys: ClassVar[str] = "pass=name source scope about"
 
 
 def listed_passes() -> list[ListedPass]:
-    """Return every pass, animtool's own first, each loaded to see whether it can be.
+    """Return every pass, built-in ones first, each loaded to check that it works.
 
     >>> listed_passes()[0].name
     'blend'
@@ -314,7 +312,7 @@ def listed_passes() -> list[ListedPass]:
 
 
 def sees_tracks(pass_: Pass) -> bool:
-    """Return whether a pass is given what is beside the rig.
+    """Return whether a pass receives the tracks of a take.
 
     >>> sees_tracks(find_pass("mirror")), sees_tracks(find_pass("trim"))
     (False, True)
@@ -325,12 +323,11 @@ def sees_tracks(pass_: Pass) -> bool:
 def apply_pass(
     stream: TakeStream, pass_: Pass, options: object, context: PassContext
 ) -> TakeStream:
-    """Return a take with a pass applied; a CLIP pass reads the whole at once.
+    """Return a take with a pass applied; a CLIP pass reads all frames at once.
 
-    Notices and details of the source stay with the stream, and the curves of the
-    controls whose frames and values a CLIP pass leaves alone, or whose time it changes
-    evenly. A take whose source
-    states no first frame still states none, unless the pass moves the frame.
+    Notices and details of the source stay with the stream, and so do the curves of
+    controls whose values a CLIP pass keeps, or whose time it changes linearly. A take
+    without a first frame in its source keeps that, unless the pass moves the frame.
     """
     _check_points(stream, pass_)
     if stream.tracks and not sees_tracks(pass_):
@@ -345,9 +342,9 @@ def apply_pass(
         done = replace(done, control_curves=curves, curve=curve, altered=True, count=0)
         return checked_tracks(done, stream.tracks, pass_.name)
     before = stream.collect()
-    made = cast(ClipRun, pass_.run)(before, options, context)
-    take = driven_take(made)
-    context.notices.extend(take.notices[len(made.notices) :])
+    changed = cast(ClipRun, pass_.run)(before, options, context)
+    take = driven_take(changed)
+    context.notices.extend(take.notices[len(changed.notices) :])
     kept = _kept_curves(stream, before, take, pass_.even(options, before.clock))
     if not _same_rows(before.rig, take.rig):
         take = replace(take, curve=None)
@@ -367,7 +364,7 @@ def apply_pass(
 def _kept_curves(
     stream: TakeStream, before: Take, after: Take, even: EvenTime | None
 ) -> dict[str, Curves]:
-    """Return the curves of controls that still hold, at the times of the result."""
+    """Return the curves of controls that remain valid, at the times of the result."""
     curves = stream.control_curves
     if not curves:
         return {}
@@ -390,7 +387,7 @@ def _same_rows(rig: Rig, other: Rig) -> bool:
 
 
 def _check_points(stream: TakeStream, pass_: Pass) -> None:
-    """Refuse to move joints whose points do not follow them any more."""
+    """Raise if a pass moves joints of simulated points."""
     changes = pass_.changes
     if (
         not stream.points
@@ -404,10 +401,10 @@ def _check_points(stream: TakeStream, pass_: Pass) -> None:
 
 
 def _untouched(before: Take, after: Take) -> set[str]:
-    """Return the controls that are in every frame what they were."""
+    """Return the controls with equal values in every frame."""
     old, new = before.motion.controls, after.motion.controls
     same = before.clock == after.clock and before.rig.controls == after.rig.controls
     if not same or old is None or new is None:
         return set()
-    alike = (old.dense() == new.dense()).all(axis=(0, 2))
-    return {before.rig.controls[i].name for i in alike.nonzero()[0].tolist()}
+    equal = (old.dense() == new.dense()).all(axis=(0, 2))
+    return {before.rig.controls[i].name for i in equal.nonzero()[0].tolist()}

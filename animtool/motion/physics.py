@@ -1,4 +1,4 @@
-"""Rigid bodies as they begin, so that other engines can go on from there."""
+"""Initial states of rigid bodies, for other physics engines."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 
-STILL: FloatArray = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+IDENTITY_POSE: FloatArray = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +22,9 @@ class PhysicsShape:
     # sides), `plane` (none: what is below y = 0) or `mesh` (none: its triangles).
     kind: str
     size: tuple[float, ...] = ()  # [m]
-    pose: FloatArray = field(default_factory=STILL.copy)  # origin [m], quaternion (7,)
+    pose: FloatArray = field(
+        default_factory=IDENTITY_POSE.copy
+    )  # origin [m], quaternion (7,)
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (P, 3) [m]
     triangles: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     friction: float = 0.5
@@ -33,34 +35,36 @@ class PhysicsShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhysicsBody:
-    """A body, in its own frame where nothing else is said."""
+    """A rigid body, in its local frame unless stated otherwise."""
 
     name: str
     pose: FloatArray  # of its frame in the world (7,)
     shapes: Sequence[PhysicsShape]
-    density: float = 1000.0  # of its shapes, where there is no mass [kg/m³]
+    density: float = 1000.0  # of its shapes, if there is no mass [kg/m³]
     mass: float | None = None  # [kg]
     centre: FloatArray | None = None  # of mass (3,) [m]
-    moments: FloatArray | None = None  # about its principal axes (3,) [kg m²]
-    axes: FloatArray = field(default_factory=STILL[3:].copy)  # these (4,)
+    inertia: FloatArray | None = None  # about its principal axes (3,) [kg m²]
+    axes: FloatArray = field(default_factory=IDENTITY_POSE[3:].copy)  # principal (4,)
     velocity: FloatArray = field(default_factory=lambda: np.zeros(3))  # of the world
     spin: FloatArray = field(default_factory=lambda: np.zeros(3))  # likewise [rad/s]
     kinematic: bool = False
     times: FloatArray = field(default_factory=lambda: np.zeros(1))  # (T,) [s]
-    path: FloatArray | None = None  # poses at these, of what is kinematic (T, 7)
-    origin: str = ""  # file and prim that it is of
+    path: FloatArray | None = None  # poses of a kinematic body at these times (T, 7)
+    origin: str = ""  # its file and prim
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointDrive:
-    """What draws a joint."""
+    """A drive of a joint."""
 
     stiffness: float  # [N m/rad] or [N/m]
     damping: float  # [N m s/rad] or [N s/m]
     target: float = 0.0  # [rad] or [m]
-    turn: FloatArray = field(default_factory=STILL[3:].copy)  # of a ball (4,)
+    rotation: FloatArray = field(
+        default_factory=IDENTITY_POSE[3:].copy
+    )  # of a ball (4,)
     most: float | None = None  # torque [N m] or force [N]
-    speed: float = 0.0  # that the damping draws to [rad/s] or [m/s]
+    speed: float = 0.0  # target velocity of the damping [rad/s] or [m/s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,16 +79,16 @@ class PhysicsJoint:
     swing: tuple[float, float] | None = None  # half-angles about y and z [rad]
     drive: JointDrive | None = None
     contacts: bool = False  # whether its two bodies collide
-    # Force [N] and torque [N m] that it breaks at.
+    # Force [N] and torque [N m] at which it breaks.
     breaks: tuple[float, float] = (np.inf, np.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Physics:
-    """Bodies, what holds them together, and what they run into."""
+    """Bodies, joints and colliders of a physics scene."""
 
     bodies: Sequence[PhysicsBody]
     joints: Sequence[PhysicsJoint] = ()
-    colliders: Sequence[PhysicsShape] = ()  # that never move, in the world
+    colliders: Sequence[PhysicsShape] = ()  # static, world space
     gravity: FloatArray = field(default_factory=lambda: np.zeros(3))  # [m/s²]
     notices: Sequence[Fault] = ()

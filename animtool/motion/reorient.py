@@ -1,4 +1,4 @@
-"""Standing a take on another up axis, or in another place."""
+"""Changes the up axis or the placement of a take."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
-from animtool.motion.transforms import placed_track, turned_track
+from animtool.motion.transforms import placed_track, rotated_track
 from animtool.rig.placed import at_origin, placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
 
 def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
-    """Return the take with its roots, at rest and in motion, turned to an up axis.
+    """Return a take rotated to an up axis.
 
-    Everything below the roots is in their frames and stays as it is; strands, and the
-    pole directions of chains that begin at a root, are in the world, as are tracks.
+    Roots at rest and in motion, strands, tracks, and the pole directions of chains that
+    begin at a root are rotated; everything below the roots is in their frames.
     """
-    turn = up_from_up(up, stream.rig.up)
-    if turn is None:
+    rotation = up_from_up(up, stream.rig.up)
+    if rotation is None:
         return stream
-    rotation = np.array(turn)
-    turned = _placed_stream(stream, Placement.from_rotation(rotation), up)
-    turned.tracks = tuple(turned_track(track, rotation) for track in stream.tracks)
+    quaternion = np.array(rotation)
+    turned = _placed_stream(stream, Placement.from_rotation(quaternion), up)
+    turned.tracks = tuple(rotated_track(track, quaternion) for track in stream.tracks)
     return turned
 
 
-def off_its_place(stream: TakeStream) -> TakeStream:
-    """Return a take without where its stage has it stand and face.
+def at_stage_origin(stream: TakeStream) -> TakeStream:
+    """Return a take without its placement on the stage.
 
-    Its size and its up axis stay. What of its stage is beside it goes along.
+    Its size and its up axis stay. Tracks of the stage are moved along.
     """
     stands = stream.rig.stands
     if stands is None:
@@ -70,23 +70,23 @@ def _placed_blocks(
         yield placed_motion(block, roots, placement)
 
 
-def turned_rig(rig: Rig, turn: FloatArray, up: UpAxis) -> Rig:
-    """Return a rig with its roots at rest turned by ``turn`` ``(4,)`` to an up axis."""
-    return placed_rig(rig, Placement.from_rotation(turn), up)
+def rotated_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
+    """Return a rig with its roots at rest rotated ``(4,)`` to an up axis."""
+    return placed_rig(rig, Placement.from_rotation(rotation), up)
 
 
 def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
-    """Return the motion of a rig brought to a placement, of as many frames or of one.
+    """Return a motion moved to a placement of as many frames or of one.
 
-    roots: joints without a parent ``(R,)``; the others are in their frames.
+    ``roots``: joints without a parent ``(R,)``.
     """
-    rotations = _placed(motion.rotations, roots, placement, turns=True)
+    rotations = _placed(motion.rotations, roots, placement, rotates=True)
     if placement.moves:
         frames = so3.align_signs(rotations.gather(roots))
         rotations = rotations.put(roots, frames)
     return replace(
         motion,
-        translations=_placed(motion.translations, roots, placement, turns=False),
+        translations=_placed(motion.translations, roots, placement, rotates=False),
         rotations=rotations,
         scales=_scaled(motion, roots, placement),
         points={
@@ -97,33 +97,33 @@ def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Moti
 
 
 def _placed(
-    channel: Channel, roots: IntArray, placement: Placement, *, turns: bool
+    channel: Channel, roots: IntArray, placement: Placement, *, rotates: bool
 ) -> Channel:
-    """Return a channel whose roots are placed, and its lengths scaled."""
-    operation = placement.rotated if turns else placement.points
+    """Return a channel with its roots placed and its lengths scaled."""
+    operation = placement.rotated if rotates else placement.points
     rest, values = channel.rest.copy(), channel.values.copy()
     moving = np.isin(channel.animated, roots)
-    if placement.size != 1.0 and not turns:
+    if placement.size != 1.0 and not rotates:
         below = np.ones(len(rest), np.bool_)
         below[roots] = False
         rest[below] *= placement.size
         values[:, ~moving] *= placement.size
     if placement.moves:
-        whole = operation(channel.gather(roots))
-        return Channel(rest, channel.animated, values).put(roots, whole)
+        placed = operation(channel.gather(roots))
+        return Channel(rest, channel.animated, values).put(roots, placed)
     rest[roots] = operation(rest[roots])
     values[:, moving] = operation(values[:, moving])
     return Channel(rest, channel.animated, values)
 
 
 def _scaled(motion: Motion, roots: IntArray, placement: Placement) -> Channel | None:
-    """Return scales with what lengths do not hold of a size that changes."""
+    """Return scales times the part of a varying size that lengths do not contain."""
     more = placement.sizes / placement.size
     if (more == 1.0).all():
         return motion.scales
     scales = motion.scales
     if scales is None:
-        scales = Channel.still(np.ones((len(motion.translations.rest), 3)), len(more))
+        scales = Channel.static(np.ones((len(motion.translations.rest), 3)), len(more))
     return scales.put(roots, scales.gather(roots) * more[:, None, None])
 
 

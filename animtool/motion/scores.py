@@ -1,4 +1,4 @@
-"""How well a pass did its work: numbers, each with the most that a good result has."""
+"""Quality scores of a pass, each with the largest value of a good result."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from animtool.core.errors import percent
 from animtool.core.quantities import angle_text, length_text, plain
 from animtool.core.record import dataclass
 
-# Of what a good result has: a table is not to show what rounding leaves.
+# Fraction of a good result's value below which a score is shown as 0.
 NEGLIGIBLE = 1e-4
 
 
 class ScoreUnit(StrEnum):
-    """What the number of a score counts."""
+    """Unit of a score."""
 
     LENGTH = "m"
     ANGLE = "rad"
-    SHARE = "share"
+    FRACTION = "share"
     RATIO = "ratio"
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One number of a pass: the larger, the worse.
+    """One score of a pass: larger is worse.
 
     Attributes:
-        name: What reports call it.
+        name: Name in reports.
         value: The number, in the unit; NaN where there was nothing to score.
-        unit: Metres, radians, a share of 1, or a ratio.
-        usual: The most that a good result has, above ``ideal``.
-        ideal: That of a perfect result.
+        unit: Metres, radians, a fraction, or a ratio.
+        usual: Largest value of a good result, above ``ideal``.
+        ideal: Value of a perfect result.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Score:
 
     @property
     def excess(self) -> float:
-        """How bad it is: 0 is perfect, or nothing; 1 the most that a good result has.
+        """Badness: 0 for a perfect result or none; 1 for the limit of a good result.
 
         >>> Score("drift", 0.003, ScoreUnit.LENGTH, 0.001).excess
         3.0
@@ -56,7 +56,7 @@ class Score:
 
     @property
     def text(self) -> str:
-        """The value with its unit; 0 where it is too small to matter, or none.
+        """The value with its unit; 0 if negligible, "none" if NaN.
 
         >>> Score("drift", 0.003, ScoreUnit.LENGTH, 0.001).text
         '3 mm'
@@ -71,7 +71,7 @@ class Score:
             return length_text(value)
         if self.unit is ScoreUnit.ANGLE:
             return angle_text(math.degrees(value))
-        return percent(value) if self.unit is ScoreUnit.SHARE else plain(value)
+        return percent(value) if self.unit is ScoreUnit.FRACTION else plain(value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +80,8 @@ class PassScores:
 
     Attributes:
         scores: In the order of reports.
-        names: What of the take or the rig they concern, by what is said of it.
-        pass_name: Of the pass; empty until a scene fills it in.
+        names: Affected joints or parts of the take, by description.
+        pass_name: Name of the pass; empty until a scene sets it.
         where: Its entry in the scene; likewise.
     """
 
@@ -92,12 +92,12 @@ class PassScores:
     json_keys: ClassVar[str] = "pass=pass_name where scores names"
 
     def of_pass(self, name: str, where: str) -> PassScores:
-        """Return them as those of a pass at its entry in a scene."""
+        """Return the scores with a pass name and its entry in a scene."""
         return replace(self, pass_name=name, where=where)
 
     @property
     def worse(self) -> list[Score]:
-        """The scores above what a good result has, the worst first."""
+        """The scores worse than a good result, the worst first."""
         worse = [score for score in self.scores if score.excess > 1.0]
         return sorted(worse, key=lambda score: -score.excess)
 

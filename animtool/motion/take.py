@@ -1,7 +1,7 @@
-"""What flows through animtool: a clock, and the motion of a rig.
+"""Takes: a clock and the motion of a rig.
 
-A take arrives as a `TakeStream` of blocks of frames, so that a long one is never
-held whole, or is gathered into one `Take` where an operation needs all of it.
+A `TakeStream` yields blocks of frames, so that a long take is never in memory at once;
+a `Take` has all frames, for operations that need them.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
-# Half precision, the coarsest that USD keeps rotations in, is off by 5e-4.
+# Half precision, the coarsest of USD's rotations, is off by 5e-4.
 UNIT_TOLERANCE = 1e-3
 
 
-def misfits(
+def shape_faults(
     rig: Rig, clock: Clock, motion: Motion, tracks: Sequence[Track]
 ) -> list[Fault]:
-    """Return what is not of the same frames, joints, shapes and controls."""
+    """Return faults of shapes that do not match the clock, rig and tracks."""
     frames = clock.count
     expected = [
         ("translations", motion.translations, len(rig.joints), 3),
@@ -51,13 +51,13 @@ def misfits(
         if channel is None:
             continue
         moving = len(channel.animated)
-        for part, wanted, found in (
+        for part, expected_shape, shape in (
             ("rest", (many, width), channel.rest.shape),
             ("animated", (moving,), channel.animated.shape),
             ("values", (frames, moving, width), channel.values.shape),
         ):
-            if wanted != found:
-                message = f"{name}.{part} must have shape {wanted}, not {found}"
+            if expected_shape != shape:
+                message = f"{name}.{part} must have shape {expected_shape}, not {shape}"
                 faults.append(Fault("TAKE001", message))
         order = [-1, *channel.animated.ravel().tolist(), many]
         if not all(a < b for a, b in pairwise(order)):
@@ -76,32 +76,32 @@ _CHANNELS = (
 )
 
 
-def impossible_values(
+def value_faults(
     rig: Rig, clock: Clock, motion: Motion, tracks: Sequence[Track]
 ) -> list[Fault]:
-    """Return what is no number, or no rotation: the first of each channel."""
+    """Return faults of infinite values and invalid rotations, one per channel."""
     faults = []
     for name in _CHANNELS:
         channel: Channel | None = getattr(motion, name)
         if channel is None:
             continue
-        for still, values in ((True, channel.rest), (False, channel.values)):
+        for static, values in ((True, channel.rest), (False, channel.values)):
             wrong = _first_infinite(values)
             code, what = "TAKE004", "not finite"
             if wrong is None and name == "rotations":
                 wrong = _first_unequal(values)
                 code, what = "TAKE005", "not a unit quaternion (x, y, z, w)"
             if wrong is not None:
-                index = wrong[0] if still else int(channel.animated[wrong[1]])
-                when = "" if still else f" at frame {float(clock.times[wrong[0]]):g}"
-                place = f"{_owner(rig, tracks, name, index)}{when}"
-                message = f"{name}: {place} is {values[wrong].tolist()}, {what}"
+                index = wrong[0] if static else int(channel.animated[wrong[1]])
+                when = "" if static else f" at frame {float(clock.times[wrong[0]]):g}"
+                owner = f"{_owner(rig, tracks, name, index)}{when}"
+                message = f"{name}: {owner} is {values[wrong].tolist()}, {what}"
                 faults.append(Fault(code, message))
     return faults
 
 
 def _first_infinite(values: FloatArray) -> tuple[int, ...] | None:
-    # A sum that is finite has no part that is not, and makes no copy.
+    # A finite sum has only finite terms, and needs no copy.
     if np.isfinite(np.sum(values)):
         return None
     bad = np.argwhere(~np.isfinite(values).all(axis=-1))
@@ -116,7 +116,7 @@ def _first_unequal(values: FloatArray) -> tuple[int, ...] | None:
 
 
 def _owner(rig: Rig, tracks: Sequence[Track], name: str, index: int) -> str:
-    """Return what a row of a channel is of."""
+    """Return the name of the owner of a channel's row."""
     if name == "track_times":
         return f"track {tracks[index].path!r}"
     kind = {"weights": "shapes", "controls": "controls"}.get(name, "joints")
@@ -125,24 +125,23 @@ def _owner(rig: Rig, tracks: Sequence[Track], name: str, index: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """The motion of one rig, whole.
+    """All frames of the motion of one rig.
 
     Attributes:
         rig: J joints.
-        clock: When its F frames are.
-        motion: What they hold.
-        notices: Warnings and notes about where it comes from.
-        tracks: Things beside the rig; most takes have none.
-        curve: What it was sampled from, where that is a function of time, at any times
-            ``(F,)`` [time codes]; None where there are samples only. It counts for
-            what the samples still are the curve's of, which a pass may have changed:
-            see `animtool.edit.between.Between`.
+        clock: Times of its F frames.
+        motion: Values of the frames.
+        notices: Warnings and notes about its source.
+        tracks: Props and cameras; most takes have none.
+        curve: Source of the samples as a function of time codes ``(F,)``; None if there
+            are samples only. It is valid for samples that passes have not changed, see
+            `animtool.edit.between.Between`.
 
     Raises:
-        OptionError: The motion's arrays are not of the rig's joints, shapes and
-            controls, of the tracks, or not of the clock's frames (TAKE001), or a
-            channel's joints do not ascend (TAKE002), with every such fault; else a
-            value is not finite (TAKE004) or a rotation no unit quaternion (TAKE005).
+        OptionError: The motion's arrays do not match the rig, the tracks or the clock
+            (TAKE001), or a channel's joints do not ascend (TAKE002), with every such
+            fault; else a value is not finite (TAKE004) or a rotation is not a unit
+            quaternion (TAKE005).
     """
 
     rig: Rig
@@ -155,13 +154,13 @@ class Take:
     def __post_init__(self) -> None:
         """Check that rig, clock and motion fit together."""
         parts = self.rig, self.clock, self.motion, self.tracks
-        faults = misfits(*parts) or impossible_values(*parts)
+        faults = shape_faults(*parts) or value_faults(*parts)
         if faults:
             raise OptionError(faults)
 
     @property
     def fps(self) -> Fraction:
-        """Time codes a second; `Clock.rate` is the rate of the frames."""
+        """Time codes per second; `Clock.rate` is the frame rate."""
         return self.clock.fps
 
     def __len__(self) -> int:
@@ -173,7 +172,7 @@ class Take:
         return True
 
     def world(self) -> WorldTransforms:
-        """Return where every joint is in every frame, world space.
+        """Return the world transforms of every joint in every frame.
 
         >>> from animtool.rig.skeleton import Joint
         >>> rig = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 2, 0))))
@@ -202,33 +201,31 @@ class Take:
 
 @dataclass(slots=True)
 class TakeStream:
-    """A take that arrives block by block, once.
+    """A take that is read block by block, once.
 
     Attributes:
         rig: J joints.
-        fps: Time codes a second.
-        start: Time code of the first frame; None where the source states none.
+        fps: Time codes per second.
+        start: Time code of the first frame; None if the source has none.
         step: Time codes from one frame to the next.
         blocks: Motions of consecutive frames that share their rest and animated
             joints. Reading them may raise `animtool.core.errors.FormatError`.
         notices: Warnings and notes about the source; complete once the blocks are
             read.
-        details: What the source states beyond this, for reports.
-        curve: Where the source is a function of time, gives its motion at any times
-            ``(F,)`` [time codes of the source]; None where it has samples only.
-        altered: Whether the blocks may hold something else than ``curve`` gives, as
-            passes have run: it counts for what they still are the curve's of.
-        count: Number of frames, where ``curve`` is given and not altered.
-        control_curves: The curves that controls were keyed with, by name, one each,
-            over time codes of the source; those that still hold.
-        tracks: Things beside the rig, whose times are in the blocks; most takes have
-            none.
-        points: Names of the meshes and strands whose points the motions hold.
-        simulated: What became of each thing that was simulated, as plain values;
-            complete once the blocks are read.
-        scores: How well passes did; complete once the blocks are read.
-        dropped: Where its stage had it stand, at time codes of that ``(F,)``, which
-            the take is read without; None where nothing is left out.
+        details: Further information of the source, for reports.
+        curve: The source's motion as a function of its time codes ``(F,)``; None if it
+            has samples only.
+        altered: Whether passes may have changed the blocks relative to ``curve``.
+        count: Number of frames, if ``curve`` is set and not altered.
+        control_curves: Valid key curves of controls by name, over time codes of the
+            source.
+        tracks: Props and cameras, whose times are in the blocks; most takes have none.
+        points: Names of the meshes and strands with simulated points.
+        simulated: Reports of simulations as plain values; complete once the blocks are
+            read.
+        scores: Scores of passes; complete once the blocks are read.
+        dropped: Placement on the stage at its time codes ``(F,)``, if the take is read
+            without it; None otherwise.
     """
 
     rig: Rig
@@ -254,7 +251,7 @@ class TakeStream:
         return f"<TakeStream of {self.rig.name!r} at {rate_label(self.fps)}, {joints}>"
 
     def collect(self) -> Take:
-        """Return the whole take, static joints stored once."""
+        """Return the complete take, with static joints stored once."""
         motion = Motion.concatenate(list(self.blocks)).map(Channel.compact)
         start = Fraction(1) if self.start is None else self.start
         clock = Clock(self.fps, start, self.step, motion.frames)
@@ -264,7 +261,7 @@ class TakeStream:
 
     @staticmethod
     def of(take: Take) -> TakeStream:
-        """Return a stream of one block."""
+        """Return a take as a stream of one block."""
         clock = take.clock
         return TakeStream(
             take.rig,

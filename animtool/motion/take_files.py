@@ -1,4 +1,4 @@
-"""A take as the files of a format, made but not written."""
+"""The contents of a take's output files, before writing."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ Contents: TypeAlias = "Iterable[bytes] | Mapping[str, npt.NDArray[np.generic]]"
 
 @dataclass(frozen=True, slots=True)
 class WriteOptions:
-    """What a writer of files is told."""
+    """Options of a file writer."""
 
-    # How far keys may move a joint, or a point 3 cm off it [m]; None is the usual.
+    # Tolerance of keys at a joint and at a point 3 cm off it [m]; None is the default.
     tolerance: float | None = None
     # Other tolerances for some joints: names or patterns, and [m].
     joint_tolerances: Mapping[str, float] = field(default_factory=dict)
-    # What an additive take is put on, at its frames.
+    # Base of an additive take, at its frames.
     base: Take | None = None
-    rig_file: Path | None = None  # with the take's rig, to be named; None writes one
+    rig_file: Path | None = None  # with the take's rig, to refer to; None writes one
     others: tuple[
         Take, ...
-    ] = ()  # further takes of the rig, where a file holds several
-    names: tuple[str, ...] = ()  # of all takes; empty is the name of the file
+    ] = ()  # further takes of the rig, for files with several takes
+    names: tuple[str, ...] = ()  # of all takes; empty uses the file name
 
 
 @dataclass(frozen=True, slots=True)
 class TakeFiles:
-    """The files of a take, the one that was asked for last."""
+    """All files of a take; the requested file last."""
 
     contents: dict[Path, Contents]  # by file, in the order to write them
     span: FrameSpan  # first frame, last frame and rate, as the file has them
     joints: int
-    notices: list[Fault]  # what the format cannot hold
-    # The keys, and how far they are off, where such are fitted.
+    notices: list[Fault]  # data that the format cannot store
+    # Fitted keys and their errors, if any.
     keyed: Any = None

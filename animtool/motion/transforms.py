@@ -1,4 +1,4 @@
-"""Tracks of rigid things beside a rig: props, cameras, and values of attributes."""
+"""Tracks of props and cameras: transforms and attribute values over time."""
 
 from __future__ import annotations
 
@@ -19,61 +19,61 @@ from animtool.rig.placement import Placement
 
 @dataclass(frozen=True, slots=True)
 class Attribute:
-    """A value that a thing has over time."""
+    """An animated attribute of a prop."""
 
-    name: str  # as USD has it
-    type_name: str  # likewise, such as ``float2``
-    width: int = 1  # how many numbers it is; 0 where it is one of some choices
-    # What it may be that is no number, and lasts until it is another.
+    name: str  # USD name
+    type_name: str  # USD type, such as ``float2``
+    width: int = 1  # number of components; 0 for a choice
+    # Values of types that USD holds instead of interpolating.
     choices: tuple[object, ...] = ()
-    length: bool = False  # whether its numbers are lengths, which are [m] then
+    length: bool = False  # whether its numbers are lengths [m]
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
-    """What is to be seen of a thing."""
+class PropReference:
+    """The USD asset that a prop shows."""
 
-    file: str  # A USD file
+    file: str  # USD file
     prim: str  # path of a prim in it; empty is its default prim
     meters_per_unit: float  # its length unit [m]
 
 
 @dataclass(frozen=True, slots=True)
 class PropRequest:
-    """What is to be read of a file."""
+    """What to read from a USD file."""
 
     file: Path  # the USD file
     prim: str  # path of the prim
-    # Where it is to be written: below the character, or from ``/`` on.
+    # Output path: below the character, or absolute from ``/``.
     path: str
-    attributes: tuple[str, ...] = ()  # names of attributes beside those of a camera
-    # File that shows it; the file itself with the prim, or another with its default
-    # prim. None shows nothing.
+    attributes: tuple[str, ...] = ()  # names of attributes besides a camera's
+    # Asset to show: the file itself with the prim, or another with its default prim.
+    # None shows nothing.
     reference: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Transforms:
-    """Where a thing is at F times, in the world of the rig, and its values."""
+    """Transforms of a prop at F times, in the world of the rig, and its values."""
 
     translations: FloatArray  # ``(F, 3)`` [m]
     rotations: FloatArray  # unit quaternions (x, y, z, w) ``(F, 4)``
     scales: FloatArray  # ``(F, 3)``
-    # Column vectors, [m] ``(F, 4, 4)``, in place of the three where these do not come
-    # to the same; None where they do.
+    # Matrices of column vectors [m] ``(F, 4, 4)``, if the three do not represent the
+    # transform, as with shear; None otherwise.
     matrices: FloatArray | None = None
-    # Of each attribute: numbers ``(F, width)``, or which of its choices ``(F,)``.
+    # Of each attribute: numbers ``(F, width)``, or indices of its choices ``(F,)``.
     values: tuple[npt.NDArray[Any], ...] = ()
-    # Whether its file has no such time, and it is as at the nearest ``(F,)``; None
-    # where it has them all.
-    held: BoolArray | None = None
+    # Mask of times outside the file's range, held at the nearest ``(F,)``; None for
+    # none.
+    clamped: BoolArray | None = None
 
     def __len__(self) -> int:
         """Return the number of times."""
         return len(self.translations)
 
     def matrix(self) -> FloatArray:
-        """Return the whole as matrices of column vectors, [m] ``(F, 4, 4)``.
+        """Return the transforms as matrices of column vectors [m] ``(F, 4, 4)``.
 
         >>> still = np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]), np.ones((1, 3))
         >>> bool((Transforms(*still).matrix() == np.eye(4)).all())
@@ -81,51 +81,51 @@ class Transforms:
         """
         if self.matrices is not None:
             return self.matrices
-        whole = np.tile(np.eye(4), (len(self), 1, 1))
-        whole[:, :3, :3] = so3.to_matrix(self.rotations) * self.scales[:, None]
-        whole[:, :3, 3] = self.translations
-        return whole
+        matrices = np.tile(np.eye(4), (len(self), 1, 1))
+        matrices[:, :3, :3] = so3.to_matrix(self.rotations) * self.scales[:, None]
+        matrices[:, :3, 3] = self.translations
+        return matrices
 
 
-# From times ``(F,)`` of the track's own, in any order.
+# Samples a track at its local times ``(F,)``, in any order.
 Sampling: TypeAlias = Callable[[FloatArray], Transforms]
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A thing beside a rig: a function of a time of its own.
+    """A prop or camera: a function of its local time.
 
-    A take says which of these times each of its frames shows, so that whatever cuts,
-    resamples and retimes its frames does the same to the thing, without loss.
+    A take stores the local time of each of its frames, so that passes that cut,
+    resample or retime frames apply to the prop too, without loss.
     """
 
-    path: str  # where it is written: below the character, or from ``/`` on
-    sample: Sampling  # gives it at times
+    path: str  # output path: below the character, or absolute from ``/``
+    sample: Sampling  # samples it at local times
     type_name: str = "Xform"  # of its prim; empty leaves it to the reference
-    placed: bool = True  # whether it has a place in the world; else only attributes
-    moves: bool = True  # whether anything of it changes over time
-    attributes: tuple[Attribute, ...] = ()  # values that it has, in order
-    reference: Reference | None = None  # what is to be seen; None is nothing
-    # Whether it goes where the take is brought: it is of the stage of the take, or in
-    # the space of the character.
+    placed: bool = True  # whether it has a transform; else only attributes
+    moves: bool = True  # whether it changes over time
+    attributes: tuple[Attribute, ...] = ()  # in order
+    reference: PropReference | None = None  # what is to be seen; None is nothing
+    # Whether it follows the placement of the take: it belongs to the take's stage, or
+    # is in the space of the character.
     along: bool = False
-    # Makes a fault of it, with the place where it is named.
+    # Creates a fault located where the track is named.
     note: Callable[..., Fault] = Fault
 
     def at(self, times: FloatArray) -> Transforms:
-        """Return the thing at times ``(F,)``, signs of rotations continuous."""
+        """Return its transforms at times ``(F,)``, with continuous rotation signs."""
         transforms = self.sample(times)
         return replace(transforms, rotations=so3.align_signs(transforms.rotations))
 
 
 def placed(transforms: Transforms, placement: Placement) -> Transforms:
-    """Return transforms, brought to a placement of as many frames or of one."""
+    """Return transforms moved to a placement of as many frames or of one."""
     if transforms.matrices is not None:
-        whole = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
-        whole[:, :3, :3] = so3.to_matrix(placement.rotations)
-        whole[:, :3, :3] *= placement.sizes[:, None, None]
-        whole[:, :3, 3] = placement.translations
-        return below_matrices(transforms, whole)
+        matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
+        matrices[:, :3, :3] = so3.to_matrix(placement.rotations)
+        matrices[:, :3, :3] *= placement.sizes[:, None, None]
+        matrices[:, :3, 3] = placement.translations
+        return below_matrices(transforms, matrices)
     points = placement.points(transforms.translations[:, None])[:, 0]
     rotations = placement.rotated(transforms.rotations[:, None])[:, 0]
     scales = transforms.scales
@@ -135,12 +135,12 @@ def placed(transforms: Transforms, placement: Placement) -> Transforms:
 
 
 def below_matrices(transforms: Transforms, matrices: FloatArray) -> Transforms:
-    """Return transforms after matrices of column vectors, [m] ``(F, 4, 4)`` or one."""
+    """Return transforms multiplied from the left by matrices [m] ``(F, 4, 4)``."""
     return replace(transforms, matrices=matrices @ transforms.matrix())
 
 
 def placed_track(track: Track, placement: Callable[[FloatArray], Placement]) -> Track:
-    """Return a track that is brought somewhere, at times ``(F,)`` of its own."""
+    """Return a track moved to a placement that depends on its local times ``(F,)``."""
     if not track.placed:
         return track
 
@@ -150,7 +150,7 @@ def placed_track(track: Track, placement: Callable[[FloatArray], Placement]) -> 
     return replace(track, sample=sample)
 
 
-def turned_track(track: Track, turn: FloatArray) -> Track:
-    """Return a track in a world that is turned ``(4,)``."""
-    placement = Placement.from_rotation(turn)
+def rotated_track(track: Track, rotation: FloatArray) -> Track:
+    """Return a track rotated by a quaternion ``(4,)``."""
+    placement = Placement.from_rotation(rotation)
     return placed_track(track, lambda _: placement)

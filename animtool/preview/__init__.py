@@ -1,1 +1,1 @@
-"""Pages that play, and pictures of what was measured, which matplotlib draws."""
+"""Interactive HTML pages, and plots drawn by matplotlib."""

@@ -1,4 +1,4 @@
-"""Pages: files read, put on one timeline, and written as one HTML file."""
+"""Builds pages: reads files, puts them on one timeline, writes one HTML file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from animtool.maths import so3
 from animtool.motion.markers import Markers
 from animtool.motion.take import TakeStream
 from animtool.preview.channels import add_channels
-from animtool.preview.draft import Draft
+from animtool.preview.draft import PageDraft
 from animtool.preview.findings import (
     MAX_FINDINGS,
     find_faults,
@@ -28,12 +28,12 @@ from animtool.preview.findings import (
     ordered,
 )
 from animtool.preview.meshes import add_character
-from animtool.preview.opened import OpenFile, open_file
+from animtool.preview.open_file import OpenFile, open_file
 from animtool.preview.options import PreviewOptions
 from animtool.preview.page import page_parts
 from animtool.preview.pictures.kinds import PAGE_SUFFIXES
 from animtool.preview.streams import quantized_range
-from animtool.preview.takes import Shown, add_take
+from animtool.preview.takes import ShownMotion, add_take
 from animtool.preview.timing import FEWER, TimedPart, align, gathered_part, timeline_of
 from animtool.preview.visibility import add_visibility
 
@@ -45,8 +45,8 @@ TITLE = 120
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
-    """A page that is ready to be written.
+class PreviewPage:
+    """A page ready to be written.
 
     Attributes:
         manifest: What it shows.
@@ -59,24 +59,24 @@ class Page:
     notices: list[Fault] = field(default_factory=list)
 
     def parts(self, watch: dict[str, Any] | None = None) -> Iterable[bytes]:
-        """Return its bytes, in parts; watch: whom to ask for changes, and the state."""
+        """Yield its bytes in parts; watch: server to poll for changes, and state."""
         manifest = self.manifest
         if watch is not None:
             manifest = manifest | {"watch": watch}
         return page_parts(manifest, self.blocks, watched=watch is not None)
 
     def html(self) -> str:
-        """Return it as text."""
+        """Return the page as text."""
         return b"".join(self.parts()).decode("utf-8")
 
 
 @dataclass(frozen=True, slots=True)
 class PageReport:
-    """A page that was written."""
+    """Report on a written page."""
 
     path: Path  # the file
     size: int  # of it [bytes]
-    page: Page
+    page: PreviewPage
 
     json_keys: ClassVar[str] = (
         "'preview' output=path bytes=size frames=page.manifest.time.count "
@@ -89,7 +89,7 @@ class PageReport:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many of each kind the page shows."""
+        """Number of items of each kind on the page."""
         manifest = self.page.manifest
         shapes = ("takes", "meshes", "curves3d", "points", "instances")
         kinds = (*shapes, "cameras", "channels", "findings")
@@ -130,7 +130,7 @@ def write_page(
 
 
 def check_page_output(output: Path, files: Sequence[Path], *, overwrite: bool) -> None:
-    """Refuse a page that cannot or must not be written."""
+    """Refuse an output path that cannot or must not be written."""
     if output.suffix.lower() not in PAGE_SUFFIXES:
         message = f"a page is an .html file, but the name is {output.name!r}"
         raise OptionError(
@@ -139,11 +139,13 @@ def check_page_output(output: Path, files: Sequence[Path], *, overwrite: bool) -
     check_outputs([output], files, overwrite=overwrite)
 
 
-def make_page(files: Sequence[Path], options: PreviewOptions | None = None) -> Page:
+def make_page(
+    files: Sequence[Path], options: PreviewOptions | None = None
+) -> PreviewPage:
     """Return the page of files; see `write_page`."""
     options = options or PreviewOptions()
-    with ExitStack() as held:
-        opened = [open_file(path, options, files, held) for path in files]
+    with ExitStack() as context:
+        opened = [open_file(path, options, files, context) for path in files]
         draft, notices = _drafted(opened, options)
     if options.findings:
         _add_findings(draft, files)
@@ -151,18 +153,18 @@ def make_page(files: Sequence[Path], options: PreviewOptions | None = None) -> P
     return _page(draft, names, opened, notices)
 
 
-def make_take_page(name: str, stream: TakeStream) -> Page:
+def make_take_page(name: str, stream: TakeStream) -> PreviewPage:
     """Return the page of a take in memory."""
-    from animtool.preview.opened import own_take
+    from animtool.preview.open_file import take_of_stream
 
-    opened = OpenFile(Path(name), "m", stream.rig.up, [own_take(name, stream)])
+    opened = OpenFile(Path(name), "m", stream.rig.up, [take_of_stream(name, stream)])
     draft, notices = _drafted([opened], PreviewOptions())
     return _page(draft, [name], [opened], notices)
 
 
 def _page(
-    draft: Draft, names: list[str], opened: list[OpenFile], notices: list[Fault]
-) -> Page:
+    draft: PageDraft, names: list[str], opened: list[OpenFile], notices: list[Fault]
+) -> PreviewPage:
     title = ", ".join(names)
     source = {
         "files": names,
@@ -180,12 +182,12 @@ def _page(
     if size > LARGE:
         message = f"the page has {size / 1e6:.0f} MB, which browsers open slowly"
         notices.append(Fault("PRV102", message, hint=FEWER, severity=Severity.WARNING))
-    return Page(manifest, blocks, notices)
+    return PreviewPage(manifest, blocks, notices)
 
 
 def _drafted(
     opened: list[OpenFile], options: PreviewOptions
-) -> tuple[Draft, list[Fault]]:
+) -> tuple[PageDraft, list[Fault]]:
     notices = [file.located(notice) for file in opened for notice in file.notices]
     fps = next((rate for file in opened if (rate := file.fps)), Fraction(24))
     parts = [
@@ -195,7 +197,7 @@ def _drafted(
     ]
     notices += align(parts)
     timeline = timeline_of(opened, parts, fps, options)
-    draft = Draft(timeline)
+    draft = PageDraft(timeline)
     shown = [(part, _add_part(draft, part)) for part in parts]
     for part, one in shown:
         add_character(draft, part.take, one)
@@ -217,23 +219,25 @@ def _drafted(
     return draft, notices
 
 
-def _add_part(draft: Draft, part: TimedPart) -> Shown:
+def _add_part(draft: PageDraft, part: TimedPart) -> ShownMotion:
     first = draft.timeline.index(part.first)
     shown = add_take(draft, part.take.name, part.stream, part.gathered, first)
     shown.entry["file"] = part.file
     return shown
 
 
-def _add_markers(draft: Draft, name: str, markers: Markers) -> None:
-    """Add markers to a page, at the frames nearest to its own."""
+def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
+    """Add markers to a page, sampled at the nearest frames."""
     clock = markers.clock
     ratio = float(clock.fps / draft.timeline.fps)
-    places = (draft.timeline.codes * ratio - float(clock.start)) / float(clock.step)
-    frames = np.clip(np.rint(places), 0, clock.count - 1).astype(np.int64)
+    positions_at = (draft.timeline.codes * ratio - float(clock.start)) / float(
+        clock.step
+    )
+    frames = np.clip(np.rint(positions_at), 0, clock.count - 1).astype(np.int64)
     positions = markers.positions[frames]
-    turn = up_from_up(UpAxis.Y, markers.up)
-    if turn is not None:
-        positions = so3.rotate(np.array(turn), positions)
+    up_rotation = up_from_up(UpAxis.Y, markers.up)
+    if up_rotation is not None:
+        positions = so3.rotate(np.array(up_rotation), positions)
     stored = quantized_range(positions.reshape(len(frames), -1), period=3)
     draft.off(position=stored.error)
     draft.points.append(
@@ -249,7 +253,7 @@ def _add_markers(draft: Draft, name: str, markers: Markers) -> None:
     )
 
 
-def _add_findings(draft: Draft, files: Sequence[Path]) -> None:
+def _add_findings(draft: PageDraft, files: Sequence[Path]) -> None:
     faults = ordered(find_faults(files))
     takes: dict[str, tuple[int, Sequence[str]]] = {}
     for number, entry in enumerate(draft.takes):

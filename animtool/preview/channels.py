@@ -1,4 +1,4 @@
-"""Curves of a page: keyed channels of clips, controls, and weights of shapes."""
+"""Curves of a page: keyed clip channels, controls, and shape weights."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from animtool.clip.channels import evaluate_channels
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.preview.draft import Draft
+from animtool.preview.draft import PageDraft
 from animtool.preview.streams import Quantized, plain
-from animtool.preview.takes import Shown
+from animtool.preview.takes import ShownMotion
 
 # Keys of all curves that are drawn; of more, the curves alone are.
 MAX_KEYS = 50_000
@@ -21,8 +21,8 @@ _AXES = "xyzw"
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
-    """One number over the frames of a take, as an animator reads it."""
+class ChannelCurve:
+    """One value over the frames of a take, as an animator reads it."""
 
     name: str
     unit: str  # ``m``, ``deg`` or empty
@@ -32,7 +32,7 @@ class Curve:
 
 
 def add_channels(
-    draft: Draft, shown: Shown, clip: Clip | None, origin: Fraction
+    draft: PageDraft, shown: ShownMotion, clip: Clip | None, origin: Fraction
 ) -> None:
     """Add the curves of a take to a page, in one stream.
 
@@ -65,7 +65,9 @@ def add_channels(
         )
 
 
-def _keyed(draft: Draft, shown: Shown, clip: Clip | None, origin: float) -> list[Curve]:
+def _keyed(
+    draft: PageDraft, shown: ShownMotion, clip: Clip | None, origin: float
+) -> list[ChannelCurve]:
     """Return the curves of a clip's channels at the frames of the page."""
     if clip is None:
         return []
@@ -86,7 +88,7 @@ def _keyed(draft: Draft, shown: Shown, clip: Clip | None, origin: float) -> list
         times_of_keys = origin + (channel.times - first) / ratio
         axes = channel.euler.lower() or _AXES
         curves += [
-            Curve(
+            ChannelCurve(
                 channel.target + (f".{axes[i]}" if width > 1 else ""),
                 unit,
                 rows[:, i] * factor,
@@ -99,7 +101,7 @@ def _keyed(draft: Draft, shown: Shown, clip: Clip | None, origin: float) -> list
 
 
 def _unit(target: str, width: int) -> tuple[str, float]:
-    """Return the unit that a channel is shown in, and what a value is times it."""
+    """Return the display unit of a channel, and the factor to it."""
     if target.startswith(("control/", "shape/")) or width == 4:
         return "", 1.0
     if target.endswith(("translation", ".slide")):
@@ -107,8 +109,8 @@ def _unit(target: str, width: int) -> tuple[str, float]:
     return ("", 1.0) if target.endswith("scale") else ("deg", float(np.degrees(1.0)))
 
 
-def _controls(shown: Shown, clip: Clip | None) -> list[Curve]:
-    """Return controls and weights of shapes that no channel of a clip keys."""
+def _controls(shown: ShownMotion, clip: Clip | None) -> list[ChannelCurve]:
+    """Return curves of controls and shape weights that the clip does not key."""
     keyed = set() if clip is None else {channel.target for channel in clip.channels}
     rig = shown.rig
     curves = []
@@ -120,5 +122,5 @@ def _controls(shown: Shown, clip: Clip | None) -> list[Curve]:
             assert rows is not None
             target = f"{kind}/{name}"
             if target not in keyed and (rows[:, i] != 0).any():
-                curves.append(Curve(target, "", rows[:, i]))
+                curves.append(ChannelCurve(target, "", rows[:, i]))
     return curves

@@ -1,4 +1,4 @@
-"""A page while it is put together: timeline, streams, what its manifest lists."""
+"""A page under construction: timeline, streams and manifest entries."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Timeline:
         return time_codes(self.first, self.step, self.count)
 
     def index(self, code: Fraction) -> int:
-        """Return the sample nearest to a time code; it may be outside."""
+        """Return the sample index of a time code; it may be out of range."""
         return round((code - self.first) / self.step)
 
     def entry(self) -> dict[str, Any]:
-        """Return what the manifest says of it."""
+        """Return the manifest entry."""
         return {
             "first": number(self.first),
             "step": number(self.step),
@@ -50,7 +50,7 @@ class Timeline:
 
 
 def number(value: Fraction | float) -> int | float:
-    """Return a number as JSON has it, whole where it is.
+    """Return a number for JSON, as an integer if possible.
 
     >>> number(Fraction(1001)), number(Fraction(1, 4))
     (1001, 0.25)
@@ -59,8 +59,8 @@ def number(value: Fraction | float) -> int | float:
 
 
 @dataclass(slots=True)
-class Draft:
-    """Parts of a page, added one after another.
+class PageDraft:
+    """Parts of a page, collected before it is written.
 
     Attributes:
         timeline: Its frames.
@@ -83,23 +83,23 @@ class Draft:
     notices: list[str] = field(default_factory=list)
     rotation_error: float = 0.0
     position_error: float = 0.0
-    # What was found of rigs, which characters of a crowd share.
+    # Results per rig, which characters of a crowd share.
     known: dict[bytes, Any] = field(default_factory=dict)
 
     def note(self, message: str) -> None:
-        """Add a notice, once."""
+        """Add a notice unless it is already there."""
         if message not in self.notices:
             self.notices.append(message)
 
     def off(self, *, position: float = 0.0, rotation: float = 0.0) -> None:
-        """Count an error of what is stored [m], [rad]."""
+        """Record a quantization error [m], [rad]."""
         self.position_error = max(self.position_error, position)
         self.rotation_error = max(self.rotation_error, rotation)
 
     def manifest(
         self, title: str, source: dict[str, Any]
     ) -> tuple[dict[str, Any], list[str]]:
-        """Return the manifest and the blocks; streams are done with then."""
+        """Return the manifest and the blocks; closes the streams."""
         streams, blocks = self.packer.finish()
         return {
             "format": FORMAT,
@@ -124,8 +124,8 @@ class Draft:
 
 
 @contextmanager
-def skipped(draft: Draft, what: str) -> Iterator[None]:
-    """Leave out what cannot be read, and note why."""
+def skipped(draft: PageDraft, what: str) -> Iterator[None]:
+    """Context that skips what cannot be read, with a notice."""
     try:
         yield
     except AnimtoolError as error:
@@ -136,7 +136,7 @@ def skipped(draft: Draft, what: str) -> Iterator[None]:
 
 
 def rounded_up(error: float) -> float:
-    """Return an error with two digits, not less than it is.
+    """Return an error rounded up to two digits.
 
     >>> rounded_up(0.0123), rounded_up(0.0)
     (0.013, 0.0)

@@ -1,4 +1,4 @@
-"""Findings of `validate` on a page, with the frame and the joint that they name."""
+"""Findings of `validate` on a page, with their frames and joints."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ MAX_FINDINGS = 500
 
 
 def find_faults(files: Sequence[Path]) -> list[Fault]:
-    """Return what `validate` says of files; of files that it cannot check nothing."""
-    found: list[Fault] = []
+    """Return the findings of `validate` in files; none for unsupported files."""
+    faults: list[Fault] = []
     for path in files:
         try:
             report = validate_files([path], ValidateOptions(jobs=1))
         except AnimtoolError:
             continue
-        found += report.findings
-    return found
+        faults += report.findings
+    return faults
 
 
 def finding_entry(
     fault: Fault, takes: Mapping[str, tuple[int, Sequence[str]]]
 ) -> dict[str, Any]:
-    """Return a finding as the manifest has it.
+    """Return the manifest entry of a finding.
 
     takes: by path of a file, the number of its take and the names of its joints.
     """
@@ -53,6 +53,6 @@ def finding_entry(
 
 
 def ordered(faults: Sequence[Fault]) -> list[Fault]:
-    """Return findings, errors first, the others in their order."""
+    """Return findings, errors first."""
     rank = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
     return sorted(dict.fromkeys(faults), key=lambda fault: rank[fault.severity])

@@ -1,4 +1,4 @@
-"""Meshes and strands of characters: skins and shapes for the viewer, or points."""
+"""Meshes and strands of characters: skinned by the viewer, or as point caches."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.faces import triangulated
-from animtool.preview.draft import Draft
-from animtool.preview.opened import ShownTake
+from animtool.preview.draft import PageDraft
+from animtool.preview.open_file import ShownTake
 from animtool.preview.streams import Quantized, plain, quantized_range
-from animtool.preview.takes import Shown
+from animtool.preview.takes import ShownMotion
 from animtool.rig.surfaces import Surface
 from animtool.skin.character import CharacterMesh, character_meshes
 from animtool.skin.deform import DeformedMesh, deform
@@ -30,7 +30,7 @@ STRAND_WIDTH = 0.001
 WEIGHT_ERROR = 1e-4
 
 
-def add_character(draft: Draft, character: ShownTake, shown: Shown) -> None:
+def add_character(draft: PageDraft, character: ShownTake, shown: ShownMotion) -> None:
     """Add the meshes and strands of a take to a page."""
     names = [shape.name for shape in shown.rig.shapes]
     meshes = character_meshes(
@@ -53,11 +53,11 @@ def add_character(draft: Draft, character: ShownTake, shown: Shown) -> None:
             entry["skin"] = _skin(draft, mesh.mesh.skin)
         weights = mesh.weights(shown.weights)
         if mesh.mesh.shapes is not None and weights is not None:
-            own = column_weights(mesh.mesh.shapes, weights)
-            seen = np.flatnonzero(own.any(axis=0))
-            entry["shapes"] = _shapes(draft, mesh.mesh.shapes, seen, len(labels))
-            labels += [entry["shapes"][i]["name"] for i in range(len(seen))]
-            columns.append(own[:, seen])
+            by_shape = column_weights(mesh.mesh.shapes, weights)
+            visible = np.flatnonzero(by_shape.any(axis=0))
+            entry["shapes"] = _shapes(draft, mesh.mesh.shapes, visible, len(labels))
+            labels += [entry["shapes"][i]["name"] for i in range(len(visible))]
+            columns.append(by_shape[:, visible])
     if labels:
         stacked = np.concatenate(columns, axis=1)
         stored = quantized_range(stacked, WEIGHT_ERROR)
@@ -80,7 +80,7 @@ def add_character(draft: Draft, character: ShownTake, shown: Shown) -> None:
 
 
 def needs_points(skin: PreparedSkin | None) -> bool:
-    """Return whether the viewer cannot skin a mesh as it is meant."""
+    """Return whether the viewer cannot skin a mesh correctly."""
     if skin is None:
         return False
     if skin.method is SkinMethod.DUAL_QUATERNION:
@@ -90,23 +90,21 @@ def needs_points(skin: PreparedSkin | None) -> bool:
 
 
 def strongest(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
-    """Return the four strongest joints of each vertex, and their weights ``(V, 4)``."""
+    """Return the four largest weights of each vertex and their joints ``(V, 4)``."""
     influences = skin.influences
     counts = np.diff(influences.first)
     rows = np.repeat(np.arange(skin.vertices), counts)
-    places = np.arange(len(influences.joints)) - np.repeat(
-        influences.first[:-1], counts
-    )
-    kept = places < INFLUENCES
+    ranks = np.arange(len(influences.joints)) - np.repeat(influences.first[:-1], counts)
+    kept = ranks < INFLUENCES
     joints = np.zeros((skin.vertices, INFLUENCES), np.int64)
     weights = np.zeros((skin.vertices, INFLUENCES))
-    joints[rows[kept], places[kept]] = influences.joints[kept]
-    weights[rows[kept], places[kept]] = influences.weights[kept]
+    joints[rows[kept], ranks[kept]] = influences.joints[kept]
+    weights[rows[kept], ranks[kept]] = influences.weights[kept]
     return joints, weights
 
 
 def mesh_entry(
-    draft: Draft,
+    draft: PageDraft,
     name: str,
     points: FloatArray,
     counts: IntArray,
@@ -117,11 +115,11 @@ def mesh_entry(
     double_sided: bool = True,
     colors: FloatArray | None = None,
 ) -> dict[str, Any]:
-    """Return what the manifest says of a mesh: its points and its triangles.
+    """Return the manifest entry of a mesh: points and triangles.
 
     colors: linear, of points ``(V, 3)``; None where ``color`` is of all of it.
     """
-    usual = COLORS[len(draft.meshes) % len(COLORS)]
+    default = COLORS[len(draft.meshes) % len(COLORS)]
     triangles = triangulated(counts, indices)
     return {
         "name": name,
@@ -131,7 +129,7 @@ def mesh_entry(
         "skin": None,
         "shapes": [],
         "cache": None,
-        "color": list(usual if color is None else color),
+        "color": list(default if color is None else color),
         "colors": None
         if colors is None
         # As screens show them, which eight bits are enough for.
@@ -143,11 +141,11 @@ def mesh_entry(
 
 
 def _mesh(
-    draft: Draft, shown: Shown, surface: Surface, colors: FloatArray | None
+    draft: PageDraft, shown: ShownMotion, surface: Surface, colors: FloatArray | None
 ) -> dict[str, Any]:
     points = surface.points
     if surface.skin is None:
-        # Nothing else places it.
+        # No joint or transform places it.
         points = points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
     return mesh_entry(
         draft,
@@ -161,11 +159,11 @@ def _mesh(
     )
 
 
-def _skin(draft: Draft, skin: PreparedSkin) -> dict[str, Any]:
+def _skin(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
     joints, weights = strongest(skin)
     sums = weights.sum(axis=1, keepdims=True)
     weights = np.divide(weights, sums, out=np.zeros_like(weights), where=sums > 0)
-    # Rounded so that each vertex has a whole: the strongest takes what is left.
+    # Rounded to a sum of one: the strongest weight takes the remainder.
     steps = np.rint(weights * 65535)
     steps[:, 0] += np.where(sums[:, 0] > 0, 65535 - steps.sum(axis=1), 0)
     stored = steps.reshape(1, -1).astype("<u2")
@@ -179,9 +177,9 @@ def _skin(draft: Draft, skin: PreparedSkin) -> dict[str, Any]:
 
 
 def _shapes(
-    draft: Draft, shapes: PreparedShapes, seen: IntArray, first: int
+    draft: PageDraft, shapes: PreparedShapes, visible: IntArray, first: int
 ) -> list[dict[str, Any]]:
-    """Return the columns of offsets that show, sparse."""
+    """Return the nonzero shape offsets, sparse."""
     parts = shapes.points
     names = [
         name if at == 1.0 else f"{name} at {at:g}"
@@ -191,18 +189,18 @@ def _shapes(
     owners = np.repeat(np.arange(shapes.vertices), np.diff(parts.first))
     numbers = {column: row for row, column in enumerate(np.flatnonzero(parts.dense), 1)}
     entries = []
-    for place, column in enumerate(seen.tolist()):
+    for index, column in enumerate(visible.tolist()):
         if column in numbers:
             offsets = parts.table[numbers[column]].reshape(-1, 3)
             vertices = np.flatnonzero((offsets != 0).any(axis=1))
             offsets = offsets[vertices]
         else:
-            own = parts.columns == column
-            vertices, offsets = owners[own], parts.offsets[own]
+            rows = parts.columns == column
+            vertices, offsets = owners[rows], parts.offsets[rows]
         entries.append(
             {
                 "name": names[column],
-                "column": first + place,
+                "column": first + index,
                 "vertices": draft.packer.static(vertices, "u32"),
                 "offsets": draft.packer.static_range(offsets),
             }
@@ -210,14 +208,16 @@ def _shapes(
     return entries
 
 
-def _points(draft: Draft, shown: Shown, mesh: CharacterMesh) -> int:
-    """Return the stream of the points of a mesh in every frame."""
+def _points(draft: PageDraft, shown: ShownMotion, mesh: CharacterMesh) -> int:
+    """Return the stream of a mesh's points in every frame."""
     parts = []
     weights = mesh.weights(shown.weights)
     for begin in range(0, shown.frames, BLOCK):
         cut = slice(begin, min(begin + BLOCK, shown.frames))
-        own = None if weights is None else weights[cut]
-        deformed = deform(_with_shapes(mesh.mesh, own), own, shown.world(cut))
+        block_weights = None if weights is None else weights[cut]
+        deformed = deform(
+            _with_shapes(mesh.mesh, block_weights), block_weights, shown.world(cut)
+        )
         parts.append(deformed.points.astype(np.float32))
     stored = quantized_range(np.concatenate(parts).reshape(shown.frames, -1), period=3)
     draft.off(position=stored.error)

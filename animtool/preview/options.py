@@ -15,7 +15,7 @@ from animtool.scene.sources.open import SourceOptions
 @described
 @dataclass(frozen=True, slots=True)
 class PreviewOptions:
-    """What a page shows, and how its files are read.
+    """What a page shows, and how files are read.
 
     Attributes:
         source: What the sources are, where their files do not say.
@@ -56,7 +56,7 @@ class PreviewOptions:
 @described
 @dataclass(frozen=True, slots=True)
 class PictureOptions:
-    """How pictures and films look."""
+    """Appearance of pictures and films."""
 
     size: str | None = option(
         None,
@@ -114,7 +114,7 @@ class PictureOptions:
 @described
 @dataclass(frozen=True, slots=True)
 class ShowOptions:
-    """What becomes of a page."""
+    """Where a page is shown or written."""
 
     opened: bool | None = option(
         None,

@@ -1,4 +1,4 @@
-"""A page as HTML: manifest, blocks and the viewer in one file that asks for nothing."""
+"""The HTML of a page: manifest, blocks and viewer in one self-contained file."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ _BOOTSTRAP = """\
 
 
 def json_text(value: Any) -> str:
-    r"""Return JSON that is safe inside of a script of a page.
+    r"""Return JSON that is safe inside an HTML script element.
 
     >>> json_text({"name": "</script>"})
     '{"name":"\\u003c/script\\u003e"}'
@@ -98,7 +98,7 @@ def page_parts(
         "bootstrap": _BOOTSTRAP,
     }
     template = viewer_text("page.html")
-    # Split once, so that what is filled in is never looked at again.
+    # Split once, so that inserted text is never parsed.
     for part in re.split(r"(\{\{\w+\}\})", template):
         name = part.strip("{}")
         if part == "{{blocks}}":
@@ -115,7 +115,7 @@ def page_parts(
 
 @cache
 def viewer_modules() -> dict[str, str]:
-    """Return the modules of the viewer by name, each after those that it imports."""
+    """Return the viewer's modules by name, in import order."""
     paths = sorted(VIEWER.glob("*.js"))
     texts = {path.name: compact(path.read_text("utf-8")) for path in paths}
     ordered: dict[str, str] = {}
@@ -132,7 +132,7 @@ def viewer_modules() -> dict[str, str]:
 
 
 def compact(text: str) -> str:
-    r"""Return code without comments that have lines of their own, nor indentation.
+    r"""Return code without comment lines and indentation.
 
     >>> compact("/** Adds. */\nfunction add(a) {\n  // one\n  return a + 1;\n}\n")
     'function add(a) {\nreturn a + 1;\n}\n'
@@ -143,6 +143,6 @@ def compact(text: str) -> str:
 
 
 def viewer_text(name: str) -> str:
-    """Return the text of a file of the viewer."""
+    """Return the text of a viewer file."""
     path = VIEWER / name
     return path.read_text("utf-8")

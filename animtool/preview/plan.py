@@ -1,4 +1,4 @@
-"""What a page would show and where it would be written, without making it."""
+"""Plans a page without building it: files read, contents shown, output path."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from animtool.core.errors import counted
 from animtool.core.names import is_named
 from animtool.core.rates import rate_label
-from animtool.preview.opened import OpenFile, ShownTake, open_file, shown_scene
+from animtool.preview.open_file import OpenFile, ShownTake, open_file, shown_scene
 from animtool.preview.options import PreviewOptions
 from animtool.scene.bake.outline import outlined
 from animtool.scene.bake.steps import Step, StepKind, bake_steps
@@ -40,12 +40,12 @@ def page_steps(
     """
     options = options or PreviewOptions()
     steps: list[Step] = []
-    with ExitStack() as held:
+    with ExitStack() as context:
         for path in files:
             if is_named(path, "scene"):
                 steps += _baked(path, options)
             else:
-                steps.append(_read(open_file(path, options, files, held)))
+                steps.append(_read(open_file(path, options, files, context)))
     reads = tuple(str(path) for path in files)
     left_out = () if options.findings else ("findings: not requested (findings)",)
     makes = ("a page" if output is None else str(output),)
@@ -54,7 +54,7 @@ def page_steps(
 
 
 def _baked(path: Path, options: PreviewOptions) -> Iterator[Step]:
-    """Yield the steps of the bake that a scene is shown by."""
+    """Yield the bake steps of a scene."""
     scene = shown_scene(load_scene(path, dict(options.variables)))
     for step in bake_steps(outlined(scene, None)):
         if step.kind is not StepKind.OUTPUT:
@@ -74,7 +74,7 @@ def _read(file: OpenFile) -> Step:
 
 
 def _shown(file: OpenFile) -> Iterator[str]:
-    """Yield what a file shows."""
+    """Yield the contents of a file."""
     for fact, count in Counter(map(_take_text, file.takes)).items():
         yield fact if count == 1 else f"{count} times {fact}"
     contents = file.contents

@@ -1,4 +1,4 @@
-"""A page served on loopback alone, made again when its files change."""
+"""Serves a page on loopback, and rebuilds it when its files change."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from typing import Any
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import FileState, Inputs, recorded_inputs
 from animtool.core.record import dataclass
-from animtool.preview.build import Page
+from animtool.preview.build import PreviewPage
 
 ADDRESS = "127.0.0.1"
 # How often files are looked at [s].
 POLL_INTERVAL = 0.1
 
-Make = Callable[[], Page]
+Make = Callable[[], PreviewPage]
 
 
 @dataclass(slots=True)
-class Watched:
-    """A page, and the files that it was made of.
+class WatchedPage:
+    """A page and its input files.
 
     Attributes:
         make: Makes the page.
@@ -37,7 +37,7 @@ class Watched:
 
     make: Make
     secret: str = field(default_factory=lambda: secrets.token_urlsafe(16))
-    page: Page | None = None
+    page: PreviewPage | None = None
     version: int = 0
     error: str | None = None
     _states: dict[Path, FileState | None] = field(default_factory=dict)
@@ -45,7 +45,7 @@ class Watched:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def build(self) -> None:
-        """Make the page, and note which files were looked at.
+        """Build the page, and record its input files.
 
         Raises:
             AnimtoolError: It cannot be made; the page before stays.
@@ -65,7 +65,7 @@ class Watched:
             self._body = b"".join(page.parts(watch))
 
     def _note(self, inputs: Inputs, *, keep: bool) -> None:
-        """Take files as they were when they were read, not as they are by now."""
+        """Record the state of files as of when they were read."""
         if not keep:
             self._states.clear()
         else:
@@ -78,16 +78,16 @@ class Watched:
         }
 
     def changed(self) -> bool:
-        """Return whether a file is no longer what it was."""
+        """Return whether an input file changed."""
         return any(FileState.of(path) != was for path, was in self._states.items())
 
     def body(self) -> bytes:
-        """Return the page as it is sent."""
+        """Return the response body of the page."""
         with self._lock:
             return self._body
 
     def state(self) -> bytes:
-        """Return what the page asks for: its version, and what is wrong."""
+        """Return the polled state: page version and current error."""
         with self._lock:
             values = {"version": self.version, "error": self.error}
         return json.dumps(values).encode()
@@ -101,7 +101,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30
 
     def do_GET(self) -> None:
-        """Send the page or its state; anything else is refused."""
+        """Send the page or its state; refuse anything else."""
         watched, path = self.server.watched, self.path.partition("?")[0]
         if not self._is_ours():
             self._send(403, b"forbidden\n", "text/plain")
@@ -113,7 +113,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(403, b"forbidden\n", "text/plain")
 
     def _is_ours(self) -> bool:
-        """Return whether a request knows the secret, and comes to us by our name."""
+        """Return whether a request has the secret token and the right host."""
         port = self.server.server_address[1]
         hosts = {f"{ADDRESS}:{port}", f"localhost:{port}"}
         if self.headers.get("Host") not in hosts:
@@ -121,10 +121,10 @@ class _Handler(BaseHTTPRequestHandler):
         origin = self.headers.get("Origin")
         if origin is not None and origin not in {f"http://{host}" for host in hosts}:
             return False
-        given = self.path.split("/")[1:2]
+        tokens = self.path.split("/")[1:2]
         known = self.server.watched.secret.encode()
-        return bool(given) and secrets.compare_digest(
-            given[0].encode("utf-8", "replace"), known
+        return bool(tokens) and secrets.compare_digest(
+            tokens[0].encode("utf-8", "replace"), known
         )
 
     def _send(self, code: int, body: bytes, kind: str) -> None:
@@ -140,39 +140,39 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing: the address holds a secret."""
+        """Log nothing: the address contains the secret."""
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves a page on loopback, at a port that is free."""
+    """HTTP server of a page on loopback, at a free port."""
 
     daemon_threads = True
 
-    def __init__(self, watched: Watched) -> None:
+    def __init__(self, watched: WatchedPage) -> None:
         self.watched = watched
         super().__init__((ADDRESS, 0), _Handler)
 
     @property
     def address(self) -> str:
-        """Where the page is."""
+        """URL of the page."""
         return f"http://{ADDRESS}:{self.server_address[1]}/{self.watched.secret}/"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of who hangs up."""
+        """Ignore closed connections."""
 
 
 def follow(
-    watched: Watched,
+    watched: WatchedPage,
     failed: Callable[[AnimtoolError], object],
-    made: Callable[[Page], object],
+    on_page: Callable[[PreviewPage], object],
     wait: Callable[[float], bool],
 ) -> None:
-    """Make a page again each time that its files change.
+    """Rebuild a page whenever its files change.
 
     Args:
         watched: The page.
         failed: Called with what is wrong where it cannot be made.
-        made: Called with a page that was made.
+        on_page: Called with each new page.
         wait: Called with an interval [s]; returns whether to stop.
     """
     while not wait(POLL_INTERVAL):
@@ -184,4 +184,4 @@ def follow(
             failed(error)
         else:
             assert watched.page is not None
-            made(watched.page)
+            on_page(watched.page)

@@ -1,4 +1,4 @@
-"""Pages brought before somebody's eyes: in a browser, or inline in a notebook."""
+"""Shows pages in a browser, or inline in a notebook."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 from animtool.motion.take import Take, TakeStream
-from animtool.preview.build import Page, make_page, make_take_page
+from animtool.preview.build import PreviewPage, make_page, make_take_page
 from animtool.preview.options import PictureOptions, PreviewOptions
 
 HEIGHT = 560
@@ -21,7 +21,7 @@ HEIGHT = 560
 def has_browser(
     environment: Mapping[str, str] = os.environ, platform: str = sys.platform
 ) -> bool:
-    """Return whether a browser can be opened: not over ssh, nor without a display.
+    """Return whether a browser can open: not over ssh, nor without a display.
 
     >>> has_browser({"SSH_CONNECTION": "10.0.0.1"}, "darwin")
     False
@@ -35,12 +35,12 @@ def has_browser(
 
 
 def temporary_page() -> Path:
-    """Return where a page can be written that stays until the system clears it."""
+    """Return a path for a page in the system's temporary folder."""
     return Path(tempfile.mkdtemp(prefix="animtool-preview-")) / "preview.html"
 
 
 def open_browser(address: str) -> bool:
-    """Open an address in the browser; return whether there was one."""
+    """Open a URL in the browser; return whether that worked."""
     try:
         return webbrowser.open(address)
     except webbrowser.Error:
@@ -48,7 +48,7 @@ def open_browser(address: str) -> bool:
 
 
 class Preview:
-    """A page that a notebook shows inline, as the last value of a cell.
+    """A page that notebooks show inline.
 
     The page is made when it is first asked for.
 
@@ -65,7 +65,7 @@ class Preview:
         self._shown, self._options, self.height = shown, options, height
 
     @cached_property
-    def page(self) -> Page:
+    def page(self) -> PreviewPage:
         """The page."""
         if isinstance(self._shown, Take | TakeStream):
             stream = self._shown
@@ -81,7 +81,7 @@ class Preview:
         overwrite: bool = False,
         pictures: PictureOptions | None = None,
     ) -> Path:
-        """Write the page, or a picture or film of it, and return its path.
+        """Write the page, a picture or a film of it, and return its path.
 
         Args:
             path: ``.html``, or as `animtool.write_pictures` has it.
@@ -108,7 +108,7 @@ class Preview:
         return output
 
     def _repr_html_(self) -> str:
-        """Return the page in a frame of its own, which reaches nothing around it."""
+        """Return the page in a sandboxed iframe."""
         inner = html.escape(self.page.html(), quote=True)
         title = html.escape(str(self.page.manifest["title"]), quote=True)
         return (
@@ -124,7 +124,7 @@ def show(
     *,
     height: int = HEIGHT,
 ) -> Preview:
-    """Return what a notebook shows as a page that plays.
+    """Return an object that notebooks show as an interactive page.
 
     Args:
         shown: A take, or one or more files of any format that animtool reads.
@@ -132,7 +132,7 @@ def show(
         height: Of the page in the notebook [px].
 
     >>> from animtool.rig.skeleton import Joint, Rig
-    >>> from animtool.preview.opened import resting
+    >>> from animtool.preview.open_file import resting
     >>> shown = show(resting(Rig("arm", (Joint("a", -1),))).collect())
     >>> shown._repr_html_().startswith('<iframe sandbox="allow-scripts" title="arm"')
     True

@@ -1,4 +1,4 @@
-"""What a stage shows on a page: meshes, caches, curves, points, copies, cameras."""
+"""Adds a stage's visible prims to a page: meshes, caches, curves, points, cameras."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.transforms import PropRequest, Track
-from animtool.preview.draft import Draft, skipped
+from animtool.preview.draft import PageDraft, skipped
 from animtool.preview.meshes import mesh_entry
 from animtool.preview.streams import (
     Quantized,
@@ -21,19 +21,19 @@ from animtool.preview.streams import (
 )
 from animtool.preview.visibility import visibility_stream
 from animtool.usd.caches.reader import PointSample
-from animtool.usd.caches.shown import Faces, ShownPrim, StageContents
+from animtool.usd.caches.shown import ShownFaces, ShownPrim, StageContents
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.props.reader import open_prop
 
-# So many copies are small on a page: without a colour of their own they are dark.
+# This many instances are small on a page: without a color they are drawn dark.
 MANY, DARK = 100, (0.03, 0.04, 0.06)
 # Scales of copies may be off by as much [1].
 SCALE_ERROR = 1e-4
 
 
-def add_stage(draft: Draft, contents: StageContents) -> None:
-    """Add what a stage shows beside its characters to a page."""
+def add_stage(draft: PageDraft, contents: StageContents) -> None:
+    """Add the visible prims of a stage, except characters, to a page."""
     with usd_errors(contents.path), without_usd_warnings():
         codes = draft.timeline.codes * float(contents.fps / draft.timeline.fps)
         for prim in contents.prims:
@@ -41,7 +41,7 @@ def add_stage(draft: Draft, contents: StageContents) -> None:
     _add_cameras(draft, contents, codes)
 
 
-def _add_mesh(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
+def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     if prim.deforms and prim.changes_faces:
         draft.note(f"mesh {prim.name!r} changes its faces: only its points are drawn")
         _add_points(draft, prim, codes)
@@ -59,7 +59,7 @@ def _add_mesh(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
     draft.meshes.append(entry)
 
 
-def _entry(draft: Draft, name: str, faces: Faces) -> dict[str, Any]:
+def _entry(draft: PageDraft, name: str, faces: ShownFaces) -> dict[str, Any]:
     return mesh_entry(
         draft,
         name,
@@ -72,8 +72,10 @@ def _entry(draft: Draft, name: str, faces: Faces) -> dict[str, Any]:
     )
 
 
-def _add_rigid(draft: Draft, prim: ShownPrim, faces: Faces, codes: FloatArray) -> None:
-    """Add a mesh that moves as a whole: one copy of itself."""
+def _add_rigid(
+    draft: PageDraft, prim: ShownPrim, faces: ShownFaces, codes: FloatArray
+) -> None:
+    """Add a rigidly moving mesh as one instance."""
     times = codes if prim.travels else codes[:1]
     matrices = np.stack([prim.world(code) for code in times.tolist()])
     if not np.isfinite(matrices).all():
@@ -82,8 +84,8 @@ def _add_rigid(draft: Draft, prim: ShownPrim, faces: Faces, codes: FloatArray) -
     shown = _visible(draft, prim, codes)
     if not prim.travels and shown is None:
         placed = faces.points @ matrices[0, :3, :3].T + matrices[0, :3, 3]
-        still = replace(faces, points=placed)
-        draft.meshes.append(_entry(draft, prim.name, still))
+        rigid = replace(faces, points=placed)
+        draft.meshes.append(_entry(draft, prim.name, rigid))
         return
     rotations, scales = so3.split_scale(matrices[:, :3, :3])
     draft.meshes.append(_entry(draft, prim.name, faces) | {"prototype": True})
@@ -101,25 +103,25 @@ def _add_rigid(draft: Draft, prim: ShownPrim, faces: Faces, codes: FloatArray) -
 
 
 def _placed(
-    draft: Draft, places: FloatArray, rotations: FloatArray, scales: FloatArray
+    draft: PageDraft, positions: FloatArray, rotations: FloatArray, scales: FloatArray
 ) -> dict[str, Any]:
-    """Return streams of copies ``(F, N, 3)``, ``(F, N, 4)``, ``(F, N, 3)``."""
-    frames = len(places)
-    where = quantized_range(places.reshape(frames, -1), period=3)
-    turns = quantized_units(so3.align_signs(rotations).reshape(frames, -1))
-    draft.off(position=where.error, rotation=2 * turns.error)
+    """Return instance streams ``(F, N, 3)``, ``(F, N, 4)``, ``(F, N, 3)``."""
+    frames = len(positions)
+    where = quantized_range(positions.reshape(frames, -1), period=3)
+    quantized = quantized_units(so3.align_signs(rotations).reshape(frames, -1))
+    draft.off(position=where.error, rotation=2 * quantized.error)
     sizes = scales.reshape(frames, -1)
     return {
         "t": draft.packer.add(where),
-        "r": draft.packer.add(turns),
+        "r": draft.packer.add(quantized),
         "s": None
         if np.allclose(sizes, 1.0, atol=1e-6)
         else draft.packer.add(quantized_range(sizes, SCALE_ERROR, period=3)),
     }
 
 
-def _cache(draft: Draft, prim: ShownPrim, codes: FloatArray, count: int) -> int:
-    """Return the stream of points over time; those of other numbers are held."""
+def _cache(draft: PageDraft, prim: ShownPrim, codes: FloatArray, count: int) -> int:
+    """Return the stream of animated points; samples of another length are held."""
     rows = np.empty((len(codes), 3 * count), np.float32)
     for i, code in enumerate(codes.tolist()):
         points = prim.points(code)
@@ -133,11 +135,11 @@ def _cache(draft: Draft, prim: ShownPrim, codes: FloatArray, count: int) -> int:
     return draft.packer.add(stored)
 
 
-def _visible(draft: Draft, prim: ShownPrim, codes: FloatArray) -> int | None:
+def _visible(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> int | None:
     return visibility_stream(draft, prim.visible(codes))
 
 
-def _add_curves(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
+def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     if prim.changes_faces:
         draft.note(f"the number of curves {prim.name!r} changes: points are drawn")
         _add_points(draft, prim, codes)
@@ -163,7 +165,7 @@ def _add_curves(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
     )
 
 
-def _add_points(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
+def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     moves = prim.deforms or prim.travels
     times = (codes if moves else codes[:1]).tolist()
     slots = Slots()
@@ -193,13 +195,13 @@ def _add_points(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
 
 
 def _mean(values: FloatArray) -> float:
-    """Return the mean of those that are finite; 0 without any."""
+    """Return the mean of the finite values; 0 without any."""
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if finite.size else 0.0
 
 
 class Slots:
-    """Columns for points that appear and disappear, used again by later ones."""
+    """Columns for points that appear and disappear, reused over time."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -231,27 +233,27 @@ def _in_slots(rows: list[tuple[IntArray, FloatArray]], count: int) -> FloatArray
 def _slot_values(
     rows: list[tuple[IntArray, FloatArray]], values: list[FloatArray], count: int
 ) -> FloatArray | None:
-    """Return a value for each slot, that of the last point in it; None without any."""
+    """Return a value per slot, from its last point; None if there are none."""
     known = next((one for one in values if len(one)), None)
     if known is None:
         return None
-    made = np.zeros((count, *known.shape[1:]))
-    for (slots, _), own in zip(rows, values, strict=True):
-        if len(own) in {1, len(slots)} and len(slots):
-            made[slots] = own
-    return made
+    filled = np.zeros((count, *known.shape[1:]))
+    for (slots, _), rows_values in zip(rows, values, strict=True):
+        if len(rows_values) in {1, len(slots)} and len(slots):
+            filled[slots] = rows_values
+    return filled
 
 
-def _add_copies(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
+def _add_copies(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     prototypes = prim.prototypes()
     times = (codes if prim.deforms or prim.travels else codes[:1]).tolist()
     samples = [prim.copies(code) for code in times]
     slots = Slots()
     rows = [slots.take(sample.ids, sample.points) for sample in samples]
-    whole = _Copies.of(samples, rows, slots.count)
+    copies = _Copies.of(samples, rows, slots.count)
     for k, parts in enumerate(prototypes):
         # A slot shows the mesh of its point, whichever that is in a frame.
-        shown = whole.copied == k
+        shown = copies.copied == k
         columns = np.flatnonzero(shown.any(axis=0))
         if not len(columns):
             continue
@@ -260,8 +262,8 @@ def _add_copies(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
             placed = faces.points @ matrix[:3, :3].T + matrix[:3, 3]
             dark = DARK if len(columns) > MANY else None
             color = faces.color or prim.color or dark
-            own = replace(faces, points=placed, color=color)
-            draft.meshes.append(_entry(draft, name, own) | {"prototype": True})
+            prototype = replace(faces, points=placed, color=color)
+            draft.meshes.append(_entry(draft, name, prototype) | {"prototype": True})
             visible = shown[:, columns]
             draft.instances.append(
                 {
@@ -269,9 +271,9 @@ def _add_copies(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
                     "mesh": len(draft.meshes) - 1,
                     **_placed(
                         draft,
-                        whole.places[:, columns],
-                        whole.rotations[:, columns],
-                        whole.scales[:, columns],
+                        copies.points[:, columns],
+                        copies.rotations[:, columns],
+                        copies.scales[:, columns],
                     ),
                     "visible": None
                     if visible.all()
@@ -282,10 +284,10 @@ def _add_copies(draft: Draft, prim: ShownPrim, codes: FloatArray) -> None:
 
 
 class _Copies:
-    """Copies by slot; one that is gone stays where it was last."""
+    """Instances by slot; a removed one keeps its last transform."""
 
     def __init__(self, frames: int, count: int) -> None:
-        self.places = np.zeros((frames, count, 3))
+        self.points = np.zeros((frames, count, 3))
         self.rotations = np.tile([0.0, 0.0, 0.0, 1.0], (frames, count, 1))
         self.scales = np.ones((frames, count, 3))
         self.copied = np.full((frames, count), -1)
@@ -294,27 +296,27 @@ class _Copies:
     def of(
         cls, samples: list[PointSample], rows: list[IntArray], count: int
     ) -> _Copies:
-        """Return the copies of samples; rows: the slot of each."""
-        made = cls(len(samples), count)
+        """Return the instances of samples; rows: the slot of each."""
+        copies = cls(len(samples), count)
         for f, (sample, slots) in enumerate(zip(samples, rows, strict=True)):
             if f:
-                for values in (made.places, made.rotations, made.scales):
+                for values in (copies.points, copies.rotations, copies.scales):
                     values[f] = values[f - 1]
-            made.places[f, slots] = sample.points
-            made.rotations[f, slots] = sample.orientations
-            made.scales[f, slots] = sample.scales
-            made.copied[f, slots] = sample.copied
-        return made
+            copies.points[f, slots] = sample.points
+            copies.rotations[f, slots] = sample.orientations
+            copies.scales[f, slots] = sample.scales
+            copies.copied[f, slots] = sample.copied
+        return copies
 
 
-def _add_cameras(draft: Draft, contents: StageContents, codes: FloatArray) -> None:
+def _add_cameras(draft: PageDraft, contents: StageContents, codes: FloatArray) -> None:
     for path in contents.cameras():
         with skipped(draft, f"camera {path!r}"):
             prop = open_prop(PropRequest(contents.path, path, path), UpAxis.Y)
             add_camera(draft, prop.track, codes)
 
 
-def add_camera(draft: Draft, track: Track, times: FloatArray) -> None:
+def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     """Add a camera to a page; times: of its track ``(F,)``, at each frame."""
     names = [attribute.name for attribute in track.attributes]
     there = track.at(times if track.moves else times[:1])
@@ -325,9 +327,9 @@ def add_camera(draft: Draft, track: Track, times: FloatArray) -> None:
         if name in names
     }
     focal = lens.get("focalLength", np.full((1, 1), 50.0))
-    turns = quantized_units(there.rotations)
+    quantized = quantized_units(there.rotations)
     where = quantized_range(there.translations)
-    draft.off(position=where.error, rotation=2 * turns.error)
+    draft.off(position=where.error, rotation=2 * quantized.error)
     clip = [0.01, 1e5]
     if "clippingRange" in names:
         clip = there.values[names.index("clippingRange")][0].tolist()
@@ -335,14 +337,14 @@ def add_camera(draft: Draft, track: Track, times: FloatArray) -> None:
         {
             "name": track.path,
             "t": draft.packer.add(where),
-            "r": draft.packer.add(turns),
+            "r": draft.packer.add(quantized),
             "focal_mm": float(focal[0, 0]),
             "focal": None
             if np.ptp(focal) == 0
             else draft.packer.add(Quantized(focal.astype("<f4"), "f32")),
             "aperture_mm": [
-                float(lens[name][0, 0]) if name in lens else usual
-                for name, usual in (
+                float(lens[name][0, 0]) if name in lens else default
+                for name, default in (
                     ("horizontalAperture", 20.955),
                     ("verticalAperture", 15.2908),
                 )
@@ -352,7 +354,7 @@ def add_camera(draft: Draft, track: Track, times: FloatArray) -> None:
     )
 
 
-_ADD: dict[str, Callable[[Draft, ShownPrim, FloatArray], None]] = {
+_ADD: dict[str, Callable[[PageDraft, ShownPrim, FloatArray], None]] = {
     "mesh": _add_mesh,
     "curves": _add_curves,
     "points": _add_points,

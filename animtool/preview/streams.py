@@ -1,4 +1,4 @@
-"""Arrays of a page: quantised, cut into blocks of frames, deflated, as base64 text."""
+"""Streams of a page: quantized arrays in deflated base64 blocks of frames."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TYPES = {"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4", "u32": "<u4"}
 
 @dataclass(frozen=True, slots=True)
 class Quantized:
-    """Values as a stream has them.
+    """Quantized values with scale, offset and error.
 
     Attributes:
         stored: ``(F, width)`` of the type of its kind.
@@ -65,7 +65,7 @@ def plain(values: FloatArray, digits: int = 6) -> list[Any]:
 
 
 def quantized_units(values: FloatArray) -> Quantized:
-    """Return numbers from -1 to 1, such as those of unit quaternions."""
+    """Quantize numbers from -1 to 1, such as unit quaternions."""
     stored = np.rint(np.clip(values, -1.0, 1.0) * STEPS).astype("<i2")
     error = np.abs(stored / STEPS - values).max(initial=0.0)
     return Quantized(stored, "i16", 1.0 / STEPS, error=float(error))
@@ -74,7 +74,7 @@ def quantized_units(values: FloatArray) -> Quantized:
 def quantized_range(
     values: Array, tolerance: float = POSITION_ERROR, *, period: int = 0
 ) -> Quantized:
-    """Return values over the range of each column, float32 where that is too coarse.
+    """Quantize columns over their range; float32 where that is too coarse.
 
     Args:
         values: ``(F, width)``; what is not finite is a gap.
@@ -88,9 +88,9 @@ def quantized_range(
     if not rows.size:
         return Quantized(np.zeros(values.shape, "<f4"), "f32")
     gaps = bool(np.isnan(rows).any())
-    seen = np.isfinite(rows)
-    low = np.where(seen, rows, np.inf).min(axis=0)
-    high = np.where(seen, rows, -np.inf).max(axis=0)
+    finite = np.isfinite(rows)
+    low = np.where(finite, rows, np.inf).min(axis=0)
+    high = np.where(finite, rows, -np.inf).max(axis=0)
     low, high = (np.where(low <= high, side, 0.0) for side in (low, high))
     scale = (high - low) / (2 * STEPS)
     if scale.max(initial=0.0) / 2 > tolerance or not np.isfinite(scale).all():
@@ -131,7 +131,7 @@ class _Stream:
         return int(self.data.stored.shape[1]) * _WIDTHS[self.data.kind]
 
     def entry(self) -> dict[str, Any]:
-        """Return what the manifest says of it."""
+        """Return the manifest entry."""
         data = self.data
         entry: dict[str, Any] = {
             "id": self.id,
@@ -146,14 +146,14 @@ class _Stream:
 
 
 class Packer:
-    """Streams of a page, and the blocks that hold them."""
+    """Collects the streams of a page, and packs them into blocks."""
 
     def __init__(self) -> None:
         self._streams: list[_Stream] = []
         self._static: dict[tuple[object, ...], int] = {}
 
     def add(self, data: Quantized) -> int:
-        """Return the number of a stream; equal ones of one sample share it."""
+        """Return the number of a stream; equal one-sample streams share it."""
         number = len(self._streams)
         if len(data.stored) == 1:
             digest = hashlib.blake2b(data.stored.tobytes()).digest()
@@ -165,12 +165,12 @@ class Packer:
         return number
 
     def static(self, values: npt.ArrayLike, kind: str) -> int:
-        """Return the number of a stream of one sample, stored as it is."""
+        """Return the number of a one-sample stream, stored without quantization."""
         flat = np.asarray(values).reshape(1, -1).astype(TYPES[kind])
         return self.add(Quantized(flat, kind))
 
     def static_range(self, values: FloatArray, period: int = 3) -> int:
-        """Return the number of a stream of one sample, positions or offsets [m]."""
+        """Return the number of a one-sample stream of positions or offsets [m]."""
         data = quantized_range(np.reshape(values, (-1, period)), period=period)
         flat = data.stored.reshape(1, -1)
         return self.add(
@@ -179,11 +179,11 @@ class Packer:
 
     @property
     def nbytes(self) -> int:
-        """Size of all streams before they are deflated [bytes]."""
+        """Size of all streams before compression [bytes]."""
         return sum(stream.data.stored.nbytes for stream in self._streams)
 
     def finish(self) -> tuple[list[dict[str, Any]], list[str]]:
-        """Return entries of the streams for the manifest, and the blocks as text."""
+        """Return the manifest entries of the streams, and the blocks as text."""
         blocks: list[str] = []
         for group, samples in self._groups():
             count = len(group[0].data.stored)
@@ -196,7 +196,7 @@ class Packer:
         return [stream.entry() for stream in self._streams], blocks
 
     def _groups(self) -> list[tuple[list[_Stream], int]]:
-        """Return streams that share blocks, and how many samples these have."""
+        """Return streams that share blocks, and their samples per block."""
         groups: list[tuple[list[_Stream], int]] = []
         static: list[_Stream] = []
         moving: dict[int, list[_Stream]] = {}
@@ -219,34 +219,34 @@ class Packer:
 
 
 def _filled(streams: Sequence[_Stream], most: int, samples: int) -> list[list[_Stream]]:
-    """Return streams in order, together up to a size; one alone may be larger."""
+    """Return streams up to a total size; a larger one is alone."""
     groups: list[list[_Stream]] = []
     size = 0
     for stream in streams:
-        own = stream.sample_bytes * samples
-        if not groups or size + own > most:
+        size_of_group = stream.sample_bytes * samples
+        if not groups or size + size_of_group > most:
             groups.append([])
             size = 0
         groups[-1].append(stream)
-        size += own
+        size += size_of_group
     return groups
 
 
 def _encoded(stored: Array, kind: str) -> bytes:
-    """Return samples column by column, as differences, in planes of bytes."""
+    """Return samples column-major, delta-coded, as byte planes."""
     width = _WIDTHS[kind]
     columns = stored.reshape(1, -1) if len(stored) == 1 else stored.T
     columns = np.ascontiguousarray(columns, TYPES[kind])
     if kind != "f32":
-        whole = columns.view(f"<u{width}")
-        columns = whole.copy()
-        columns[:, 1:] -= whole[:, :-1]
+        words = columns.view(f"<u{width}")
+        columns = words.copy()
+        columns[:, 1:] -= words[:, :-1]
     planes = columns.view(np.uint8).reshape(*columns.shape, width)
     return np.ascontiguousarray(planes.swapaxes(1, 2)).tobytes()
 
 
 def deflated(parts: Sequence[bytes]) -> str:
-    """Return bytes as a page holds them: raw deflate, as base64 text."""
+    """Return bytes as raw deflate in base64."""
     deflate = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
     packed = b"".join([*map(deflate.compress, parts), deflate.flush()])
     return base64.b64encode(packed).decode("ascii")

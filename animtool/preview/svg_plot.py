@@ -1,4 +1,4 @@
-"""Curves of error against cost as SVG, on logarithmic axes."""
+"""SVG plots of error against cost on logarithmic axes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import math
 from collections.abc import Iterator, Sequence
 
 from animtool.core.record import dataclass
-from animtool.preview.work_precision import Panel, Point
+from animtool.preview.work_precision import Panel, PrecisionPoint
 
 WIDTH, HEIGHT = 720, 400
 LEFT, RIGHT, TOP, BOTTOM = 70, 200, 14, 46
-# Told apart by people who do not see some colours too (Okabe and Ito, 2008).
+# Distinguishable with color vision deficiency (Okabe and Ito, 2008).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#777777")
 DASHES = ("", "6 3", "2 3")
 # Axes with fewer decades have lines at 2 and 5 too.
@@ -19,7 +19,7 @@ FEW_DECADES = 3
 
 
 def plot_svg(panel: Panel) -> str:
-    """Return a panel as an SVG element; its colours but those of curves are the page's.
+    """Return a panel as an SVG element, styled by the page.
 
     A line joins the settings of a method. Filled are those that none beats; around the
     present one is a ring, and a square around the one to take.
@@ -52,8 +52,8 @@ def plot_svg(panel: Panel) -> str:
     return "".join([*parts, "</svg>"])
 
 
-def _drawn(points: Sequence[Point]) -> list[Point]:
-    """Return the points that logarithmic axes have a place for."""
+def _drawn(points: Sequence[PrecisionPoint]) -> list[PrecisionPoint]:
+    """Return the points that logarithmic axes can show."""
     return [p for p in points if p.cost > 0 and p.error > 0 and math.isfinite(p.error)]
 
 
@@ -73,12 +73,12 @@ class _Axis:
         return _Axis(low - margin, high + margin, begin, end)
 
     def __call__(self, value: float) -> float:
-        """Return where a value is [px]."""
-        share = (math.log10(value) - self.low) / (self.high - self.low)
-        return self.begin + share * (self.end - self.begin)
+        """Return the position of a value [px]."""
+        fraction = (math.log10(value) - self.low) / (self.high - self.low)
+        return self.begin + fraction * (self.end - self.begin)
 
     def ticks(self) -> list[float]:
-        """Return values with a line, 20 at most."""
+        """Return tick values, 20 at most."""
         first, last = math.floor(self.low), math.ceil(self.high)
         digits: tuple[int, ...] = (1, 2, 5) if last - first <= FEW_DECADES else (1,)
         if self.high - self.low < 1:
@@ -111,7 +111,7 @@ def _grid(x: _Axis, y: _Axis, panel: Panel) -> Iterator[str]:
 
 
 def _curve(
-    i: int, name: str, points: Sequence[Point], x: _Axis, y: _Axis
+    i: int, name: str, points: Sequence[PrecisionPoint], x: _Axis, y: _Axis
 ) -> Iterator[str]:
     colour = COLOURS[i % len(COLOURS)]
     dash = DASHES[i // len(COLOURS) % len(DASHES)]

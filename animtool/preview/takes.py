@@ -1,4 +1,4 @@
-"""Takes of a page: the skeleton at rest, what moves, contacts, and how exact it is."""
+"""Takes of a page: rest skeleton, motion, contacts, and quantization error."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from animtool.maths.runs import runs
 from animtool.motion.contacts import find_contacts
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
-from animtool.preview.draft import Draft, number
+from animtool.preview.draft import PageDraft, number
 from animtool.preview.streams import Quantized, plain, quantized_range, quantized_units
 from animtool.retarget.anatomy import anatomy
-from animtool.retarget.person import Person
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
@@ -28,24 +28,24 @@ WEIGHT_ERROR = 5e-5
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
-    """One kind of value of the joints: those that move, and the others."""
+class QuantizedTrack:
+    """One component of all joints: animated columns and constant values."""
 
-    still: FloatArray  # of every joint ``(J, K)``
+    static: FloatArray  # of every joint ``(J, K)``
     moving: IntArray  # those that move ``(A,)``
     values: Float32Array  # of these ``(F, A, K)``
 
     def dense(self, cut: slice) -> FloatArray:
         """Return the values of all joints in some frames ``(F, J, K)``."""
         frames = len(self.values[cut])
-        whole = np.repeat(self.still[None], frames, axis=0)
-        whole[:, self.moving] = self.values[cut]
-        return whole
+        values = np.repeat(self.static[None], frames, axis=0)
+        values[:, self.moving] = self.values[cut]
+        return values
 
 
 @dataclass(slots=True)
-class Shown:
-    """A take as the page has it.
+class ShownMotion:
+    """A take as stored on the page.
 
     Attributes:
         index: Its number on the page.
@@ -68,7 +68,7 @@ class Shown:
 
 
 class Gathered:
-    """The motion of a take in memory: float32, what does not move once.
+    """Motion of a take in memory as float32; constant joints once.
 
     Numbers are those that a USD layer of the take would hold, so that a motion makes
     the same page whatever file it is read from.
@@ -90,7 +90,7 @@ class Gathered:
                     self._parts.setdefault(name, []).append(part)
 
     def _stored(self, name: str, values: FloatArray) -> Float32Array:
-        """Return values as they are after a way through a layer."""
+        """Return values as they would be after writing a layer."""
         if name == "translations":
             exact = (values / self._unit).astype(np.float32).astype(np.float64)
             return (exact * self._unit).astype(np.float32)
@@ -102,17 +102,17 @@ class Gathered:
             return stored
         return values.astype(np.float32)
 
-    def track(self, name: str) -> Track | None:
-        """Return a channel; joints whose values are all equal do not move."""
+    def track(self, name: str) -> QuantizedTrack | None:
+        """Return a channel; constant joints are not animated."""
         if name not in self._rest:
             return None
         first, values = self._rest[name], np.concatenate(self._parts.pop(name))
-        still = self._stored(name, first.rest).astype(np.float64)
+        static = self._stored(name, first.rest).astype(np.float64)
         moves = np.zeros(len(first.animated), bool)
         if self.frames:
             moves = (values != values[:1]).any(axis=(0, 2))
-            still[first.animated] = values[0]
-        return Track(still, first.animated[moves], values[:, moves])
+            static[first.animated] = values[0]
+        return QuantizedTrack(static, first.animated[moves], values[:, moves])
 
     def rows(self, name: str) -> FloatArray | None:
         """Return the values of a channel of one component ``(F, N)``."""
@@ -121,8 +121,8 @@ class Gathered:
 
 
 def add_take(
-    draft: Draft, name: str, stream: TakeStream, gathered: Gathered, first: int
-) -> Shown:
+    draft: PageDraft, name: str, stream: TakeStream, gathered: Gathered, first: int
+) -> ShownMotion:
     """Add a take to a page.
 
     Args:
@@ -149,7 +149,9 @@ def add_take(
         for kind, track in kinds.items()
     }
 
-    def world(cut: slice, tracks: dict[str, Track | None] = decoded) -> WorldTransforms:
+    def world(
+        cut: slice, tracks: dict[str, QuantizedTrack | None] = decoded
+    ) -> WorldTransforms:
         t, r, s = (
             None if track is None else track.dense(cut) for track in tracks.values()
         )
@@ -161,7 +163,7 @@ def add_take(
     entry = {
         "name": name,
         "skeleton": _skeleton(rig),
-        "still": {kind: _still(track) for kind, track in kinds.items()},
+        "still": {kind: _static(track) for kind, track in kinds.items()},
         "moving": {
             kind: [] if track is None else track.moving.tolist()
             for kind, track in kinds.items()
@@ -177,7 +179,7 @@ def add_take(
         "span": [first, first + gathered.frames - 1],
     }
     draft.takes.append(entry)
-    return Shown(
+    return ShownMotion(
         len(draft.takes) - 1,
         rig,
         first,
@@ -189,22 +191,22 @@ def add_take(
     )
 
 
-def _nothing(rest: FloatArray) -> Track:
+def _nothing(rest: FloatArray) -> QuantizedTrack:
     empty = np.zeros((0, 0, rest.shape[1]), np.float32)
-    return Track(rest, np.zeros(0, np.int64), empty)
+    return QuantizedTrack(rest, np.zeros(0, np.int64), empty)
 
 
-def _positive(track: Track) -> Track:
-    """Return rotations whose scalar part is positive at first: a rotation has two."""
-    still = np.where(track.still[:, 3:] < 0, -track.still, track.still)
+def _positive(track: QuantizedTrack) -> QuantizedTrack:
+    """Return rotations whose first scalar part is positive."""
+    static = np.where(track.static[:, 3:] < 0, -track.static, track.static)
     values = track.values
     if len(values):
         values = so3.align_signs(values).astype(np.float32)
         values = np.where(values[:1, :, 3:] < 0, -values, values)
-    return Track(still, track.moving, values)
+    return QuantizedTrack(static, track.moving, values)
 
 
-def _stored(kind: str, track: Track | None) -> Quantized | None:
+def _stored(kind: str, track: QuantizedTrack | None) -> Quantized | None:
     if track is None or not track.values.size:
         return None
     values = track.values.reshape(len(track.values), -1).astype(np.float64)
@@ -213,15 +215,17 @@ def _stored(kind: str, track: Track | None) -> Quantized | None:
     return quantized_range(values, WEIGHT_ERROR if kind == "s" else 1e-4)
 
 
-def _decoded(track: Track, data: Quantized | None) -> Track:
+def _decoded(track: QuantizedTrack, data: Quantized | None) -> QuantizedTrack:
     if data is None:
         return track
     values = data.stored * np.asarray(data.scale) + np.asarray(data.offset)
-    return Track(track.still, track.moving, values.reshape(track.values.shape))
+    return QuantizedTrack(
+        track.static, track.moving, values.reshape(track.values.shape)
+    )
 
 
-def _still(track: Track | None) -> list[Any] | None:
-    return None if track is None else plain(track.still)
+def _static(track: QuantizedTrack | None) -> list[Any] | None:
+    return None if track is None else plain(track.static)
 
 
 def _skeleton(rig: Rig) -> dict[str, Any]:
@@ -230,7 +234,7 @@ def _skeleton(rig: Rig) -> dict[str, Any]:
         "parents": rig.parents.tolist(),
         "rest": {
             "t": plain(rig.rest_translations),
-            "r": plain(_positive(_nothing(rig.rest_rotations)).still),
+            "r": plain(_positive(_nothing(rig.rest_rotations)).static),
             "s": None,
         },
         "tips": [
@@ -242,25 +246,25 @@ def _skeleton(rig: Rig) -> dict[str, Any]:
 
 
 def _measure(
-    draft: Draft,
+    draft: PageDraft,
     rig: Rig,
     frames: int,
     world: Callable[..., WorldTransforms],
-    exact: dict[str, Track | None],
+    exact: dict[str, QuantizedTrack | None],
     stream: TakeStream,
 ) -> list[tuple[int, Any]]:
-    """Measure how exact a take is stored; return when which joints of feet stand."""
+    """Measure the quantization error of a take; return foot contacts."""
     if not rig.joints or not frames:
         return []
     person, legs = _legs(draft, rig)
     joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
-    places = []
+    positions = []
     for begin in range(0, frames, BLOCK):
         cut = slice(begin, min(begin + BLOCK, frames))
         one, other = world(cut), world(cut, exact)
         offsets = np.linalg.norm(one.positions - other.positions, axis=-1)
         draft.off(position=float(offsets.max(initial=0.0)))
-        places.append(other.positions[:, joints])
+        positions.append(other.positions[:, joints])
     rotations = exact["r"]
     assert rotations is not None
     if rotations.values.size:
@@ -270,7 +274,7 @@ def _measure(
         draft.off(rotation=2 * float(chords.max()))
     if person is None or frames < 2:
         return []
-    feet = dict(zip(joints, np.concatenate(places).swapaxes(0, 1), strict=True))
+    feet = dict(zip(joints, np.concatenate(positions).swapaxes(0, 1), strict=True))
     rate = float(stream.fps / stream.step)
     return list(_contacts(person, legs, feet, rate))
 
@@ -278,41 +282,41 @@ def _measure(
 Legs = dict[str, tuple[int, int, int, int]]
 
 
-def _legs(draft: Draft, rig: Rig) -> tuple[Person | None, Legs]:
-    """Return a rig as a person, and its legs; None where it has none."""
+def _legs(draft: PageDraft, rig: Rig) -> tuple[RoledSkeleton | None, Legs]:
+    """Return a rig with roles and its legs; None if it has none."""
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
     if key not in draft.known:
-        draft.known[key] = _found_legs(rig)
-    found: tuple[Person | None, Legs] = draft.known[key]
-    return found
+        draft.known[key] = _find_legs(rig)
+    legs: tuple[RoledSkeleton | None, Legs] = draft.known[key]
+    return legs
 
 
-def _found_legs(rig: Rig) -> tuple[Person | None, Legs]:
-    person = Person.of(rig, anatomy(rig).roles)
+def _find_legs(rig: Rig) -> tuple[RoledSkeleton | None, Legs]:
+    person = RoledSkeleton.of(rig, anatomy(rig).roles)
     legs = {side: leg for side in "lr" if (leg := person.leg(side)) is not None}
     return (person if legs else None), legs
 
 
 def _contacts(
-    person: Person,
+    person: RoledSkeleton,
     legs: Legs,
     feet: dict[int, FloatArray],
     rate: float,
 ) -> Iterator[tuple[int, Any]]:
-    """Yield joints of feet, and the frames in which they stand ``(F,)``."""
+    """Yield foot joints and their contact frames ``(F,)``."""
     for side, leg in legs.items():
         ankle, toe = leg[2:]
         length = person.leg_length(side)
-        found = find_contacts(feet[ankle], feet.get(toe), rate, length)
+        contacts = find_contacts(feet[ankle], feet.get(toe), rate, length)
         if toe < 0:
-            yield ankle, found.any
+            yield ankle, contacts.any
         else:
-            yield from ((ankle, found.ankle), (toe, found.toe))
+            yield from ((ankle, contacts.ankle), (toe, contacts.toe))
 
 
 def _named_spans(
-    draft: Draft, contacts: list[tuple[int, Any]], first: int
+    draft: PageDraft, contacts: list[tuple[int, Any]], first: int
 ) -> list[dict[str, Any]]:
     timeline = draft.timeline
 

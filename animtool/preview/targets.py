@@ -1,4 +1,4 @@
-"""Targets of inverse kinematics on a page, as markers."""
+"""Adds IK targets to a page, as markers."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from animtool.ik.file import load_targets
 from animtool.ik.goals import Targets
 from animtool.ik.tracks import TargetTracks
 from animtool.maths import so3
-from animtool.preview.draft import Draft, skipped
+from animtool.preview.draft import PageDraft, skipped
 from animtool.preview.streams import quantized_range
-from animtool.preview.takes import Shown
+from animtool.preview.takes import ShownMotion
 from animtool.rig.kinematics import WorldTransforms, bind_matrices
 from animtool.rig.skeleton import Joint, Rig
 
@@ -29,9 +29,9 @@ _KINDS = {
 
 
 def add_targets(
-    draft: Draft, tracks: TargetTracks, shown: Shown | None, up: UpAxis | str
+    draft: PageDraft, tracks: TargetTracks, shown: ShownMotion | None, up: UpAxis | str
 ) -> None:
-    """Add where goals are to be as markers, in the frames in which they are asked.
+    """Add goal positions as markers, in the frames in which they are active.
 
     Args:
         draft: The page.
@@ -44,29 +44,29 @@ def add_targets(
         if not len(frames):
             draft.note(f"targets {tracks.path.name!r} have other frames")
             return
-        turn = up_from_up(UpAxis.Y, UpAxis(up))
-        rig, world = _posed(tracks, shown, frames, turn)
+        up_rotation = up_from_up(UpAxis.Y, UpAxis(up))
+        rig, world = _posed(tracks, shown, frames, up_rotation)
         rig = replace(rig, up=UpAxis(up))
         if shown is not None:
             tracks = load_targets(tracks.path, rig)
         clock = _clock(draft, tracks, frames)
-        found = tracks.placed(clock).sample(rig, clock, world)
-        _add_markers(draft, tracks, found, frames, turn)
+        sampled = tracks.placed(clock).sample(rig, clock, world)
+        _add_markers(draft, tracks, sampled, frames, up_rotation)
 
 
-def _frames(draft: Draft, tracks: TargetTracks) -> IntArray:
-    """Return the samples of the page that the file is about ``(A,)``."""
+def _frames(draft: PageDraft, tracks: TargetTracks) -> IntArray:
+    """Return the page samples that the targets file covers ``(A,)``."""
     codes = draft.timeline.codes * _ratio(draft, tracks)
     first = -np.inf if tracks.first is None else float(tracks.first)
     last = np.inf if tracks.last is None else float(tracks.last)
     return np.flatnonzero((codes >= first - 1e-6) & (codes <= last + 1e-6))
 
 
-def _ratio(draft: Draft, tracks: TargetTracks) -> float:
+def _ratio(draft: PageDraft, tracks: TargetTracks) -> float:
     return 1.0 if tracks.fps is None else float(tracks.fps / draft.timeline.fps)
 
 
-def _clock(draft: Draft, tracks: TargetTracks, frames: IntArray) -> Clock:
+def _clock(draft: PageDraft, tracks: TargetTracks, frames: IntArray) -> Clock:
     timeline = draft.timeline
     fps = tracks.fps or timeline.fps
     ratio = fps / timeline.fps
@@ -75,41 +75,44 @@ def _clock(draft: Draft, tracks: TargetTracks, frames: IntArray) -> Clock:
 
 
 def _posed(
-    tracks: TargetTracks, shown: Shown | None, frames: IntArray, turn: object
+    tracks: TargetTracks,
+    shown: ShownMotion | None,
+    frames: IntArray,
+    up_rotation: object,
 ) -> tuple[Rig, WorldTransforms]:
-    """Return the rig that targets are for, and its joints, as its file has its axes."""
+    """Return the rig of targets and its joints, in the axes of its file."""
     if shown is None or not shown.frames:
         names = dict.fromkeys(goal.goal.joint for goal in tracks.goals)
         rig = Rig(Path(tracks.path).stem, tuple(Joint(name, -1) for name in names))
-        still = bind_matrices(rig)[None].repeat(len(frames), axis=0)
-        return rig, WorldTransforms(still[..., :3, 3], still[..., :3, :3])
-    own = np.clip(frames - shown.first, 0, shown.frames - 1)
-    world = shown.world(slice(int(own.min()), int(own.max()) + 1))
-    own = own - own.min()
-    positions, linear = world.positions[own], world.linear[own]
-    if turn is not None:
-        back = so3.to_matrix(np.array(turn)).T
+        bind = bind_matrices(rig)[None].repeat(len(frames), axis=0)
+        return rig, WorldTransforms(bind[..., :3, 3], bind[..., :3, :3])
+    rows = np.clip(frames - shown.first, 0, shown.frames - 1)
+    world = shown.world(slice(int(rows.min()), int(rows.max()) + 1))
+    rows = rows - rows.min()
+    positions, linear = world.positions[rows], world.linear[rows]
+    if up_rotation is not None:
+        back = so3.to_matrix(np.array(up_rotation)).T
         positions, linear = positions @ back.T, back @ linear
     return shown.rig, WorldTransforms(positions, linear)
 
 
 def _add_markers(
-    draft: Draft,
+    draft: PageDraft,
     tracks: TargetTracks,
-    found: Targets,
+    sampled: Targets,
     frames: IntArray,
-    turn: object,
+    up_rotation: object,
 ) -> None:
-    weights = np.asarray(found.weights)
+    weights = np.asarray(sampled.weights)
     for kind, (values, column, color, radius) in _KINDS.items():
         chosen = [
             e for e, track in enumerate(tracks.goals) if track.goal.weights[column] > 0
         ]
         if not chosen:
             continue
-        points: FloatArray = np.asarray(getattr(found, values), np.float64)[:, chosen]
-        if turn is not None:
-            points = so3.rotate(np.array(turn), points)
+        points: FloatArray = np.asarray(getattr(sampled, values), np.float64)[:, chosen]
+        if up_rotation is not None:
+            points = so3.rotate(np.array(up_rotation), points)
         points = np.where(weights[:, chosen, column, None] > 0, points, np.nan)
         rows = np.full((draft.timeline.count, len(chosen) * 3), np.nan)
         rows[frames] = points.reshape(len(frames), -1)

@@ -1,4 +1,4 @@
-"""When files of a page are shown: one timeline, whole frames, takes brought to it."""
+"""Puts the files of a page on one timeline of integer frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import Timeline
-from animtool.preview.opened import OpenFile, ShownTake
+from animtool.preview.open_file import OpenFile, ShownTake
 from animtool.preview.options import PreviewOptions
 from animtool.preview.takes import Gathered
 from animtool.scene.bake.first_frame import frame_start
@@ -36,7 +36,7 @@ FEWER = (
 
 @dataclass(slots=True)
 class TimedPart:
-    """A take, read, with where it is on the timeline."""
+    """A take with its position on the timeline."""
 
     file: int
     take: ShownTake
@@ -48,7 +48,7 @@ class TimedPart:
 
     @property
     def last(self) -> Fraction:
-        """Frame of the page that its last one is."""
+        """Last page frame of the take."""
         return self.first + max(0, self.gathered.frames - 1) * self.stream.step
 
 
@@ -60,7 +60,7 @@ def gathered_part(
     options: PreviewOptions,
     notices: list[Fault],
 ) -> TimedPart:
-    """Return a take read, at the whole frames and the rate of the page.
+    """Return a take resampled to the page's frames and rate.
 
     Args:
         number: Of its file.
@@ -108,7 +108,7 @@ def gathered_part(
 
 
 def align(parts: list[TimedPart]) -> list[Fault]:
-    """Bring takes that share no frame with the first to its start; say of which."""
+    """Shift takes that share no frame with the first to its start; return notices."""
     notices = []
     for part in parts[1:]:
         lead = parts[0]
@@ -130,7 +130,7 @@ def timeline_of(
     fps: Fraction,
     options: PreviewOptions,
 ) -> Timeline:
-    """Return the frames that files have together.
+    """Return the timeline that covers all files.
 
     Raises:
         OptionError: None of them is asked for (CLI005), or there are too many (PRV003).
@@ -142,9 +142,9 @@ def timeline_of(
     ]
     step = Fraction(1)
     for file in opened:
-        if file.contents is not None and (found := _moving_span(file.contents)):
+        if file.contents is not None and (span := _moving_span(file.contents)):
             ratio = fps / file.contents.fps
-            spans.append((found[0] * ratio, found[1] * ratio))
+            spans.append((span[0] * ratio, span[1] * ratio))
         if file.markers is not None:
             clock = file.markers.clock
             ratio = fps / clock.fps
@@ -178,7 +178,7 @@ def timeline_of(
 def _within(
     part: TimedPart, stated: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
-    """Return the frames of a take, without those that its stage does not count."""
+    """Return the frames of a take inside the range of its stage."""
     if stated is None or part.shift:
         return part.first, part.last
     first, last = max(part.first, stated[0]), min(part.last, stated[1])
@@ -186,7 +186,7 @@ def _within(
 
 
 def _stated(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] | None:
-    """Return the frames that a stage states; None of other files."""
+    """Return the authored range of a stage; None for other files."""
     contents = file.contents
     span = None if contents is None else contents.stated_span
     if contents is None or span is None:

@@ -1,4 +1,4 @@
-"""A page of time against error: plots, tables, and two settings beside each other."""
+"""Page of time against error: plots, tables, and two settings side by side."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def write_tradeoff_page(
 
 
 def page_parts(report: Tradeoffs, calling: Calling = in_python) -> Iterator[str]:
-    """Yield the page, part by part; it asks for nothing beside itself."""
+    """Yield the page in parts; it is self-contained."""
     style = viewer_text("tradeoffs.css")
     title = html.escape(f"{report.source.name}: time against error")
     yield (
@@ -101,7 +101,7 @@ def _table(
 
 
 def _viewer(pair: Pair) -> Iterator[str]:
-    """Yield a viewer of two settings, which stands in a frame of its own."""
+    """Yield the viewer of two settings, in an iframe."""
     present, other = (html.escape(str(setting)) for setting in pair.settings)
     yield f"<p>Side by side: {present} (current) and {other}.</p>\n"
     page = make_page([*pair.files], PreviewOptions(findings=False))

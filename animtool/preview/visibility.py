@@ -1,4 +1,4 @@
-"""When characters of a stage, and their meshes, are hidden."""
+"""Visibility of characters and their meshes over time."""
 
 from __future__ import annotations
 
@@ -6,15 +6,17 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray
 from animtool.core.clock import time_codes
-from animtool.preview.draft import Draft
-from animtool.preview.opened import OpenFile
+from animtool.preview.draft import PageDraft
+from animtool.preview.open_file import OpenFile
 from animtool.preview.streams import Quantized
-from animtool.preview.takes import Shown
+from animtool.preview.takes import ShownMotion
 from animtool.preview.timing import TimedPart
 
 
-def add_visibility(draft: Draft, file: OpenFile, part: TimedPart, shown: Shown) -> None:
-    """Add to a take and its meshes the frames in which they are visible.
+def add_visibility(
+    draft: PageDraft, file: OpenFile, part: TimedPart, shown: ShownMotion
+) -> None:
+    """Add the visible frames of a take and its meshes.
 
     Args:
         draft: The page, which has the take and its meshes.
@@ -27,20 +29,20 @@ def add_visibility(draft: Draft, file: OpenFile, part: TimedPart, shown: Shown) 
         return
     codes = time_codes(part.first - part.shift, part.stream.step, shown.frames)
     codes = codes * float(contents.fps / draft.timeline.fps)
-    whole = contents.visible(prim, codes)
-    shown.entry["visible"] = visibility_stream(draft, whole)
-    if not whole.any():
+    prim_visible = contents.visible(prim, codes)
+    shown.entry["visible"] = visibility_stream(draft, prim_visible)
+    if not prim_visible.any():
         draft.note(f"{part.take.name!r} is hidden in every frame: it is not drawn")
     meshes = [mesh for mesh in draft.meshes if mesh["take"] == shown.index]
-    seen = contents.visible_meshes(prim, codes) if meshes else {}
+    by_mesh = contents.visible_meshes(prim, codes) if meshes else {}
     for mesh in meshes:
-        own = seen.get(mesh["name"], whole)
-        if not np.array_equal(own, whole):
-            mesh["visible"] = visibility_stream(draft, own)
+        mesh_visible = by_mesh.get(mesh["name"], prim_visible)
+        if not np.array_equal(mesh_visible, prim_visible):
+            mesh["visible"] = visibility_stream(draft, mesh_visible)
 
 
-def visibility_stream(draft: Draft, visible: BoolArray) -> int | None:
-    """Return the stream of when something is visible ``(F,)``; None is always."""
+def visibility_stream(draft: PageDraft, visible: BoolArray) -> int | None:
+    """Return the stream of visibility ``(F,)``; None if always visible."""
     if visible.all():
         return None
     rows = visible[:, None] if visible.any() else visible[:1, None]

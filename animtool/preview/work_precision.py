@@ -1,4 +1,4 @@
-"""Work against precision: what settings cost, and how far they are off."""
+"""Work-precision plots: cost and error of settings."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ COSTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
-    """A setting.
+class PrecisionPoint:
+    """Cost and error of one setting.
 
     Attributes:
         cost: As its panel has it.
@@ -50,20 +50,20 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
-    """The settings of a method, in their order."""
+class PrecisionCurve:
+    """The settings of one method, in order."""
 
     name: str  # for the legend
-    points: tuple[Point, ...]  # those that work
+    points: tuple[PrecisionPoint, ...]  # those that work
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """What is drawn into one frame."""
+    """Content of one plot."""
 
     title: str  # above it
     error: str  # what errors are, for the axis
-    curves: tuple[Curve, ...]  # A line each
+    curves: tuple[PrecisionCurve, ...]  # A line each
     # How far what errors are measured from may be off itself [m]; 0 draws nothing.
     floor: float = 0.0
     remark: str = ""  # below the title; may be empty
@@ -71,7 +71,7 @@ class Panel:
 
 
 def check_drawable(path: Path) -> None:
-    """Refuse a picture without matplotlib (IO005), or of no such kind (SCN072)."""
+    """Refuse a plot without matplotlib (IO005), or in an unknown format (SCN072)."""
     if path.suffix.lower() not in SUFFIXES:
         message = f"{path.suffix or 'a name without a suffix'} is not a kind of picture"
         hint = f"name it {', '.join(SUFFIXES)}"
@@ -80,7 +80,7 @@ def check_drawable(path: Path) -> None:
 
 
 def draw_panels(panels: Sequence[Panel], path: Path) -> None:
-    """Draw one panel or more below each other, on logarithmic axes."""
+    """Draw panels below each other, on logarithmic axes."""
     check_drawable(path)
     matplotlib, figures, ticker = _figures()
     figure = figures.Figure(
@@ -106,7 +106,7 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
 
 
 def _figures() -> tuple[Any, Any, Any]:
-    """Return what of matplotlib draws: itself, its figures and its ticks."""
+    """Return matplotlib with its figure and ticker modules."""
     try:
         import matplotlib as mpl
         from matplotlib import figure, ticker
@@ -146,8 +146,8 @@ def _draw(frame: Any, panel: Panel, ticker: Any) -> None:
             text.set_parse_math(False)
 
 
-def _ring(frame: Any, chosen: Sequence[Point]) -> None:
-    """Draw rings around what is in use."""
+def _ring(frame: Any, chosen: Sequence[PrecisionPoint]) -> None:
+    """Draw rings around the current settings."""
     if not chosen:
         return
     frame.plot(
@@ -162,7 +162,7 @@ def _ring(frame: Any, chosen: Sequence[Point]) -> None:
     )
 
 
-def _draw_curve(frame: Any, curve: Curve, i: int) -> None:
+def _draw_curve(frame: Any, curve: PrecisionCurve, i: int) -> None:
     shown = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
     if not shown:
         return
@@ -184,19 +184,21 @@ def _draw_curve(frame: Any, curve: Curve, i: int) -> None:
 
 
 def panels_of(tables: Sequence[TrialTable]) -> list[Panel]:
-    """Return a panel for each table, with a curve for each method."""
+    """Return a panel per table, with a curve per method."""
     return [_panel(table) for table in tables]
 
 
 def _panel(table: TrialTable) -> Panel:
-    by_method: dict[str, list[Point]] = {}
+    by_method: dict[str, list[PrecisionPoint]] = {}
     for row in table.rows:
         error = table.error_of(row)
         if error is not None:
             cost = getattr(row, COSTS[table.cost][0])
-            point = Point(cost, error, row.chosen, row.best, row.recommended)
+            point = PrecisionPoint(cost, error, row.chosen, row.best, row.recommended)
             by_method.setdefault(row.setting.method, []).append(point)
-    curves = tuple(Curve(name, tuple(points)) for name, points in by_method.items())
+    curves = tuple(
+        PrecisionCurve(name, tuple(points)) for name, points in by_method.items()
+    )
     reference = table.reference
     remark, floor = "", 0.0
     if reference is not None:

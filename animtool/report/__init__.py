@@ -1,1 +1,1 @@
-"""Looking at takes: what one holds, and how two differ."""
+"""Describes takes, and compares them."""

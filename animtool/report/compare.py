@@ -1,4 +1,4 @@
-"""How far two takes are apart, and where: joints, shapes, controls."""
+"""Compares two takes: joints, shapes, controls, and where they differ most."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from animtool.scene.sources.open import (
 
 @dataclass(frozen=True, slots=True)
 class ShapeDifference:
-    """The largest difference of weights."""
+    """Largest difference of weights."""
 
     value: float = 0.0  # how large [1]
     shape: str = ""  # of which shape, as the first take has it
@@ -43,7 +43,7 @@ class ShapeDifference:
 def compare_weights(
     first: Take, second: Take, frames: int
 ) -> tuple[ShapeDifference, int, list[str]]:
-    """Compare the weights of two takes of one rate, shapes by name.
+    """Compare the weights of two takes of equal rate, shapes by name.
 
     Shapes of ARKit's are the same however they are spelled. A shape that only one take
     has is a mismatch where its weight is ever other than 0.
@@ -61,12 +61,12 @@ def compare_weights(
         if lost:
             mismatches.append(lost_text("shape", lost, other))
     mine, theirs = [s for s, _ in pairs], [s for _, s in pairs]
-    apart = np.abs(a[:frames, mine] - b[:frames, theirs])
-    if not apart.size:
+    difference = np.abs(a[:frames, mine] - b[:frames, theirs])
+    if not difference.size:
         return ShapeDifference(), 0, mismatches
-    frame, pair = np.unravel_index(np.argmax(apart), apart.shape)
+    frame, pair = np.unravel_index(np.argmax(difference), difference.shape)
     largest = ShapeDifference(
-        float(apart[frame, pair]),
+        float(difference[frame, pair]),
         names[0][mine[int(pair)]],
         float(first.clock.times[frame]),
     )
@@ -74,20 +74,20 @@ def compare_weights(
 
 
 def lost_text(noun: str, lost: Sequence[str], other: str) -> str:
-    """Say what is not in the other of two."""
+    """Return text that lists what only one of two has."""
     are = "is" if len(lost) == 1 else "are"
     return f"{counted(len(lost), noun)} {are} not in the {other}: {listed(lost)}"
 
 
 def _weights(take: Take) -> FloatArray:
-    """Return the weights of every shape ``(F, S)``; those of a take without are 0."""
+    """Return the weights of every shape ``(F, S)``; missing ones are 0."""
     if take.motion.weights is None:
         return np.zeros((take.clock.count, len(take.rig.shapes)))
     return take.motion.weights.dense()[..., 0]
 
 
 def _pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int, int]]:
-    """Match shapes by name, then by ARKit's name for them, in order."""
+    """Match shapes by name, then by ARKit name, in order."""
     pairs = [(i, second.index(name)) for i, name in enumerate(first) if name in second]
     mine, theirs = {i for i, _ in pairs}, {k for _, k in pairs}
     spelled = {
@@ -110,7 +110,7 @@ WEIGHT_TOLERANCE = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The largest difference of one kind."""
+    """Largest difference of one kind."""
 
     value: float  # how large [m] or [deg]
     joint: str  # where
@@ -120,7 +120,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class TakeDifference:
-    """How two takes differ over the joints, shapes and frames that both have."""
+    """Differences of two takes over their common joints, shapes and frames."""
 
     world: Difference  # world position [m]
     translation: Difference  # local translation [m]
@@ -133,7 +133,7 @@ class TakeDifference:
     mismatches: list[str]  # what one has and the other has not, in words
     # What differs and is no difference of the takes, in words.
     notes: list[str] = field(default_factory=list)
-    notices: list[Fault] = field(default_factory=list)  # what is odd about the files
+    notices: list[Fault] = field(default_factory=list)  # warnings and notes
     skeletons: int = (
         1  # skeletons compared, whose joints and shapes are counted together
     )
@@ -141,7 +141,7 @@ class TakeDifference:
     def within(
         self, meters: float, degrees: float, weights: float = WEIGHT_TOLERANCE
     ) -> bool:
-        """Return whether the takes agree to the tolerances."""
+        """Return whether the takes agree within tolerances."""
         return (
             not self.mismatches
             and self.world.value <= meters
@@ -177,20 +177,23 @@ def compare(
     """
     paths = [Path(first), Path(second)]
     mine = options or SourceOptions()
-    given = [mine, second_options]
+    each_options = [mine, second_options]
     if second_options is None:
-        given = [fitting_options(mine, path, paths) for path in paths]
-    if all(is_usd(path) for path in paths) and given == 2 * [SourceOptions()]:
+        each_options = [fitting_options(mine, path, paths) for path in paths]
+    if all(is_usd(path) for path in paths) and each_options == 2 * [SourceOptions()]:
         characters = [open_characters(path) for path in paths]
         if max(map(len, characters)) > 1:
-            return _characters_apart(*characters)
-    return _streams_apart(
-        *(open_source(path, own) for path, own in zip(paths, given, strict=True))
+            return _character_difference(*characters)
+    return _stream_difference(
+        *(
+            open_source(path, chosen)
+            for path, chosen in zip(paths, each_options, strict=True)
+        )
     )
 
 
-def _streams_apart(one: TakeStream, two: TakeStream) -> TakeDifference:
-    """Compare two takes that are open, the second turned as the first."""
+def _stream_difference(one: TakeStream, two: TakeStream) -> TakeDifference:
+    """Compare two open takes, the second in the axes of the first."""
     difference = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
     difference.notices.extend([*one.notices, *two.notices])
     meters = one.rig.meters_per_unit, two.rig.meters_per_unit
@@ -201,10 +204,10 @@ def _streams_apart(one: TakeStream, two: TakeStream) -> TakeDifference:
     return difference
 
 
-_Openers: TypeAlias = Mapping[str, Callable[[], TakeStream]]
+_TakeReaders: TypeAlias = Mapping[str, Callable[[], TakeStream]]
 
 
-def _characters_apart(first: _Openers, second: _Openers) -> TakeDifference:
+def _character_difference(first: _TakeReaders, second: _TakeReaders) -> TakeDifference:
     """Compare the skeletons of two stages, by their paths."""
     pairs = _skeleton_pairs(list(first), list(second))
     mismatches = [
@@ -222,15 +225,15 @@ def _characters_apart(first: _Openers, second: _Openers) -> TakeDifference:
         skeletons=len(pairs),
     )
     for mine, theirs in pairs:
-        apart = _streams_apart(first[mine](), second[theirs]())
-        merged = _merged(merged, apart, mine)
+        difference = _stream_difference(first[mine](), second[theirs]())
+        merged = _merged(merged, difference, mine)
     return merged
 
 
 def _skeleton_pairs(
     first: Sequence[str], second: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Match skeletons by path, then by path below the first prim; else in order.
+    """Match skeletons by path, then by path below the root prim, then in order.
 
     >>> _skeleton_pairs(["/a/x/s", "/a/y/s"], ["/b/y/s", "/b/z/s"])
     [('/a/y/s', '/b/y/s')]
@@ -252,33 +255,33 @@ def _skeleton_pairs(
 
 
 def _merged(
-    whole: TakeDifference, part: TakeDifference, skeleton: str
+    total: TakeDifference, part: TakeDifference, skeleton: str
 ) -> TakeDifference:
-    """Return differences of several skeletons with those of one more."""
+    """Return the differences of several skeletons merged with one more."""
     kinds = ("world", "translation", "rotation", "scale", "weight")
     larger = {
-        kind: replace(apart, skeleton=skeleton)
+        kind: replace(difference, skeleton=skeleton)
         for kind in kinds
-        if (apart := getattr(part, kind)).value > getattr(whole, kind).value
+        if (difference := getattr(part, kind)).value > getattr(total, kind).value
     }
     named = {
         name: [f"{skeleton}: {line}" for line in getattr(part, name)]
         for name in ("mismatches", "notes")
     }
     return replace(
-        whole,
+        total,
         **larger,
-        frames=max(whole.frames, part.frames),
-        joints=whole.joints + part.joints,
-        shapes=whole.shapes + part.shapes,
-        mismatches=whole.mismatches + named["mismatches"],
-        notes=whole.notes + named["notes"],
-        notices=whole.notices + [n for n in part.notices if n not in whole.notices],
+        frames=max(total.frames, part.frames),
+        joints=total.joints + part.joints,
+        shapes=total.shapes + part.shapes,
+        mismatches=total.mismatches + named["mismatches"],
+        notes=total.notes + named["notes"],
+        notices=total.notices + [n for n in part.notices if n not in total.notices],
     )
 
 
 def space_notes(ups: tuple[UpAxis, UpAxis], meters: tuple[float, float]) -> list[str]:
-    """Return in which up axes and units [m] two files are, where these differ."""
+    """Return a note if up axes or units [m] of two files differ."""
     notes = []
     if ups[0] is not ups[1]:
         notes.append(f"{ups[0]} up instead of {ups[1]} up; compared with {ups[0]} up")
@@ -289,7 +292,7 @@ def space_notes(ups: tuple[UpAxis, UpAxis], meters: tuple[float, float]) -> list
 
 
 def compare_takes(first: Take, second: Take) -> TakeDifference:
-    """Compare two takes; those of no common joint or frame differ by nothing else."""
+    """Compare two takes over their common joints and frames."""
     pairs = _joint_pairs(first.rig, second.rig)
     mismatches = _mismatches(first, second, pairs)
     if first.clock.rate != second.clock.rate:
@@ -310,11 +313,11 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
 
     a, b = (take.motion.select(slice(0, frames)).dense() for take in (first, second))
     world_a, world_b = forward(first.rig, *a), forward(second.rig, *b)
-    apart = world_a.positions[:, mine] - world_b.positions[:, theirs]
+    difference = world_a.positions[:, mine] - world_b.positions[:, theirs]
     moved = a[0][:, mine] - b[0][:, theirs]
     turned = so3.angle_between(a[1][:, mine], b[1][:, theirs])
     return TakeDifference(
-        largest(np.linalg.norm(apart, axis=-1)),
+        largest(np.linalg.norm(difference, axis=-1)),
         largest(np.linalg.norm(moved, axis=-1)),
         largest(np.degrees(turned)),
         largest(np.abs(_scales(a)[:, mine] - _scales(b)[:, theirs]).max(axis=-1)),

@@ -1,4 +1,4 @@
-"""How far points, curves, meshes and copies of two stages are apart, and where."""
+"""Compares points, curves, meshes and instances of two stages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PointDifference:
-    """The largest difference of one kind."""
+    """Largest difference of one kind."""
 
     value: float = 0.0  # how large [m], [deg] or [1]
     prim: str = ""  # of which prim, below the default prim
@@ -32,7 +32,7 @@ class PointDifference:
 
 @dataclass(frozen=True, slots=True)
 class PointsDifference:
-    """How the points of two stages differ, over the prims and samples that both have.
+    """Differences of two stages' points over their common prims and samples.
 
     Points with ids are compared by these.
     """
@@ -48,7 +48,7 @@ class PointsDifference:
     notes: list[str] = field(default_factory=list)
 
     def within(self, meters: float, degrees: float) -> bool:
-        """Return whether the points agree to the tolerances."""
+        """Return whether the points agree within tolerances."""
         return (
             not self.mismatches
             and self.points.value <= meters
@@ -87,7 +87,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
             if lost:
                 mismatches.append(f"{name} at time code {code:g}: {lost}")
                 break
-            for kind, (values, ids) in _apart(a, b).items():
+            for kind, (values, ids) in _distances(a, b).items():
                 worst = int(np.argmax(values)) if len(values) else 0
                 if len(values) and values[worst] > largest[kind].value:
                     candidate = float(values[worst]), name, int(ids[worst]), code
@@ -122,7 +122,7 @@ def _pairs(
     name: str,
     codes: tuple[list[float], list[float]],
 ) -> Iterator[tuple[float, PointSample, PointSample]]:
-    """Yield time codes of the first, with what both have then."""
+    """Yield time codes of the first stage, with both samples."""
     mine, theirs = codes
     if not mine or not theirs:
         yield 0.0, one.at(name, None), _turned(one, two, two.at(name, None))
@@ -136,20 +136,22 @@ def _pairs(
 
 
 def _turned(one: PointSource, two: PointSource, sample: PointSample) -> PointSample:
-    """Return a sample of the second in the up axis of the first."""
-    turn = up_from_up(one.up, two.up)
-    if turn is None:
+    """Return a sample of the second stage in the up axis of the first."""
+    up_rotation = up_from_up(one.up, two.up)
+    if up_rotation is None:
         return sample
-    turns = sample.orientations
+    orientations = sample.orientations
     return replace(
         sample,
-        points=so3.rotate(np.array(turn), sample.points),
-        orientations=None if turns is None else so3.multiply(np.array(turn), turns),
+        points=so3.rotate(np.array(up_rotation), sample.points),
+        orientations=None
+        if orientations is None
+        else so3.multiply(np.array(up_rotation), orientations),
     )
 
 
 def _unlike(a: PointSample, b: PointSample) -> str:
-    """Return in words why two samples have not the same points; empty where they do."""
+    """Return why two samples have different points; empty if they match."""
     if len(a.points) != len(b.points):
         return f"{counted(len(a.points), 'point')} instead of {len(b.points)}"
     if a.ids is not None and b.ids is not None:
@@ -167,7 +169,7 @@ def _unlike(a: PointSample, b: PointSample) -> str:
 
 
 def _matched(a: PointSample, b: PointSample) -> tuple[IntArray, IntArray, IntArray]:
-    """Return ids ``(N,)``, and where each is in both samples ``(N,)``."""
+    """Return ids ``(N,)``, and their indices in both samples ``(N,)``."""
     ids = np.arange(len(a.points)) if a.ids is None else a.ids
     mine = theirs = np.arange(len(ids))
     if a.ids is not None and b.ids is not None:
@@ -175,8 +177,10 @@ def _matched(a: PointSample, b: PointSample) -> tuple[IntArray, IntArray, IntArr
     return ids[mine], mine, theirs
 
 
-def _apart(a: PointSample, b: PointSample) -> dict[str, tuple[FloatArray, IntArray]]:
-    """Return by kind how far points are apart ``(N,)``, and their ids ``(N,)``."""
+def _distances(
+    a: PointSample, b: PointSample
+) -> dict[str, tuple[FloatArray, IntArray]]:
+    """Return by kind the distances of points ``(N,)`` and their ids ``(N,)``."""
     ids, mine, theirs = _matched(a, b)
     off = np.linalg.norm(a.points[mine] - b.points[theirs], axis=1)
     distances = {"points": (off, ids)}
@@ -190,7 +194,7 @@ def _apart(a: PointSample, b: PointSample) -> dict[str, tuple[FloatArray, IntArr
 
 
 def _start_notes(one: PointSource, two: PointSource, names: list[str]) -> list[str]:
-    """Return a note where the samples of a prim begin at other time codes."""
+    """Return a note if the samples of a prim start at different time codes."""
     starts = [(one.codes(name)[:1], two.codes(name)[:1]) for name in names]
     for mine, theirs in starts:
         if mine and theirs and mine != theirs:

@@ -1,4 +1,4 @@
-"""What a file with a take in it holds, and what one without a character shows."""
+"""Describes files: the take they contain, or what else a stage shows."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CYCLE_FRAMES = 6000
 
 @dataclass(frozen=True, slots=True)
 class TakeDescription:
-    """A take in numbers."""
+    """Summary of a take."""
 
     path: str  # the file
     format: str  # BVH or USD
@@ -55,12 +55,12 @@ class TakeDescription:
     # Names of the takes that a clip library has; empty for other files.
     takes: list[str]
     take: str  # the one described
-    points: list[PointPrim]  # prims beside it whose points have samples, of a USD file
-    notices: list[Fault]  # what is odd
+    points: list[PointPrim]  # other prims of a USD file with animated points
+    notices: list[Fault]  # warnings and notes
     # The shot that a USD layer states, as reports of bakes have it; None for none.
     shot: dict[str, object] | None = None
     capture: CaptureFacts | None = None  # of a person; None for other takes
-    cycle: Cycle | None = None  # of a person who repeats something
+    cycle: Cycle | None = None  # of a person's repeating motion
     # All characters of the stage, where it has several and none is named.
     characters: CharactersFacts | None = None
     contents: GltfContents | None = None  # of a glTF or an FBX, used or not
@@ -68,12 +68,12 @@ class TakeDescription:
 
     @property
     def strides(self) -> bool:
-        """Whether frames are not a time code each."""
+        """Whether the frame step is not one time code."""
         return self.step != 1
 
     @property
     def cycle_period(self) -> float | None:
-        """How long the cycle is [s]."""
+        """Duration of the cycle [s]."""
         if self.cycle is None:
             return None
         return (self.cycle.last - self.cycle.first) / float(self.fps * self.step)
@@ -148,7 +148,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
 
 
 def _opened(path: Path | str, options: SourceOptions | None) -> TakeStream:
-    """Return a take, one that joints cannot hold without where it stands."""
+    """Return a take; without the placement if joints cannot hold it."""
     try:
         return open_source(path, options)
     except FormatError as error:
@@ -159,7 +159,7 @@ def _opened(path: Path | str, options: SourceOptions | None) -> TakeStream:
 
 
 def _cycle(take: Take) -> Cycle | None:
-    """Return the cycle of a take whose ends agree well enough to be one."""
+    """Return the cycle of a take if its ends match well enough."""
     from animtool.edit.cycle import find_cycle
     from animtool.edit.looping import POOR_SEAM
 
@@ -172,7 +172,7 @@ def _cycle(take: Take) -> Cycle | None:
 
 
 def _shot(path: Path) -> dict[str, object] | None:
-    """Return the shot that a USD file states."""
+    """Return the shot of a USD file."""
     if not is_usd(path):
         return None
     from animtool.usd.layers.sdf import find_layer, layer_shot
@@ -181,7 +181,7 @@ def _shot(path: Path) -> dict[str, object] | None:
 
 
 def _points(path: Path) -> list[PointPrim]:
-    """Return what a USD file shows of points that move."""
+    """Return the description of a USD file's animated points."""
     if not is_usd(path):
         return []
     from animtool.usd.caches.info import displaced_points
@@ -190,7 +190,7 @@ def _points(path: Path) -> list[PointPrim]:
 
 
 def _characters(path: Path, options: SourceOptions | None) -> CharactersFacts | None:
-    """Return what all characters do; None where there is one, or one was asked for."""
+    """Return a summary of all characters; None for one, or if one was selected."""
     named = options is not None and (options.prim_path or options.take)
     if not is_usd(path) or named:
         return None
@@ -200,7 +200,7 @@ def _characters(path: Path, options: SourceOptions | None) -> CharactersFacts | 
 
 
 def _contents(path: Path) -> GltfContents | None:
-    """Return what a glTF or an FBX holds."""
+    """Return the contents of a glTF or FBX file."""
     if reader_of(path) is FBX:
         from animtool.report.describe_fbx import fbx_contents
 
@@ -213,7 +213,7 @@ def _contents(path: Path) -> GltfContents | None:
 
 
 def _moving_shapes(take: Take) -> list[str]:
-    """Return the names of the shapes whose weights change."""
+    """Return the names of shapes with changing weights."""
     weights = take.motion.weights
     if weights is None:
         return []

@@ -1,4 +1,4 @@
-"""What all characters of a stage do, where it has several: the worst ones by name."""
+"""Summary of all characters of a stage; the extremes by name."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from animtool.core.units import UpAxis
 from animtool.motion.take import Take
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.facts import ground_speeds, hips_and_joints
-from animtool.retarget.person import Person
+from animtool.retarget.roled_skeleton import RoledSkeleton
 
 
 @dataclass(frozen=True, slots=True)
 class Extreme:
-    """The most or the least of something, and whose it is."""
+    """Largest or smallest value, and the character it belongs to."""
 
     value: float
     character: str  # path of its Skeleton
@@ -26,11 +26,11 @@ class Extreme:
 
 @dataclass(frozen=True, slots=True)
 class CharactersFacts:
-    """All characters of a stage in numbers."""
+    """Summary of all characters of a stage."""
 
     count: int
     joints: int  # of all together
-    unread: int  # characters whose motion cannot be read; `validate` says why
+    unread: int  # characters whose motion cannot be read; see `validate`
     # Lowest and highest joint position of all over all frames [m].
     bounds: tuple[list[float], list[float]] | None
     speed_mean: float | None  # of hips over the ground, of all people [m/s]
@@ -40,8 +40,8 @@ class CharactersFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class _Own:
-    """One character in numbers."""
+class _Extent:
+    """Summary of one character."""
 
     low: list[float]
     high: list[float]
@@ -52,7 +52,7 @@ class _Own:
 
 
 def describe_characters(path: Path | str) -> CharactersFacts | None:
-    """Return what the characters of a stage do; None where there is at most one.
+    """Return a summary of a stage's characters; None for one or none.
 
     Args:
         path: A USD file.
@@ -65,7 +65,7 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
     readers = read_characters(Path(path))
     if len(readers) < 2:
         return None
-    own, joints, unread = [], 0, 0
+    extents, joints, unread = [], 0, 0
     for name, read in readers.items():
         try:
             take = read().collect()
@@ -74,16 +74,16 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
             continue
         joints += len(take.rig.joints)
         if take.rig.joints:
-            own.append(_own(name, take))
-    means = [one.mean for one in own if one.mean is not None]
+            extents.append(_extent(name, take))
+    means = [one.mean for one in extents if one.mean is not None]
     speeds, lows, rises = (
-        [found for one in own if (found := getattr(one, name)) is not None]
+        [value for one in extents if (value := getattr(one, name)) is not None]
         for name in ("speed", "lowest", "rise")
     )
     bounds = None
-    if own:
-        low = np.min([one.low for one in own], axis=0).tolist()
-        bounds = low, np.max([one.high for one in own], axis=0).tolist()
+    if extents:
+        low = np.min([one.low for one in extents], axis=0).tolist()
+        bounds = low, np.max([one.high for one in extents], axis=0).tolist()
     return CharactersFacts(
         len(readers),
         joints,
@@ -100,14 +100,14 @@ def _value(extreme: Extreme) -> float:
     return extreme.value
 
 
-def _own(name: str, take: Take) -> _Own:
-    """Return a character in numbers; hips are those of people alone."""
-    person = Person.of(take.rig, anatomy(take.rig).roles)
-    hips, places = hips_and_joints(take, person, range(len(take.rig.joints)))
-    flat = np.stack(list(places.values()), axis=1).reshape(-1, 3)
+def _extent(name: str, take: Take) -> _Extent:
+    """Return the summary of a character; hip height only for people."""
+    person = RoledSkeleton.of(take.rig, anatomy(take.rig).roles)
+    hips, positions = hips_and_joints(take, person, range(len(take.rig.joints)))
+    flat = np.stack(list(positions.values()), axis=1).reshape(-1, 3)
     low, high = flat.min(axis=0).tolist(), flat.max(axis=0).tolist()
     if person.leg("l") is None or person.leg("r") is None or len(hips) < 2:
-        return _Own(low, high)
+        return _Extent(low, high)
     up, times = 1 if take.rig.up is UpAxis.Y else 2, take.clock.times
     speeds = ground_speeds(take, hips)
     heights = hips[:, up]
@@ -119,7 +119,7 @@ def _own(name: str, take: Take) -> _Own:
     fastest, lowest, rise = (
         int(each) for each in (speeds.argmax(), heights.argmin(), steps.argmax())
     )
-    return _Own(
+    return _Extent(
         low,
         high,
         float(speeds.mean()),

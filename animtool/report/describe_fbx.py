@@ -1,4 +1,4 @@
-"""What an FBX holds: nodes, skins, characters and takes, whether or not they move."""
+"""Contents of an FBX file: nodes, skins, characters and takes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from animtool.report.describe_gltf import GltfClip, GltfContents
 
 
 def fbx_contents(path: Path | str) -> GltfContents:
-    """Return what an FBX holds.
+    """Return the contents of an FBX file.
 
     Raises:
         FormatError: It is broken, as `animtool.formats.fbx.read.read_fbx` has it.
     """
     scene = open_fbx(path)
-    found = characters(scene) if scene.nodes else ()
+    skeletons = characters(scene) if scene.nodes else ()
     clips = [
         GltfClip(name, one.begin / TICKS, one.end / TICKS, len(one.curves()))
         for name, one in zip(take_names_of(scene), scene.takes, strict=True)
@@ -29,7 +29,7 @@ def fbx_contents(path: Path | str) -> GltfContents:
         len(scene.skins),
         len(scene.takes),
         1,
-        [one.path for one in found] if len(found) > 1 else [],
+        [one.path for one in skeletons] if len(skeletons) > 1 else [],
         clips,
         {},
         list(scene.left_out),

@@ -1,4 +1,4 @@
-"""What a glTF holds: nodes, skins, characters and clips, whether or not they move."""
+"""Contents of a glTF file: nodes, skins, characters and clips."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class GltfClip:
 
 @dataclass(frozen=True, slots=True)
 class GltfContents:
-    """What a file holds, used or not."""
+    """Contents of a file, used or not."""
 
     nodes: int
     meshes: int
     skins: int
     animations: int
     scenes: int
-    characters: list[str]  # paths; empty where the whole file is one
+    characters: list[str]  # paths; empty if the file is one character
     clips: list[GltfClip]
     bones: dict[str, str]  # humanoid bones of a VRM, and the names of their nodes
     not_read: list[str]  # what else it has
@@ -40,7 +40,7 @@ class GltfContents:
 
 @dataclass(frozen=True, slots=True)
 class GltfDescription:
-    """A file in which nothing could move: it has no nodes."""
+    """A file without nodes, so without anything to animate."""
 
     path: str
     format: str
@@ -49,7 +49,7 @@ class GltfDescription:
 
 
 def gltf_contents(path: Path | str) -> GltfContents:
-    """Return what a glTF holds.
+    """Return the contents of a glTF file.
 
     Raises:
         FormatError: It is broken, as `animtool.formats.gltf.read.read_gltf` has it.
@@ -58,7 +58,7 @@ def gltf_contents(path: Path | str) -> GltfContents:
 
 
 def describe_nodeless(path: Path) -> GltfDescription | None:
-    """Describe a glTF without nodes, of which there is no take; None of others."""
+    """Describe a glTF file without nodes; otherwise None."""
     note_input(path)
     gltf = open_gltf(path)
     if gltf.nodes:
@@ -67,7 +67,7 @@ def describe_nodeless(path: Path) -> GltfDescription | None:
 
 
 def _contents(gltf: Gltf) -> GltfContents:
-    found = characters(gltf) if gltf.nodes else ()
+    skeletons = characters(gltf) if gltf.nodes else ()
     names = distinct_clip_names(gltf.animations)
     clips = [
         GltfClip(name, *one.span, len(one.tracks))
@@ -79,7 +79,7 @@ def _contents(gltf: Gltf) -> GltfContents:
         len(gltf.skins),
         len(gltf.animations),
         len(gltf.scenes),
-        [one.path for one in found] if len(found) > 1 else [],
+        [one.path for one in skeletons] if len(skeletons) > 1 else [],
         clips,
         {bone: gltf.nodes[node].name or "" for bone, node in humanoid_bones(gltf)},
         list(gltf.left_out),

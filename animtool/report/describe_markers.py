@@ -1,4 +1,4 @@
-"""What a file of markers holds."""
+"""Describes a marker file."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from animtool.motion.markers import Markers
 
 @dataclass(frozen=True, slots=True)
 class MarkersDescription:
-    """Markers in numbers."""
+    """Summary of a marker file."""
 
     path: str  # the file
-    format: str  # what such files are
+    format: str  # name of the file format
     markers: int  # number of markers and points
     unlabelled: int  # those without a label
     frames: int  # number of frames
@@ -30,14 +30,14 @@ class MarkersDescription:
     duration: Fraction  # from the first frame to the last [s]
     up: str  # up axis
     gaps: int  # gaps of labelled markers
-    missing: float  # share of their positions that is missing
+    missing: float  # fraction of missing positions
     longest_gap: float  # the longest gap [s]
     spikes: int  # positions that are off for a few frames
     filled: int  # positions that were computed over a gap
     # Lowest and highest position over all frames [m]; None where none is seen.
     bounds: tuple[list[float], list[float]] | None
     names: list[str]  # of the labelled markers
-    notices: list[Fault]  # what is odd
+    notices: list[Fault]  # warnings and notes
     json_keys: ClassVar[str] = "* rate=fps#"
 
     @property
@@ -47,15 +47,15 @@ class MarkersDescription:
 
 
 def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
-    """Return what a file of markers holds."""
+    """Return the summary of a marker file."""
     labelled = np.array([not name.startswith("*") for name in markers.names], bool)
-    seen = markers.seen
-    missing = np.pad(~seen[:, labelled], ((1, 1), (0, 0))).astype(np.int8)
+    visible = markers.visible
+    missing = np.pad(~visible[:, labelled], ((1, 1), (0, 0))).astype(np.int8)
     steps = np.diff(missing, axis=0)
     starts = np.argwhere(steps.T == 1)[:, 1]
     ends = np.argwhere(steps.T == -1)[:, 1]
     longest = int((ends - starts).max(initial=0))
-    points = markers.positions[seen]
+    points = markers.positions[visible]
     bounds = None
     if len(points):
         bounds = (points.min(axis=0).tolist(), points.max(axis=0).tolist())
@@ -71,7 +71,7 @@ def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
         clock.duration,
         markers.up.value,
         len(starts),
-        float((~seen[:, labelled]).mean()) if labelled.any() else 0.0,
+        float((~visible[:, labelled]).mean()) if labelled.any() else 0.0,
         longest / float(clock.rate),
         len(find_spikes(markers)),
         0 if markers.filled is None else int(markers.filled.sum()),

@@ -1,4 +1,4 @@
-"""What a rig and a targets file hold."""
+"""Describes rigs and targets files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from animtool.rig.surfaces import surfaces_of
 
 @dataclass(frozen=True, slots=True)
 class MeshDescription:
-    """A mesh in numbers."""
+    """Summary of a mesh."""
 
     name: str  # as the rig names it
     points: int  # number of points
@@ -32,7 +32,7 @@ class MeshDescription:
 
 @dataclass(frozen=True, slots=True)
 class RigDescription:
-    """A rig in numbers."""
+    """Summary of a rig."""
 
     path: str  # the file
     name: str  # what the rig is called
@@ -51,11 +51,11 @@ class RigDescription:
     mass: float | None  # of all joints that state one [kg]; None where none does
     units: str  # unit of the file
     up: str  # up axis
-    notices: list[Fault]  # what is odd
+    notices: list[Fault]  # warnings and notes
 
     @property
     def others(self) -> dict[str, int]:
-        """How many there are of what a rig need not have, by noun."""
+        """Counts of optional parts of a rig, by noun."""
         counts = {
             "control": self.controls,
             "chain": self.ik,
@@ -66,7 +66,7 @@ class RigDescription:
 
 
 def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescription:
-    """Describe a rig that was opened, with what was said then."""
+    """Describe an open rig, with its notices."""
     types = Counter(str(joint.type) for joint in rig.joints)
     meshes = [
         MeshDescription(
@@ -105,7 +105,7 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
 
 
 def _driven(rig: Rig) -> list[str]:
-    """Return what is driven: ``joint roll = wrist.twist / 2``."""
+    """Return driver formulas: ``joint roll = wrist.twist / 2``."""
     if not rig.is_driven:
         return []
     drivers = [
@@ -129,27 +129,27 @@ def _formula(driver: Driver) -> str:
 
 @dataclass(frozen=True, slots=True)
 class GoalDescription:
-    """A goal in words."""
+    """A goal as text."""
 
     effector: str  # as the file names it
     asks: tuple[str, ...]  # which parts it gives a value
-    held: tuple[tuple[float, float], ...]  # its held spans, first and last frame
+    held: tuple[tuple[float, float], ...]  # hold spans, first and last frame
 
 
 @dataclass(frozen=True, slots=True)
 class TargetsDescription:
-    """A targets file, its effectors not compared with a rig."""
+    """A targets file, not checked against a rig."""
 
     path: Path  # the file
     fps: str  # frames a second; empty where it does not say
     first: float  # first frame, of its range or of all that it mentions
     last: float  # last frame
     goals: tuple[GoalDescription, ...]  # its goals
-    notices: tuple[Fault, ...]  # what is odd about it
+    notices: tuple[Fault, ...]  # warnings and notes
 
 
 def describe_targets(path: Path) -> TargetsDescription:
-    """Return what a targets file asks for; its faults are raised."""
+    """Return the description of a targets file; raises its faults."""
     tracks = load_targets(path)
     clock = tracks.clock
     goals = tuple(

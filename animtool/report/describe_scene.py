@@ -1,4 +1,4 @@
-"""What a scene asks for."""
+"""Describes scenes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class PropDescription:
-    """A thing beside the character."""
+    """A prop next to the character."""
 
     file: str  # that it is read from
     prim: str  # its prim there
@@ -31,10 +31,10 @@ class PassDescription:
 
 @dataclass(frozen=True, slots=True)
 class SystemDescription:
-    """A system in numbers, before it is simulated."""
+    """Summary of a system before simulation."""
 
     name: str  # of its prim
-    kind: str  # what is simulated
+    kind: str  # kind of simulation
     # What it is made of: of springs `particles`, `springs` and `curves` or `faces`; of
     # particles `emitters`, `forces` and the `most` at once.
     counts: dict[str, int]
@@ -45,14 +45,14 @@ class SystemDescription:
     joined: list[str]  # systems that it is one with
     meets: list[str]  # systems that it runs into
     tied: list[str]  # bodies that carry its pins, as system.body
-    files: list[str]  # what is read for it beside the scene
+    files: list[str]  # files read for it
     character: bool  # whether it runs into, or hangs on, the scene's own character
     line: int  # of the scene
 
 
 @dataclass(frozen=True, slots=True)
 class OutputDescription:
-    """An output that a bake would write."""
+    """An output of a bake."""
 
     file: str  # the file
     kind: str  # what it holds: `usd`, `clip` or `bvh`
@@ -62,32 +62,32 @@ class OutputDescription:
     there: list[str]  # those of them that are there already
     points: bool  # whether meshes are written deformed
     chunk: int | None  # samples a file; None is one file
-    systems: list[str]  # names of what is simulated that go into it
+    systems: list[str]  # names of its systems
     line: int  # of the scene
 
 
 @dataclass(frozen=True, slots=True)
 class SceneDescription:
-    """A scene as its file says it; nothing that it names is read."""
+    """A scene as in its file; the files it names are not read."""
 
     path: str  # the file
-    sources: list[str]  # what is read
+    sources: list[str]  # source files
     rig: str | None  # the rig that it names; None is that of the source
-    props: list[PropDescription]  # what is carried beside the character
-    passes: list[PassDescription]  # what is done to it
+    props: list[PropDescription]  # props
+    passes: list[PassDescription]  # passes
     systems: list[SystemDescription]  # what is simulated
     outputs: list[OutputDescription]  # what would be baked
     fps: float | None  # frames a second; None is that of the source or the rig layer
-    rate: str  # the same, exact, as text; empty where there is none
+    rate: str  # the same, exact, as text; empty without
     first: int | None  # first frame to write; None is that of the source
     last: int | None  # last frame to write; likewise
     variables: list[str]  # names of variables that it uses or gives
-    # None: what is odd about a scene is for `animtool validate`.
+    # Always empty: `animtool validate` reports warnings.
     notices: list[Fault] = field(default_factory=list)
 
 
 def describe_scene(scene: Scene) -> SceneDescription:
-    """Describe a scene that was loaded."""
+    """Describe a loaded scene."""
     bake = scene.bake
     frames, rate = bake.frame_range, bake.fps
     return SceneDescription(

@@ -1,4 +1,4 @@
-"""The one renderer of reports: a record and templates of lines in, lines out.
+"""Renders reports as text, from records and line templates.
 
 A template is a line with fields of the record in braces, each with how it is printed
 behind a colon (`PRINTED`, with its width last, else as `format` has it)::
@@ -39,7 +39,7 @@ from animtool.core.values import at_path
 
 @dataclass(frozen=True, slots=True)
 class Each:
-    """Lines for each entry of a field, which are looked at before the record is.
+    """Lines for each entry of a field; its names shadow the record's.
 
     Attributes:
         name: Of the field, with a printer of entries behind a colon where it has none;
@@ -86,7 +86,7 @@ SECONDS = Each("seconds", ("{key}: {value:.3f} s",))
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """How records of a kind are printed.
+    """Text template of a kind of record.
 
     Attributes:
         record: The class, as ``module:name``.
@@ -102,19 +102,19 @@ class Template:
     details: tuple[Line, ...] = ()
     is_result: bool = False
 
-    def text(self, record: object, *, whole: bool = False) -> list[str]:
-        """Return the lines of a record; whole: with all names, of however many."""
-        names = _names(None if whole else MAX_NAMED)
+    def text(self, record: object, *, all_names: bool = False) -> list[str]:
+        """Return the lines of a record; all_names: do not shorten lists of names."""
+        names = _names(None if all_names else MAX_NAMED)
         return render(record, self.lines, {**self.printers, "names": names})
 
     def detailed(self, record: object) -> list[str]:
-        """Return the lines of a record for the verbose."""
+        """Return the verbose lines of a record."""
         return render(record, self.details, self.printers)
 
 
 def _names(most: int | None) -> Callable[..., str]:
-    def print_names(value: Any, usual: str = "") -> str:
-        return listed(list(value), most or int(usual or len(value)))
+    def print_names(value: Any, default: str = "") -> str:
+        return listed(list(value), most or int(default or len(value)))
 
     return print_names
 
@@ -142,7 +142,7 @@ def render(
 def table_cells(
     record: object, table: Table, printers: Printers | None = None
 ) -> tuple[list[list[str]], set[int]]:
-    """Return the cells of a table, heads first, and which columns are flush left.
+    """Return the cells of a table, header first, and which columns align left.
 
     Arguments are those of `render`.
     """
@@ -154,7 +154,7 @@ _Scope: TypeAlias = tuple[Any, ...]  # records, the innermost first
 
 @dataclass(frozen=True, slots=True)
 class _Renderer:
-    """What prints values by name."""
+    """Formats values by name."""
 
     printers: Printers
 
@@ -184,7 +184,7 @@ class _Renderer:
         for printer in filter(None, spec.split(" | ")):
             value = None if value is None else self.printers[printer](value)
         if isinstance(value, Mapping):
-            return [{"key": key, "value": own} for key, own in value.items()]
+            return [{"key": key, "value": entry} for key, entry in value.items()]
         return list(value or ())
 
     def _table(self, scope: _Scope, table: Table) -> Iterator[str]:
@@ -192,7 +192,7 @@ class _Renderer:
             yield table.indent + text
 
     def cells(self, scope: _Scope, table: Table) -> tuple[list[list[str]], set[int]]:
-        """Return the rows of a table, heads first, and which columns are flush left."""
+        """Return the rows of a table, header first, and which columns align left."""
         templates = [_parsed(cell) for cell in table.columns.values()]
         cells = [
             [self.filled((entry, *scope), cell) or "" for cell in templates]
@@ -208,12 +208,14 @@ class _Renderer:
         return rows, {i for i, (_, head) in enumerate(shown) if head in table.left}
 
     def filled(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
-        """Return the text of a part; None where a field of it is not there."""
+        """Return the text of a part; None if one of its fields is missing."""
         texts = []
         for node in nodes:
             if isinstance(node, _Choice):
-                found = (self.filled(scope, part) for part in node.parts)
-                texts.append(next((text for text in found if text is not None), ""))
+                texts_of_parts = (self.filled(scope, part) for part in node.parts)
+                texts.append(
+                    next((text for text in texts_of_parts if text is not None), "")
+                )
                 continue
             text = node if isinstance(node, str) else self._printed(scope, node)
             if text is None:
@@ -222,7 +224,7 @@ class _Renderer:
         return "".join(texts)
 
     def _printed(self, scope: _Scope, node: _Field) -> str | None:
-        """Return a field, None where it is not there; nothing of one that is tested."""
+        """Return a field as text; None if missing, empty if only tested."""
         value = _value(scope, node.name)
         if node.test:
             return "" if bool(value) is (node.test == "?") else None
@@ -239,7 +241,7 @@ class _Renderer:
 
 
 def columns(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
-    """Return rows of cells as lines in columns, those of some numbers flush left."""
+    """Return rows of cells as aligned lines; some columns align left."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(
@@ -261,7 +263,7 @@ class _Field:
 
 @dataclass(frozen=True, slots=True)
 class _Choice:
-    """What is in brackets: the first that has all its fields."""
+    """Alternatives in brackets: the first with all its fields present is used."""
 
     parts: tuple[tuple[_Node, ...], ...]
 
@@ -278,7 +280,7 @@ def _parsed(template: str) -> tuple[_Node, ...]:
 def _choice(
     template: str, tokens: Iterator[re.Match[str]], *, top: bool = False
 ) -> tuple[tuple[_Node, ...], ...]:
-    """Return what is between brackets, one for each that a bar divides."""
+    """Return the alternatives between brackets, separated by bars."""
     parts: list[list[_Node]] = [[]]
     for token in tokens:
         test, name, spec, sign, text = token.groups()
@@ -298,7 +300,7 @@ def _choice(
 
 
 def _value(scope: _Scope, name: str) -> Any:
-    """Return a field, of the innermost record that has it."""
+    """Return a field of the innermost record that has it."""
     first, _, others = name.partition(".")
     for record in scope:
         if first == "self":

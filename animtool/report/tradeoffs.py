@@ -1,4 +1,4 @@
-"""How tables of time against error are printed."""
+"""Text of time-against-error tables."""
 
 from __future__ import annotations
 
@@ -63,11 +63,11 @@ _ADVICE: tuple[Line, ...] = (
 
 def _marks(row: TrialRow) -> str:
     marks = {">": row.chosen, "*": row.best, "+": row.recommended}
-    return "".join(mark for mark, given in marks.items() if given)
+    return "".join(mark for mark, is_marked in marks.items() if is_marked)
 
 
 def _ending(row: TrialRow) -> str:
-    """Return why a row has no error, empty where it has one."""
+    """Return why a row has no error; empty if it has one."""
     if not row.reason:
         return ""
     text = f"{row.ended}: {row.reason}"
@@ -80,7 +80,7 @@ def _ending(row: TrialRow) -> str:
 
 
 def _left_out(part: TrialTable) -> dict[str, list[str]]:
-    """Return why methods are not for it, each reason once."""
+    """Return why methods were excluded, each reason once."""
     causes: dict[str, dict[str, None]] = {}
     for row in part.rows:
         if row.status is None:
@@ -91,7 +91,7 @@ def _left_out(part: TrialTable) -> dict[str, list[str]]:
 
 
 def _advice(part: TrialTable) -> str:
-    """Return what to take in place of the chosen setting, nothing where unknown."""
+    """Return the setting to use instead of the chosen one; empty if unknown."""
     if part.reference is None or part.reference.sensitive:
         return ""
     better, chosen = part.recommended, part.chosen
@@ -110,9 +110,9 @@ def _advice(part: TrialTable) -> str:
         )
     if chosen.error is None:
         return f"the current setting fails; {better.setting} works"
-    share = _cost(better, part.cost) / _cost(chosen, part.cost)
+    fraction = _cost(better, part.cost) / _cost(chosen, part.cost)
     what = "time" if part.cost is CostMeasure.SECONDS else str(part.cost)
-    return f"{better.setting} is as accurate in {share:.0%} of the {what}"
+    return f"{better.setting} is as accurate in {fraction:.0%} of the {what}"
 
 
 def _cost(row: TrialRow, measure: CostMeasure) -> float:
@@ -121,7 +121,7 @@ def _cost(row: TrialRow, measure: CostMeasure) -> float:
 
 
 def _figure(name: str, scale: float) -> Callable[[TrialRow], str]:
-    """Return what prints a figure of a row; nothing where it has none."""
+    """Return the formatter of a row's figure; empty if it has none."""
 
     def printed(row: TrialRow) -> str:
         value = row.figures.get(Figure(name))
@@ -137,8 +137,10 @@ _PRINTERS: dict[str, Callable[..., Any]] = {
     "advice": _advice,
     # Errors go over many decades.
     "milli": lambda length: f"{1e3 * length:.3g}",
-    "share": lambda share: f"{1e2 * share:.3g}",
-    "options": lambda options: ", ".join(f"{name} {own:.6g}" for name, own in options),
+    "share": lambda fraction: f"{1e2 * fraction:.3g}",
+    "options": lambda options: ", ".join(
+        f"{name} {value:.6g}" for name, value in options
+    ),
     "stretch": _figure("stretch", 1e2),
     "depth": _figure("depth", 1e3),
     "pierced": _figure("pierced", 1.0),
@@ -159,7 +161,7 @@ TABLES = Template(
 
 @dataclass(frozen=True, slots=True)
 class TableParts:
-    """A table in parts, for a page."""
+    """Parts of a table for a page."""
 
     head: list[str]  # what it is of, and what it was compared with
     rows: list[list[str]]  # cells, heads first

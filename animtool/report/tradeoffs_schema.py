@@ -1,4 +1,4 @@
-"""What `animtool report --format json` prints, as models for its JSON Schema."""
+"""Models of the output of `animtool report --format json`, for its JSON Schema."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class _Model(BaseModel):
-    """Keys that are all there."""
+    """Base of models whose keys are all required."""
 
     model_config = ConfigDict(extra="forbid")
 
 
 class DistancesModel(_Model):
-    """How far points are from where the reference has them."""
+    """Distances of points from the reference."""
 
     largest: float = Field(description="[m]")
     rms: float = Field(description="Root mean square [m].")
@@ -24,14 +24,14 @@ class DistancesModel(_Model):
 
 
 class SettingModel(_Model):
-    """A way to make something."""
+    """One setting of a method."""
 
     method: str
     options: dict[str, float]
 
 
 class ReferenceModel(SettingModel):
-    """What settings are compared with."""
+    """The reference that settings are compared with."""
 
     error: DistancesModel = Field(description="Uncertainty of the reference.")
     order: float | None = Field(
@@ -43,7 +43,7 @@ class ReferenceModel(SettingModel):
 
 
 class RowModel(SettingModel):
-    """A setting, and what it comes to."""
+    """A setting and its results."""
 
     status: str = Field(description="Outcome: `ok`, `blew up`, `left out`, …")
     reason: str = Field(description="Why there is no error; empty if there is one.")
@@ -61,7 +61,7 @@ class RowModel(SettingModel):
 
 
 class TableModel(_Model):
-    """The settings of one thing that is made."""
+    """All settings of one output."""
 
     name: str
     kind: str
@@ -80,7 +80,7 @@ class TableModel(_Model):
 
 
 class TradeoffsModel(_Model):
-    """What `animtool report --format json` prints."""
+    """Output of `animtool report --format json`."""
 
     report: Literal["animtool/1"]
     source: str

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from animtool.retarget.map import JointChain as JointChain
     from animtool.retarget.map import JointMap as JointMap
     from animtool.retarget.map import JointPair as JointPair
-    from animtool.retarget.map import TwistShare as TwistShare
+    from animtool.retarget.map import TwistFraction as TwistFraction
     from animtool.retarget.map import map_text as map_text
     from animtool.retarget.motion import Retargeted as Retargeted
     from animtool.retarget.motion import retarget_take as retarget_take
@@ -22,7 +22,7 @@ _PUBLIC = {
     "JointMap": "animtool.retarget.map",
     "JointPair": "animtool.retarget.map",
     "Retargeted": "animtool.retarget.motion",
-    "TwistShare": "animtool.retarget.map",
+    "TwistFraction": "animtool.retarget.map",
     "load_map": "animtool.retarget.file",
     "map_joints": "animtool.retarget.pairing",
     "map_text": "animtool.retarget.map",

@@ -1,4 +1,4 @@
-"""The anatomy of a skeleton: the role of every joint, by its name and its place."""
+"""The anatomy of a skeleton: the role of each joint, from names and geometry."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from animtool.retarget.roles import (
     base_role,
 )
 from animtool.retarget.structure import (
-    Body,
-    Limb,
+    LimbShape,
+    SkeletonTree,
     left_of,
     limb_pairs,
     split_limb,
@@ -41,7 +41,7 @@ from animtool.rig.skeleton import Rig
 
 _LIMBS = {"arm": ARM, "leg": LEG}
 _SHAPES = {
-    f"{name}_{side}": Limb(
+    f"{name}_{side}": LimbShape(
         (*(f"{role}_{side}" for role in roles), *[""] * (5 - len(roles))),
         *lengths,
     )
@@ -51,7 +51,7 @@ _SHAPES = {
         ("leg", LEG, (1.02, 0.25, 0.45, False)),
     )
 }
-# Confidence in a role by how it was found.
+# Confidence in a role by its evidence.
 _SURE = {
     RoleSource.PRESET: 1.0,
     RoleSource.NAME: 0.9,
@@ -59,24 +59,24 @@ _SURE = {
     RoleSource.NONE: 0.0,
 }
 MAX_NAMED = 4
-# What reaches less far ahead, over the longest toe, is a heel and no toe.
+# What extends less far forward, over the longest toe, is a heel, not a toe.
 _TOE = 0.4
-# Joints of a skeleton that is one more person, at least.
-_PERSON = 8
+# Least number of joints of a second body.
+MIN_BODY_JOINTS = 8
 
 
 @dataclass(slots=True)
 class _Search:
-    """What is known of a skeleton's joints while it is searched."""
+    """State of the search for the roles of a skeleton's joints."""
 
-    body: Body
+    body: SkeletonTree
     roles: list[str]
     tips: dict[str, int] = field(default_factory=dict)  # lowest known joint, by limb
     unsided: list[str] = field(default_factory=list)  # kinds of limbs without a name
-    guessed: bool = False  # whether the sides are those of the file's order
+    guessed: bool = False  # whether sides come from the order of the file
 
-    def put(self, joint: int, role: str) -> None:
-        """Give a joint a role, where it has none yet."""
+    def set_role(self, joint: int, role: str) -> None:
+        """Assign a role to a joint that has none yet."""
         if joint >= 0 and not self.roles[joint]:
             self.roles[joint] = role
 
@@ -93,19 +93,19 @@ def anatomy(
     Args:
         rig: J joints.
         preset: The convention of its names; None finds it.
-        positions: Of the joints in a pose of a person who stands ``(J, 3)`` [m], world;
-            None is the rest pose. Only sides and fingers depend on it, and only where
-            names do not say them.
+        positions: Joint positions in a standing pose ``(J, 3)`` [m], world;
+            None is the rest pose. Only sides and fingers depend on it, and only if
+            names do not tell.
         by_names: Whether names count.
 
     Raises:
-        OptionError: There is no preset of that name (MAP003).
+        OptionError: Unknown preset (MAP003).
     """
     names = [joint.source_name or joint.name for joint in rig.joints]
     if preset is None:
-        # What the file says goes before what a name may mean.
-        own = zip(rig.joints, names, strict=True)
-        names = [joint.humanoid or name for joint, name in own]
+        # Roles stated by the file precede guesses from names.
+        pairs = zip(rig.joints, names, strict=True)
+        names = [joint.humanoid or name for joint, name in pairs]
     read = read_names(names, rig.parents)
     chosen: Preset | None = None
     if preset is not None:
@@ -114,25 +114,25 @@ def anatomy(
         chosen = best_preset(names, read)
     votes = role_votes(read, chosen) if by_names else [{} for _ in names]
     kinds = [name.kind if by_names else "" for name in read]
-    body = Body.of(rig, votes, kinds)
+    body = SkeletonTree.of(rig, votes, kinds)
     search = _Search(body, [""] * len(names))
-    notices = _one_person(search)
+    notices = _largest_tree(search)
     _find_limbs(search)
     up = upright(body, search.tips)
     if up is None and positions is not None:
         search.body = replace(body, positions=positions)
         up = upright(search.body, search.tips)
     at_rest = search.body is body
-    _sides_by_place(search, left_of(search.body, search.tips, up, at_rest=at_rest))
+    _sides_by_position(search, left_of(search.body, search.tips, up, at_rest=at_rest))
     _trunk(search)
     for limb in search.tips:
         _limb(search, limb)
     _rest(search)
     notices += _doubts(search)
-    found = [_how(role, votes[j]) for j, role in enumerate(search.roles)]
-    sure = tuple(_SURE[how] for how in found)
+    evidence = [_how(role, votes[j]) for j, role in enumerate(search.roles)]
+    sure = tuple(_SURE[how] for how in evidence)
     name = chosen.name if chosen else ""
-    return Anatomy(tuple(search.roles), tuple(found), sure, name, tuple(notices))
+    return Anatomy(tuple(search.roles), tuple(evidence), sure, name, tuple(notices))
 
 
 def _how(role: str, votes: Mapping[str, float]) -> RoleSource:
@@ -144,20 +144,20 @@ def _how(role: str, votes: Mapping[str, float]) -> RoleSource:
     return RoleSource.PRESET if weight == 1.0 else RoleSource.NAME
 
 
-def _one_person(search: _Search) -> list[Fault]:
-    """Leave out all trees but the largest; warn where others are persons too."""
+def _largest_tree(search: _Search) -> list[Fault]:
+    """Ignore all trees but the largest; warn if others look like bodies too."""
     body = search.body
     tops = body.rig.roots
     if len(tops) == 1:
-        # Persons below one root: their hips are not below each other.
+        # Bodies below one root: their hips are not below each other.
         hips = [j for j, votes in enumerate(body.votes) if "hips" in votes]
         nested = [set(body.rig.upwards(j)[1:]) & set(hips) for j in hips]
         tops = [j for j, above in zip(hips, nested, strict=True) if not above]
-        tops = [j for j in tops if body.counts[j] >= _PERSON]
+        tops = [j for j in tops if body.counts[j] >= MIN_BODY_JOINTS]
     if len(tops) < 2:
         return []
     main = max(tops, key=lambda j: body.counts[j])
-    others = [j for j in tops if j != main and body.counts[j] >= _PERSON]
+    others = [j for j in tops if j != main and body.counts[j] >= MIN_BODY_JOINTS]
     for j in range(len(search.roles)):
         above = body.rig.upwards(j)
         if main not in above and not set(above).isdisjoint(tops):
@@ -174,7 +174,7 @@ def _one_person(search: _Search) -> list[Fault]:
 
 
 def _find_limbs(search: _Search) -> None:
-    """Find the lowest joint of each limb and of the head, by names or by the tree."""
+    """Find the end joint of each limb and of the head, by names or by the tree."""
     body = search.body
     for limb, roles in _LIMBS.items():
         for side in SIDES:
@@ -192,7 +192,7 @@ def _find_limbs(search: _Search) -> None:
 
 
 def _named_tip(search: _Search, roles: set[str]) -> int:
-    """Return the joint with most names of a limb above it; -1 where none has one."""
+    """Return the joint with the most limb names above it; -1 if no joint has one."""
     body = search.body
     best, most = -1, 0.0
     for j, votes in enumerate(body.votes):
@@ -205,16 +205,18 @@ def _named_tip(search: _Search, roles: set[str]) -> int:
     return best
 
 
-def _sides_by_place(search: _Search, across: FloatArray) -> None:
-    """Tell left from right by where limbs are; by the order of the file where same."""
+def _sides_by_position(search: _Search, across: FloatArray) -> None:
+    """Tell left from right by limb positions; by file order where they coincide."""
     body, tips = search.body, search.tips
     for limb in search.unsided:
         pair = [f"{limb}_{side}" for side in SIDES]
         top = body.common([tips[name] for name in pair])
-        ways = [body.way(top, tips[name])[1:] for name in pair]
+        chains = [body.path(top, tips[name])[1:] for name in pair]
         # Hands and feet may cross, where limbs begin they do not.
         for upper in (2, None):
-            left, right = (body.positions[way[:upper]].mean(axis=0) for way in ways)
+            left, right = (
+                body.positions[chain[:upper]].mean(axis=0) for chain in chains
+            )
             gap = float((left - right) @ across)
             if abs(gap) > 0.01 * body.size:
                 break
@@ -225,7 +227,7 @@ def _sides_by_place(search: _Search, across: FloatArray) -> None:
 
 
 def _trunk(search: _Search) -> None:
-    """Give hips, spine, neck, head and what is above the hips their roles."""
+    """Assign the roles of hips, spine, neck, head and the joints above the hips."""
     body, tips = search.body, search.tips
     legs = [tips[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tips]
     arms = [tips[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tips]
@@ -237,38 +239,38 @@ def _trunk(search: _Search) -> None:
     fork = body.common([*legs, *upper]) if legs and upper else -1
     seat = body.common(legs) if len(legs) == 2 else fork
     hips = _hips(search, fork, seat)
-    search.put(hips, "hips")
+    search.set_role(hips, "hips")
     start = max(fork, hips) if fork < 0 else fork
     if start < 0 and upper:
         start = body.rig.upwards(upper[-1])[-1]
     for j in body.rig.upwards(hips)[1:] if hips >= 0 else ():
         if fork <= j < hips or j < start:
-            search.put(j, "root")
-    for j in body.way(start, seat) if seat > start else ():
-        search.put(j, "pelvis")
+            search.set_role(j, "root")
+    for j in body.path(start, seat) if seat > start else ():
+        search.set_role(j, "pelvis")
     if upper:
         start = start if start in body.rig.upwards(upper[-1]) else max(hips, 0)
         _spine(search, start, chest, head)
 
 
 def _spine(search: _Search, start: int, chest: int, head: int) -> None:
-    """Give the joints from the fork at the hips to chest and head their roles."""
+    """Assign roles to the joints from the hips' fork to chest and head."""
     body = search.body
     if chest not in body.rig.upwards(head):
-        for j in body.way(start, chest):
-            search.put(j, "spine")
-    search.put(head, "head")
+        for j in body.path(start, chest):
+            search.set_role(j, "spine")
+    search.set_role(head, "head")
     top = head if head >= 0 else chest
-    way = body.way(start, top)
-    named = [i for i, j in enumerate(way) if "neck" in body.votes[j]]
-    after = way.index(chest) + 1 if chest in way else len(way)
+    path = body.path(start, top)
+    named = [i for i, j in enumerate(path) if "neck" in body.votes[j]]
+    after = path.index(chest) + 1 if chest in path else len(path)
     after = named[0] if named else after
-    for i, j in enumerate(way):
-        search.put(j, "spine" if i < after else "neck")
+    for i, j in enumerate(path):
+        search.set_role(j, "spine" if i < after else "neck")
 
 
 def _best_named(search: _Search, role: str) -> int:
-    """Return the joint whose name says a role most surely, the highest; or -1."""
+    """Return the topmost joint whose name votes most for a role; -1 for none."""
     weights = [
         0.0 if search.roles[j] else votes.get(role, 0.0)
         for j, votes in enumerate(search.body.votes)
@@ -278,12 +280,12 @@ def _best_named(search: _Search, role: str) -> int:
 
 
 def _hips(search: _Search, fork: int, seat: int) -> int:
-    """Return the hips: as named if near the fork of legs and trunk, else the fork."""
+    """Return the named hips if near the leg-trunk fork, else the fork."""
     body = search.body
     named = _best_named(search, "hips")
     if fork < 0:
         return named if named >= 0 else seat
-    near = set(body.rig.upwards(fork)) | set(body.way(fork, max(seat, fork)))
+    near = set(body.rig.upwards(fork)) | set(body.path(fork, max(seat, fork)))
     candidates = [j for j in near if "hips" in body.votes[j]]
     weight = max((body.votes[j]["hips"] for j in candidates), default=0.0)
     sure = [j for j in candidates if body.votes[j]["hips"] == weight]
@@ -291,20 +293,20 @@ def _hips(search: _Search, fork: int, seat: int) -> int:
 
 
 def _head_below(search: _Search, chest: int) -> int:
-    """Return the head by structure: the first fork or the end of the way above."""
+    """Return the head by structure: the chain's first fork, or its end."""
     body = search.body
     arms = {j for s in SIDES for j in body.rig.upwards(search.tips[f"arm_{s}"])}
     others = [j for j in body.limb_children(chest) if j not in arms]
     if not others:
         return -1
     size = [body.lengths[j] + body.reach[j] + 1e-3 * body.counts[j] for j in others]
-    way = body.heaviest(others[int(np.argmax(size))])
-    forks = [j for j in way if len(body.limb_children(j)) > 1]
-    return forks[0] if forks else way[-1]
+    path = body.heaviest(others[int(np.argmax(size))])
+    forks = [j for j in path if len(body.limb_children(j)) > 1]
+    return forks[0] if forks else path[-1]
 
 
 def _limb(search: _Search, limb: str) -> None:
-    """Give the joints of an arm or a leg, and its fingers, their roles."""
+    """Assign roles to the joints of an arm or leg and to its fingers."""
     body, kind, side = search.body, *limb.split("_")
     tip = search.tips[limb]
     others = {
@@ -313,51 +315,53 @@ def _limb(search: _Search, limb: str) -> None:
         if name != limb
         for j in body.rig.upwards(other)
     }
-    way = [j for j in body.rig.upwards(tip) if j not in others and not search.roles[j]]
-    way = [*way[::-1], *body.heaviest(tip)[1:]]
-    if not way:
+    path = [j for j in body.rig.upwards(tip) if j not in others and not search.roles[j]]
+    path = [*path[::-1], *body.heaviest(tip)[1:]]
+    if not path:
         return
-    way, branch = (
-        _to_hand(search, way, side) if kind == "arm" else (_to_toe(search, way), -1)
+    path, branch = (
+        _to_hand(search, path, side) if kind == "arm" else (_to_toe(search, path), -1)
     )
-    labels = split_limb(body, way, _SHAPES[limb], branch)
-    for j, label in zip(way, labels, strict=True):
-        search.put(j, "" if body.kinds[j] == CONTROL else label)
-    hands = [j for j, label in zip(way, labels, strict=True) if label == f"hand_{side}"]
+    labels = split_limb(body, path, _SHAPES[limb], branch)
+    for j, label in zip(path, labels, strict=True):
+        search.set_role(j, "" if body.kinds[j] == CONTROL else label)
+    hands = [
+        j for j, label in zip(path, labels, strict=True) if label == f"hand_{side}"
+    ]
     if kind == "arm" and hands:
         for j, role in finger_roles(body, hands, side).items():
-            search.put(j, "" if body.kinds[j] == CONTROL else role)
+            search.set_role(j, "" if body.kinds[j] == CONTROL else role)
     if kind == "leg":
         _toes(search, side)
 
 
-def _to_hand(search: _Search, way: list[int], side: str) -> tuple[list[int], int]:
-    """Return an arm's way without its fingers, and the joint they branch off."""
+def _to_hand(search: _Search, path: list[int], side: str) -> tuple[list[int], int]:
+    """Return an arm's chain without fingers, and the joint the fingers branch from."""
     votes = search.body.votes
-    hands = [i for i, j in enumerate(way) if f"hand_{side}" in votes[j]]
+    hands = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
     if hands:
-        return way[: hands[-1] + 1], way[hands[-1]]
-    branch, count = search.body.branches(way)
+        return path[: hands[-1] + 1], path[hands[-1]]
+    branch, count = search.body.branches(path)
     if count < 2:
-        return way, -1
-    return way[: way.index(branch) + 1], branch
+        return path, -1
+    return path[: path.index(branch) + 1], branch
 
 
-def _to_toe(search: _Search, way: list[int]) -> list[int]:
-    """Return a leg's way, without the toes of a foot that has several."""
+def _to_toe(search: _Search, path: list[int]) -> list[int]:
+    """Return a leg's chain without the toes if the foot has several."""
     body = search.body
-    tops = [max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in way]
+    tops = [max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in path]
     named = [i for i, role in enumerate(tops) if base_role(role) == "toe"]
-    last = max((i for i, j in enumerate(way) if body.votes[j]), default=2)
-    forks = [i for i, j in enumerate(way) if len(body.limb_children(j)) > 1]
+    last = max((i for i, j in enumerate(path) if body.votes[j]), default=2)
+    forks = [i for i, j in enumerate(path) if len(body.limb_children(j)) > 1]
     ends = [*named, *(i for i in forks if i >= max(last, 2))]
-    return way[: ends[0] + 1] if ends else way
+    return path[: ends[0] + 1] if ends else path
 
 
 def _toes(search: _Search, side: str) -> None:
-    """Give all toes of a foot that has several their role, to their last joints."""
+    """Assign the toe role to every toe chain of a foot that has several."""
     body, role = search.body, f"toe_{side}"
-    feet = [j for j, own in enumerate(search.roles) if own == f"foot_{side}"]
+    feet = [j for j, each in enumerate(search.roles) if each == f"foot_{side}"]
     if not feet:
         return
     begins = [
@@ -365,31 +369,35 @@ def _toes(search: _Search, side: str) -> None:
         for j in body.limb_children(feet[-1])
         if search.roles[j] in {"", role} and not body.kinds[j]
     ]
-    ways = np.array([_ahead(body, j) - body.positions[feet[-1]] for j in begins])
+    directions = np.array(
+        [_chain_end(body, j) - body.positions[feet[-1]] for j in begins]
+    )
     if len(begins) < 2:
         return
-    sizes = np.linalg.norm(ways, axis=1)
-    along = ways @ ways[int(np.argmax(sizes))] / max(float(sizes.max()), 1e-30)
+    sizes = np.linalg.norm(directions, axis=1)
+    along = (
+        directions @ directions[int(np.argmax(sizes))] / max(float(sizes.max()), 1e-30)
+    )
     toes = [j for j, far in zip(begins, along, strict=True) if far > _TOE * along.max()]
     for top in toes if len(toes) > 1 else ():
         for j in range(top, len(search.roles)):
             if top in body.rig.upwards(j) and not body.kinds[j] and not body.is_tip(j):
-                search.put(j, role)
+                search.set_role(j, role)
 
 
-def _ahead(body: Body, joint: int) -> FloatArray:
-    """Return where a chain that begins at a joint ends ``(3,)`` [m]."""
+def _chain_end(body: SkeletonTree, joint: int) -> FloatArray:
+    """Return the end position of the chain that starts at a joint ``(3,)`` [m]."""
     last = body.heaviest(joint)[-1]
     return np.asarray(body.positions[last] + body.last_bones[last])
 
 
 def _rest(search: _Search) -> None:
-    """Give the face its roles, and say of other joints why they have none."""
+    """Assign face roles, and mark why the remaining joints have no role."""
     body = search.body
     for j, votes in enumerate(body.votes):
         for role in votes:
             if base_role(role) in {"jaw", "eye"} and role not in search.roles:
-                search.put(j, role)
+                search.set_role(j, role)
     for j, kind in enumerate(body.kinds):
         leaf = not body.children[j]
         if not search.roles[j] and (kind or (leaf and body.is_tip(j))):
@@ -400,18 +408,18 @@ ONE_LEG = ("whole left leg", "whole right leg")
 
 
 def _missing_legs(roles: Sequence[str]) -> str:
-    """Return what a skeleton lacks of its legs; empty where both are whole."""
-    whole = [
+    """Return which leg joints a skeleton lacks; empty if both legs are complete."""
+    intact = [
         {f"{role}_{side}" for role in ("thigh", "shin", "foot")} <= {*roles}
         for side in "lr"
     ]
-    if any(whole):
-        return "" if all(whole) else ONE_LEG[whole[0]]
+    if any(intact):
+        return "" if all(intact) else ONE_LEG[intact[0]]
     return "whole legs" if {"thigh_l", "thigh_r"} & {*roles} else "legs"
 
 
 def _doubts(search: _Search) -> list[Fault]:
-    """Return what is odd about a skeleton, and what is done instead."""
+    """Return warnings about a skeleton's anatomy, with the fallback that was used."""
     body, rig, roles = search.body, search.body.rig, search.roles
     hands = [j for j, role in enumerate(roles) if base_role(role) == "hand"]
     blunt = [repr(rig.names[j]) for j in hands if body.size > 0 and body.reach[j] <= 0]

@@ -1,4 +1,4 @@
-"""Where feet roll: the balls of feet, whatever toes a skeleton has."""
+"""Balls of feet: where a foot rolls, for any number of toes."""
 
 from __future__ import annotations
 
@@ -9,161 +9,167 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.retarget.person import Ball, Person
+from animtool.retarget.roled_skeleton import Ball, RoledSkeleton
 from animtool.retarget.roles import END
 
-# The end of a foot nearer to its ankle than this share of the leg is none [1].
+# A foot end nearer to its ankle than this fraction of the leg is ignored [1].
 SHORT = 0.04
-# Cosine to the shin from which on the end of a foot is its heel, or the ground [1].
+# Cosine to the shin above which a foot's end is its heel, or the ground [1].
 ALONG_SHIN = 0.97
 # A toe that begins this near to the ankle, over its length, has a metatarsal [1].
 AT_ANKLE = 0.15
 
 
-def balls_of(person: Person, other: Person) -> dict[str, Ball]:
-    """Return the balls of the feet of a skeleton, by side.
+def balls_of(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]:
+    """Return the ball of each foot of a skeleton, by side.
 
-    That is where its toes begin, of several the foremost, in their middle. A foot
-    without toes ends in its ball, or in the tip of its toes: whichever the foot of the
-    other skeleton is nearer to. A foot that shows no end has the other's, scaled. Feet
-    of which nothing is known have none.
+    It is where the toes begin: the middle of the foremost ones. A foot without toes
+    ends in its ball or in its toe tip, whichever fits the other skeleton's foot better.
+    A foot without a visible end takes the other's ball, scaled. Feet without any data
+    have none.
     """
-    made = {}
+    balls = {}
     for side in "lr":
-        leg, theirs = person.leg(side), other.leg(side)
+        leg, theirs = skeleton.leg(side), other.leg(side)
         if leg is None:
             continue
-        foot, toes = leg[2], _toes(person, side)
+        foot, toes = leg[2], _toes(skeleton, side)
         if toes:
-            way = _roll(person, foot, toes)
+            vector = _roll(skeleton, foot, toes)
         else:
             known = None if theirs is None else _shape(other, side)
-            size = person.leg_length(side) / (other.leg_length(side) or 1.0)
-            found = _toeless(person, side, known, size)
-            if found is None:
+            size = skeleton.leg_length(side) / (other.leg_length(side) or 1.0)
+            end = _toeless(skeleton, side, known, size)
+            if end is None:
                 continue
-            way = found
-        offset = so3.rotate(so3.conjugate(person.turns[foot]), way)
-        made[side] = Ball(toes[0] if len(toes) == 1 else -1, offset)
-    return made
+            vector = end
+        offset = so3.rotate(so3.conjugate(skeleton.rotations[foot]), vector)
+        balls[side] = Ball(toes[0] if len(toes) == 1 else -1, offset)
+    return balls
 
 
-def ball_places(
-    ball: Ball, foot: int, positions: FloatArray, turns: FloatArray
+def ball_positions(
+    ball: Ball, foot: int, positions: FloatArray, rotations: FloatArray
 ) -> FloatArray:
-    """Return where a ball is ``(F, 3)`` [m], of joints ``(F, J, …)`` in the world."""
+    """Return the ball's position ``(F, 3)`` [m] from world joints ``(F, J, …)``."""
     if ball.joint >= 0:
         return positions[:, ball.joint]
-    return np.asarray(positions[:, foot] + so3.rotate(turns[:, foot], ball.offset))
+    return np.asarray(positions[:, foot] + so3.rotate(rotations[:, foot], ball.offset))
 
 
-def _toes(person: Person, side: str) -> list[int]:
-    """Return the joints in which the toes of a foot begin."""
-    joints = {j for j, role in enumerate(person.roles) if role == f"toe_{side}"}
-    parents = person.rig.parents
-    found = []
+def _toes(skeleton: RoledSkeleton, side: str) -> list[int]:
+    """Return the first joint of each toe of a foot."""
+    joints = {j for j, role in enumerate(skeleton.roles) if role == f"toe_{side}"}
+    parents = skeleton.rig.parents
+    starts = []
     for top in sorted(j for j in joints if int(parents[j]) not in joints):
-        ends = [j for j in joints if top in person.rig.upwards(j)]
-        foot = person.positions[_foot(person, side)]
-        length = float(np.linalg.norm(person.positions[max(ends)] - foot))
-        near = float(np.linalg.norm(person.positions[top] - foot))
+        ends = [j for j in joints if top in skeleton.rig.upwards(j)]
+        foot = skeleton.positions[_foot(skeleton, side)]
+        length = float(np.linalg.norm(skeleton.positions[max(ends)] - foot))
+        near = float(np.linalg.norm(skeleton.positions[top] - foot))
         below = [j for j in ends if int(parents[j]) == top]
-        found.append(below[0] if below and near < AT_ANKLE * length else top)
-    return found
+        starts.append(below[0] if below and near < AT_ANKLE * length else top)
+    return starts
 
 
-def _roll(person: Person, foot: int, toes: Sequence[int]) -> FloatArray:
-    """Return the way from an ankle to where its foot rolls over toes ``(3,)`` [m]."""
-    ways = person.positions[list(toes)] - person.positions[foot]
-    facing = person.facing
-    if len(ways) == 1 or facing is None:
-        return np.asarray(ways.mean(axis=0))
-    first = ways[int(np.argmax(ways @ facing[2]))]
-    across = float((ways.mean(axis=0) - first) @ facing[0])
+def _roll(skeleton: RoledSkeleton, foot: int, toes: Sequence[int]) -> FloatArray:
+    """Return the vector from the ankle to the ball, from toe joints ``(3,)`` [m]."""
+    offsets = skeleton.positions[list(toes)] - skeleton.positions[foot]
+    facing = skeleton.facing
+    if len(offsets) == 1 or facing is None:
+        return np.asarray(offsets.mean(axis=0))
+    first = offsets[int(np.argmax(offsets @ facing[2]))]
+    across = float((offsets.mean(axis=0) - first) @ facing[0])
     return np.asarray(first + across * facing[0])
 
 
-def _foot(person: Person, side: str) -> int:
-    return person.first(f"foot_{side}")
+def _foot(skeleton: RoledSkeleton, side: str) -> int:
+    return skeleton.first(f"foot_{side}")
 
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    """A foot at rest: left, up and ahead of who stands, from the ankle on [m]."""
+    """A foot at rest: left, up and forward components from the ankle [m]."""
 
     ball: FloatArray | None  # where toes begin (3,)
     tip: FloatArray | None  # where the last of it ends (3,)
 
 
-def _shape(person: Person, side: str) -> _Shape | None:
-    """Return what is known of a foot; None of who faces nowhere."""
-    facing, foot, toes = person.facing, _foot(person, side), _toes(person, side)
+def _shape(skeleton: RoledSkeleton, side: str) -> _Shape | None:
+    """Return the known shape of a foot; None if the skeleton's facing is unknown."""
+    facing, foot, toes = skeleton.facing, _foot(skeleton, side), _toes(skeleton, side)
     if facing is None:
         return None
-    start = person.positions[foot]
-    tip = _tip(person, toes or [foot], start)
-    ball = _roll(person, foot, toes) if toes else None
-    return _Shape(*(None if way is None else facing @ way for way in (ball, tip)))
+    start = skeleton.positions[foot]
+    tip = _tip(skeleton, toes or [foot], start)
+    ball = _roll(skeleton, foot, toes) if toes else None
+    return _Shape(
+        *(None if offset is None else facing @ offset for offset in (ball, tip))
+    )
 
 
-def _tip(person: Person, joints: Sequence[int], start: FloatArray) -> FloatArray | None:
-    """Return the way to the farthest end of joints and what is below them ``(3,)``."""
-    rig = person.rig
+def _tip(
+    skeleton: RoledSkeleton, joints: Sequence[int], start: FloatArray
+) -> FloatArray | None:
+    """Return the vector to the farthest end of a joint chain ``(3,)``."""
+    rig = skeleton.rig
     count, tops = len(rig.joints), {*joints}
     below = [j for j in range(count) if not tops.isdisjoint(rig.upwards(j))]
-    ways = [person.positions[j] - start for j in below]
+    offsets = [skeleton.positions[j] - start for j in below]
     for j in below:
-        ways += [
-            person.positions[j] + so3.rotate(person.turns[j], np.asarray(tip)) - start
+        offsets += [
+            skeleton.positions[j]
+            + so3.rotate(skeleton.rotations[j], np.asarray(tip))
+            - start
             for tip in rig.joints[j].tips
         ]
-    return max(ways, key=lambda way: float(way @ way), default=None)
+    return max(offsets, key=lambda offset: float(offset @ offset), default=None)
 
 
 def _toeless(
-    person: Person, side: str, other: _Shape | None, size: float
+    skeleton: RoledSkeleton, side: str, other: _Shape | None, size: float
 ) -> FloatArray | None:
-    """Return the way from the ankle to the ball of a foot without toes ``(3,)``."""
-    leg = person.leg(side)
+    """Return the vector from the ankle to the ball of a foot without toes ``(3,)``."""
+    leg = skeleton.leg(side)
     assert leg is not None
-    start = person.positions[leg[2]]
-    tip = _foot_end(person, leg, start)
-    facing = person.facing
+    start = skeleton.positions[leg[2]]
+    tip = _foot_end(skeleton, leg, start)
+    facing = skeleton.facing
     if facing is None or other is None or other.ball is None:
         return tip
     if tip is None:
         return np.asarray(size * (other.ball @ facing))
     if other.tip is None:
         return tip
-    lengths = [float(np.linalg.norm(way)) for way in (other.ball, other.tip)]
+    lengths = [float(np.linalg.norm(offset)) for offset in (other.ball, other.tip)]
     if not 0 < lengths[0] < lengths[1]:
         return tip
     between = size * float(np.sqrt(lengths[0] * lengths[1]))
     if float(np.linalg.norm(tip)) <= between:
         return tip
-    # It ends where the other's toes do.
-    own = facing @ tip
+    # It ends where the other foot's toes do.
+    end = facing @ tip
     shares = [
         a / b if abs(b) > SHORT * lengths[1] else 1.0
         for a, b in zip(other.ball, other.tip, strict=True)
     ]
-    return np.asarray((own * np.clip(shares, 0.0, 1.0)) @ facing)
+    return np.asarray((end * np.clip(shares, 0.0, 1.0)) @ facing)
 
 
 def _foot_end(
-    person: Person, leg: tuple[int, int, int, int], start: FloatArray
+    skeleton: RoledSkeleton, leg: tuple[int, int, int, int], start: FloatArray
 ) -> FloatArray | None:
-    """Return the way to where a foot without toes ends ``(3,)``, if that shows."""
-    rig, (_, shin, foot, _) = person.rig, leg
-    turn = person.turns[foot]
-    ways = [so3.rotate(turn, np.asarray(tip)) for tip in rig.joints[foot].tips]
-    ways += [
-        person.positions[j] - start
+    """Return the vector to the end of a foot without toes ``(3,)``; None if unknown."""
+    rig, (_, shin, foot, _) = skeleton.rig, leg
+    rotation = skeleton.rotations[foot]
+    offsets = [so3.rotate(rotation, np.asarray(tip)) for tip in rig.joints[foot].tips]
+    offsets += [
+        skeleton.positions[j] - start
         for j, parent in enumerate(rig.parents.tolist())
-        if parent == foot and person.roles[j] == END
+        if parent == foot and skeleton.roles[j] == END
     ]
-    end = max(ways, key=lambda way: float(way @ way), default=None)
-    bone = start - person.positions[shin]
+    end = max(offsets, key=lambda offset: float(offset @ offset), default=None)
+    bone = start - skeleton.positions[shin]
     length = 0.0 if end is None else float(np.linalg.norm(end))
     if end is None or length < SHORT * float(np.linalg.norm(bone)):
         return None

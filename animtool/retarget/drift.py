@@ -1,8 +1,8 @@
-"""Drift of captured roots: what feet that stand say about it, taken out again.
+"""Drift of captured roots, measured from planted feet and removed.
 
-Inertial suits lose where they are and which way they face, slowly. A foot that stands
-does not move: how it goes is how the root drifts. On level ground all that stands is as
-high as before.
+Inertial suits slowly lose their position and heading. A planted foot does not move, so
+its apparent motion is the root's drift. On level ground all planted feet are at one
+height.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from animtool.motion.contacts import find_contacts
 from animtool.motion.passes import Pass, PassContext, Scope, TakePart
 from animtool.motion.take import Take
 from animtool.retarget.pairing import map_joints
-from animtool.retarget.person import Person
-from animtool.retarget.take_pass import nobody
+from animtool.retarget.roled_skeleton import RoledSkeleton
+from animtool.retarget.take_pass import no_body_warning
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
@@ -35,24 +35,24 @@ Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
 SLOWER, STEPS = 0.1, 0.4
 # Drift is the median of contacts this long before and after [s].
 WINDOW = 10.0
-# Of a contact, the share at either end in which the foot still lands or leaves.
+# Fraction of a contact at either end in which the foot lands or lifts.
 LANDING = 0.2
-# Of fewer frames nobody says how fast they go.
+# Fewer frames have no reliable speed.
 MIN_FRAMES = 4
 
 
 @dataclass(frozen=True, slots=True)
 class DriftOptions:
-    """What of a root drifts.
+    """Which components of the root's drift are removed.
 
     Attributes:
-        place: Whether it drifts over the ground.
-        heading: Whether it turns about the vertical; feet that turn on the spot on
-            purpose, most of the time, look the same.
-        height: Whether it rises and sinks, on ground that is level.
-        closed: Whether the take ends where it begins, and as it faces; what feet do
-            not say is then spread over it.
-        map: A map file that says which joints are legs and feet; None finds them.
+        place: Whether its position on the ground drifts.
+        heading: Whether its rotation about the vertical drifts; feet that pivot on
+            purpose most of the time look the same.
+        height: Whether its height drifts, on level ground.
+        closed: Whether the take ends where it begins, with its heading; what feet do
+            not tell is then distributed over it.
+        map: A map file that names leg and foot joints; None detects them.
     """
 
     place: bool = True
@@ -63,56 +63,56 @@ class DriftOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class _Stance:
-    """What feet that stand do, smoothed over all frames.
+class _StanceTracks:
+    """Motion of planted feet, smoothed over all frames.
 
-    Over the ground, complex numbers: a turn about the vertical is a factor.
+    Ground positions are complex numbers: a rotation about the vertical is a factor.
     """
 
-    place: ComplexArray  # where they stand (F,) [m]
-    speed: ComplexArray  # beside that of the spin about the origin (F,) [m/s]
+    position: ComplexArray  # of planted feet (F,) [m]
+    speed: ComplexArray  # without that of the spin about the origin (F,) [m/s]
     spin: FloatArray  # about the vertical (F,) [rad/s]
-    height: FloatArray  # above where they stand in the middle (F,) [m]
+    height: FloatArray  # above their median height (F,) [m]
 
 
-def without_drift(take: Take, options: DriftOptions, context: PassContext) -> Take:
-    """Return a take whose root does not drift; its pose stays as it is.
+def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Take:
+    """Return a take whose root does not drift; its local pose is unchanged.
 
     Raises:
-        FormatError: The map file cannot be read, or names joints that there are not.
+        FormatError: The map file cannot be read, or names an unknown joint.
     """
     path = None if options.map is None else context.folder / options.map
     try:
-        found = map_joints(take.rig, take.rig, map_file=path)
+        joint_map = map_joints(take.rig, take.rig, map_file=path)
     except OptionError as error:
-        context.notices.append(nobody(error))
+        context.notices.append(no_body_warning(error))
         return take
-    person = Person.of(take.rig, found.source.roles)
-    stance = _stance(take, person, heading=options.heading)
+    skeleton = RoledSkeleton.of(take.rig, joint_map.source.roles)
+    stance = _stance(take, skeleton, heading=options.heading)
     if stance is None:
         message = "no foot is planted long enough to measure drift: nothing is changed"
         context.notices.append(Fault("CAP103", message, severity=Severity.WARNING))
         return take
     old, at = take.motion, np.array([take.rig.roots[0]])
-    before, turns = (
+    before, rotations = (
         each.gather(at)[:, 0] for each in (old.translations, old.rotations)
     )
     up, (a, b) = _axes(take)
     root = before[:, a] + 1j * before[:, b]
-    angle, shift = _corrected(take, options, stance, root, turns)
-    places = before.copy()
-    moved = np.exp(1j * angle) * root + shift
-    places[:, a], places[:, b] = moved.real, moved.imag
+    angle, shift = _corrected(take, options, stance, root, rotations)
+    positions = before.copy()
+    corrected = np.exp(1j * angle) * root + shift
+    positions[:, a], positions[:, b] = corrected.real, corrected.imag
     if options.height:
-        places[:, up] -= stance.height
-    turn = so3.from_axis_angle(np.eye(3)[up], angle)
-    turned = so3.align_signs(so3.multiply(turn, turns))
+        positions[:, up] -= stance.height
+    rotation = so3.from_axis_angle(np.eye(3)[up], angle)
+    turned = so3.align_signs(so3.multiply(rotation, rotations))
     motion = replace(
         old,
-        translations=old.translations.put(at, places[:, None]),
+        translations=old.translations.put(at, positions[:, None]),
         rotations=old.rotations.put(at, turned[:, None]),
     )
-    far = float(np.linalg.norm(places - before, axis=1).max())
+    far = float(np.linalg.norm(positions - before, axis=1).max())
     degrees = float(np.degrees(np.abs(angle)).max())
     message = f"the root is moved by up to {length_text(far)} and rotated by up to "
     message += f"{angle_text(degrees)}, measured from planted feet"
@@ -121,34 +121,33 @@ def without_drift(take: Take, options: DriftOptions, context: PassContext) -> Ta
 
 
 def _axes(take: Take) -> tuple[int, tuple[int, int]]:
-    """Return the vertical, and the axes that a turn about it takes one to the other."""
+    """Return the vertical axis and the two ground axes, right-handed about it."""
     return (1, (2, 0)) if take.rig.up is UpAxis.Y else (2, (0, 1))
 
 
 def _corrected(
     take: Take,
     options: DriftOptions,
-    stance: _Stance,
+    stance: _StanceTracks,
     root: ComplexArray,
-    turns: FloatArray,
+    rotations: FloatArray,
 ) -> tuple[FloatArray, ComplexArray]:
-    """Return by which angle a root turns ``(F,)`` [rad], and then goes ``(F,)`` [m].
+    """Return the root's correction: rotation ``(F,)`` [rad] and shift ``(F,)`` [m].
 
-    So that what stands, and turns with it, stays: of ``e^(i angle) place + shift`` the
-    rate is 0.
+    Planted feet then stay in place: the rate of ``e^(i angle) position + shift`` is 0.
     """
     rate, up = float(take.clock.rate), _axes(take)[0]
     spin = -stance.spin
     speed = stance.speed if options.place else np.zeros(len(root))
     angle = _integral(spin, rate)
     if options.closed:
-        back = so3.multiply(turns[-1], so3.conjugate(turns[0]))
+        back = so3.multiply(rotations[-1], so3.conjugate(rotations[0]))
         left = _angle(back[None], up)[0] + angle[-1]
         spin = spin - (left / max(len(root) - 1, 1)) * rate
         angle = _integral(spin, rate)
-    left_over = 1j * (stance.spin + spin) * stance.place
-    way = -np.exp(1j * angle) * (speed + left_over)
-    shift = _integral(way, rate)
+    left_over = 1j * (stance.spin + spin) * stance.position
+    displacement = -np.exp(1j * angle) * (speed + left_over)
+    shift = _integral(displacement, rate)
     if options.closed:
         ends = np.exp(1j * angle[[0, -1]]) * root[[0, -1]] + shift[[0, -1]]
         shift = shift - (ends[1] - ends[0]) * np.linspace(0.0, 1.0, len(root))
@@ -157,68 +156,70 @@ def _corrected(
 
 def _integral(values: Numbers, rate: float) -> Numbers:
     """Return the integral of values over time, by the trapezoidal rule, from 0."""
-    made = np.zeros_like(values)
-    made[1:] = np.cumsum((values[1:] + values[:-1]) / 2) / rate
-    return made
+    integral = np.zeros_like(values)
+    integral[1:] = np.cumsum((values[1:] + values[:-1]) / 2) / rate
+    return integral
 
 
-def _angle(turns: FloatArray, up: int) -> FloatArray:
-    """Return by how much turns ``(N, 4)`` turn about the vertical ``(N,)`` [rad]."""
-    angles = 2 * np.arctan2(turns[:, up], turns[:, 3])
+def _angle(rotations: FloatArray, up: int) -> FloatArray:
+    """Return the angle of rotations ``(N, 4)`` about the vertical ``(N,)`` [rad]."""
+    angles = 2 * np.arctan2(rotations[:, up], rotations[:, 3])
     return np.asarray(np.angle(np.exp(1j * angles)))
 
 
-def _stance(take: Take, person: Person, *, heading: bool) -> _Stance | None:
-    """Return what feet that stand do; None where none does for long."""
+def _stance(
+    take: Take, skeleton: RoledSkeleton, *, heading: bool
+) -> _StanceTracks | None:
+    """Return the motion of planted feet; None if none is planted for long."""
     (up, (a, b)), rate, count = _axes(take), float(take.clock.rate), take.clock.count
     world = take.world()
     where, many = np.zeros((count, 3)), np.zeros(count)
     # Of each contact: its middle, how long it is, spin, speed and place.
     rows: list[list[float]] = []
     for side in "lr":
-        leg = person.leg(side)
+        leg = skeleton.leg(side)
         if leg is None:
             continue
         ankle = world.positions[:, leg[2]]
         toe = world.positions[:, leg[3]] if leg[3] >= 0 else ankle
-        stands = find_contacts(ankle, toe, rate, person.leg_length(side), up).any
-        turns = so3.from_matrix(world.linear[:, leg[2]])
+        stands = find_contacts(ankle, toe, rate, skeleton.leg_length(side), up).any
+        rotations = so3.from_matrix(world.linear[:, leg[2]])
         for start, end in runs(stands):
             edge = round(LANDING * (end - start))
             part = slice(start + edge, end - edge)
             if part.stop - part.start < MIN_FRAMES:
                 continue
-            # Who rolls over the toe moves the ankle.
-            still = min(
+            # A foot that rolls over its toe moves its ankle.
+            pivot = min(
                 (ankle, toe), key=lambda p: np.linalg.norm(_slope(p[part], rate))
             )
-            base = float(np.median(still[stands, up]))
-            back = so3.conjugate(turns[part.start])
-            faces = np.unwrap(_angle(so3.multiply(turns[part], back), up))
-            speed = _slope(still[part], rate)
+            base = float(np.median(pivot[stands, up]))
+            back = so3.conjugate(rotations[part.start])
+            faces = np.unwrap(_angle(so3.multiply(rotations[part], back), up))
+            speed = _slope(pivot[part], rate)
             spin = float(_slope(faces[:, None], rate)[0]) if heading else 0.0
             length = part.stop - part.start
             middle = (part.start + part.stop - 1) / 2
-            at = still[part].mean(axis=0)
+            at = pivot[part].mean(axis=0)
             rows.append([middle, length, spin, *speed[[a, b]], *at[[a, b]]])
-            where[part] += still[part][:, [a, b, up]] - [0.0, 0.0, base]
+            where[part] += pivot[part][:, [a, b, up]] - [0.0, 0.0, base]
             many[part] += 1
     if (many > 0).sum() <= MIN_FRAMES:
         return None
     contacts = np.array(sorted(rows))
     width, frames = WINDOW * rate, np.arange(count)
     turning = _medians(contacts, 2, width)
-    # Less what the spin about the origin moves them by.
+    # Without the motion from the spin about the origin.
     contacts[:, 3] += turning * contacts[:, 6]
     contacts[:, 4] -= turning * contacts[:, 5]
     slow = [turning, *(_medians(contacts, k, width) for k in (3, 4))]
     steady = [np.interp(frames, contacts[:, 0], column) for column in slow]
     drift = lowpass(np.stack(steady, axis=1), SLOWER, rate)
     where /= np.maximum(many, 1)[:, None]
-    place = lowpass(where[:, :2], STEPS, rate, known=many > 0)
+    position = lowpass(where[:, :2], STEPS, rate, known=many > 0)
     height = lowpass(where[:, 2], SLOWER, rate, known=many > 0)
-    return _Stance(
-        place[:, 0] + 1j * place[:, 1],
+    return _StanceTracks(
+        position[:, 0] + 1j * position[:, 1],
         drift[:, 1] + 1j * drift[:, 2],
         drift[:, 0],
         height - float(np.median(height)),
@@ -226,22 +227,23 @@ def _stance(take: Take, person: Person, *, heading: bool) -> _Stance | None:
 
 
 def _medians(contacts: FloatArray, column: int, width: float) -> FloatArray:
-    """Return medians of a column of contacts over those near each ``(N,)``.
+    """Return a windowed median of a contact column at each contact ``(N,)``.
 
-    Longer ones count more; a foot that turns or slides on purpose is one of many.
+    Contacts are weighted by duration, so that a foot that slides on purpose is
+    outvoted.
     """
-    made = np.zeros(len(contacts))
+    medians = np.zeros(len(contacts))
     for i, middle in enumerate(contacts[:, 0].tolist()):
         near = contacts[np.abs(contacts[:, 0] - middle) <= width]
         order = np.argsort(near[:, column], kind="stable")
-        share = np.cumsum(near[order, 1])
-        half = int(np.searchsorted(share, share[-1] / 2))
-        made[i] = near[order[half], column]
-    return made
+        total = np.cumsum(near[order, 1])
+        half = int(np.searchsorted(total, total[-1] / 2))
+        medians[i] = near[order[half], column]
+    return medians
 
 
 def _slope(values: FloatArray, rate: float) -> FloatArray:
-    """Return how fast rows ``(N, K)`` go, by least squares ``(K,)`` [1/s]."""
+    """Return the least-squares rate of rows ``(N, K)`` per second ``(K,)`` [1/s]."""
     times = (np.arange(len(values)) - (len(values) - 1) / 2) / rate
     return np.asarray(times @ values / (times @ times))
 
@@ -251,7 +253,7 @@ PASS = Pass(
     "Remove the drift of a captured root",
     DriftOptions,
     Scope.CLIP,
-    without_drift,
+    remove_drift,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.JOINTS}),
 )

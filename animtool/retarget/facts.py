@@ -1,4 +1,4 @@
-"""What a take of a person says of itself: steps, how fast it goes, how noisy it is."""
+"""Statistics of a take of a body: steps, ground speed and noise."""
 
 from __future__ import annotations
 
@@ -9,41 +9,41 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.maths.filters import noise_of_turns
+from animtool.maths.filters import rotation_noise
 from animtool.maths.runs import runs
 from animtool.motion.contacts import find_contacts, smoothed
 from animtool.motion.take import Take
 from animtool.retarget.anatomy import anatomy
-from animtool.retarget.person import Person
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import middle_of_hips
 
-# Speeds are those of the hips smoothed over this time [s]: a step sways them.
+# Smoothing time of hip speeds [s]: steps sway the hips.
 SPEED_TIME = 0.25
 # Frames whose joints are in memory at once.
-FRAMES_AT_ONCE = 1024
+BLOCK_FRAMES = 1024
 
 
 @dataclass(frozen=True, slots=True)
 class FootFacts:
-    """When a foot stands."""
+    """How often and how long a foot is planted."""
 
-    standing: float  # share of frames
-    steps: int  # times that it comes to stand
+    standing: float  # fraction of frames
+    steps: int  # number of contacts
 
 
 @dataclass(frozen=True, slots=True)
 class CaptureFacts:
-    """A take of a person in numbers."""
+    """Statistics of a take of a body."""
 
     feet: dict[str, FootFacts]  # by ``left`` and ``right``
     speed_mean: float  # of the hips over the ground [m/s]
     speed_max: float
     noise: float  # standard deviation of the noisiest joint's rotation [rad]
-    noisiest: str  # that joint; empty where none turns
+    noisiest: str  # that joint; empty if none rotates
 
 
 def capture_facts(take: Take) -> CaptureFacts | None:
-    """Return what a take says of itself; None where it has no person with legs.
+    """Return the statistics of a take; None if it has no body with legs.
 
     Limits: feet are told by how slow and how low they are, the person by structure.
 
@@ -53,22 +53,22 @@ def capture_facts(take: Take) -> CaptureFacts | None:
     rig = take.rig
     if not rig.joints:
         return None
-    person = Person.of(rig, anatomy(rig).roles)
-    legs = {side: person.leg(side) for side in "lr"}
+    skeleton = RoledSkeleton.of(rig, anatomy(rig).roles)
+    legs = {side: skeleton.leg(side) for side in "lr"}
     if not any(legs.values()) or take.clock.count < 2:
         return None
     ends = [leg[2:] for leg in legs.values() if leg is not None]
-    hips, places = hips_and_joints(
-        take, person, sorted({j for pair in ends for j in pair})
+    hips, positions = hips_and_joints(
+        take, skeleton, sorted({j for pair in ends for j in pair})
     )
     up, fps = 1 if rig.up is UpAxis.Y else 2, float(take.clock.rate)
     feet = {}
     for side, leg in legs.items():
         if leg is None:
             continue
-        toe = places.get(leg[3])
-        length = person.leg_length(side)
-        stands = find_contacts(places[leg[2]], toe, fps, length, up).any
+        toe = positions.get(leg[3])
+        length = skeleton.leg_length(side)
+        stands = find_contacts(positions[leg[2]], toe, fps, length, up).any
         steps = sum(start > 0 for start, _ in runs(stands))
         name = "left" if side == "l" else "right"
         feet[name] = FootFacts(float(stands.mean()), steps)
@@ -80,32 +80,32 @@ def capture_facts(take: Take) -> CaptureFacts | None:
 
 
 def hips_and_joints(
-    take: Take, person: Person, joints: Sequence[int]
+    take: Take, skeleton: RoledSkeleton, joints: Sequence[int]
 ) -> tuple[FloatArray, dict[int, FloatArray]]:
-    """Return the middle of the hips, and some joints by number, each ``(F, 3)`` [m]."""
+    """Return the middle of the hips and the given joints, each ``(F, 3)`` [m]."""
     kept = [j for j in joints if j >= 0]
-    hips, places = [], []
-    for begin in range(0, take.clock.count, FRAMES_AT_ONCE):
-        block = take.motion.select(slice(begin, begin + FRAMES_AT_ONCE))
-        found = block.world(take.rig).positions
-        hips.append(middle_of_hips(person, found))
-        places.append(found[:, kept])
-    whole = np.concatenate(places)
-    return np.concatenate(hips), {j: whole[:, k] for k, j in enumerate(kept)}
+    hips, positions = [], []
+    for begin in range(0, take.clock.count, BLOCK_FRAMES):
+        block = take.motion.select(slice(begin, begin + BLOCK_FRAMES))
+        world = block.world(take.rig).positions
+        hips.append(middle_of_hips(skeleton, world))
+        positions.append(world[:, kept])
+    joined = np.concatenate(positions)
+    return np.concatenate(hips), {j: joined[:, k] for k, j in enumerate(kept)}
 
 
 def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
-    """Return how fast hips ``(F, 3)`` go over the ground ``(F - 1,)`` [m/s]."""
+    """Return the ground speed of hips ``(F, 3)`` in each step ``(F - 1,)`` [m/s]."""
     up, fps = 1 if take.rig.up is UpAxis.Y else 2, float(take.clock.rate)
     flat = smoothed(np.delete(hips, up, axis=1), SPEED_TIME / 2 * fps)
     return np.asarray(np.linalg.norm(np.diff(flat, axis=0), axis=1) * fps)
 
 
 def _noise(take: Take) -> tuple[float, str]:
-    """Return the noise of the noisiest joint's rotation [rad], and its name."""
+    """Return the noise of the noisiest joint's rotation [rad], and the joint's name."""
     channel = take.motion.rotations
     levels = [
-        noise_of_turns(channel.values[:, k]) for k in range(len(channel.animated))
+        rotation_noise(channel.values[:, k]) for k in range(len(channel.animated))
     ]
     if not levels:
         return 0.0, ""

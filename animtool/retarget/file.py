@@ -1,4 +1,4 @@
-"""Map files, ``*.map.yaml``: which joints of a target follow which of a source."""
+"""Map files, ``*.map.yaml``: which target joints follow which source joints."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from animtool.core.record import dataclass
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, key
-from animtool.retarget.map import TwistShare
+from animtool.retarget.map import TwistFraction
 from animtool.retarget.names import bare_names
 from animtool.retarget.roles import ROLES
 from animtool.rig.skeleton import Rig
 
-Share = Annotated[Real, Field(ge=0, le=1)]
+UnitReal = Annotated[Real, Field(ge=0, le=1)]
 Joints = Name | Annotated[list[Name], Len(1)]
 
 
@@ -47,7 +47,7 @@ class MapTwistModel(FileModel):
 
     joint: Name = key("The joint that twists.", "upperarm_twist_01_l")
     bone: Name = key("The joint whose bone is twisted.", "upperarm_l")
-    share: Share = key("Fraction of the twist, from 0 to 1.", 0.5)
+    share: UnitReal = key("Fraction of the twist, from 0 to 1.", 0.5)
 
 
 class MapIgnoredModel(FileModel):
@@ -93,7 +93,7 @@ class MapModel(FileModel):
 
 @dataclass(frozen=True, slots=True)
 class MapFile:
-    """A map file that was read."""
+    """A parsed map file."""
 
     document: Document
     model: MapModel
@@ -104,17 +104,17 @@ class FileEntry(NamedTuple):
 
     source: tuple[int, ...]
     target: tuple[int, ...]
-    role: str  # empty where the file says none
+    role: str  # empty if the file states none
 
 
 @dataclass(frozen=True, slots=True)
 class FileMap:
-    """A map file for two skeletons."""
+    """A map file resolved for two skeletons."""
 
     entries: tuple[FileEntry, ...]
-    twists: tuple[TwistShare, ...] | None
+    twists: tuple[TwistFraction, ...] | None
     ignored: tuple[frozenset[int], frozenset[int]]  # of the source, of the target
-    only: bool  # whether joints that it does not name stay as they are
+    only: bool  # whether joints it does not name stay unmapped
 
 
 def load_map(path: Path | str) -> MapFile:
@@ -149,8 +149,8 @@ def map_of_document(document: Document) -> MapFile:
 def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     """Return a map file's joints as indices of two skeletons.
 
-    A joint is found by its name, by that of its file, and by either without namespace
-    and prefix.
+    A joint is matched by its name, by its name in the source file, and by either
+    without namespace and prefix.
 
     Raises:
         FormatError: Neither skeleton has a joint that is named (MAP001).
@@ -159,7 +159,9 @@ def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     rigs = {"source": source, "target": target}
     indices = {side: _index(rig) for side, rig in rigs.items()}
 
-    def found(side: str, names: Sequence[str], *where: str | int) -> tuple[int, ...]:
+    def joint_indices(
+        side: str, names: Sequence[str], *where: str | int
+    ) -> tuple[int, ...]:
         for i, name in enumerate(names):
             if name not in indices[side]:
                 message = f"the {side} {rigs[side].name!r} has no joint {name!r}"
@@ -169,22 +171,24 @@ def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
 
     entries = [
         FileEntry(
-            found("source", _names(entry.source), "joints", i, "source"),
-            found("target", _names(entry.target), "joints", i, "target"),
+            joint_indices("source", _names(entry.source), "joints", i, "source"),
+            joint_indices("target", _names(entry.target), "joints", i, "target"),
             entry.role or "",
         )
         for i, entry in enumerate(model.joints)
     ]
     stated = list(enumerate(model.twists or ()))
-    joints = [found("target", [t.joint], "twists", i, "joint") for i, t in stated]
-    bones = [found("target", [t.bone], "twists", i, "bone") for i, t in stated]
+    joints = [
+        joint_indices("target", [t.joint], "twists", i, "joint") for i, t in stated
+    ]
+    bones = [joint_indices("target", [t.bone], "twists", i, "bone") for i, t in stated]
     ignored = [
-        frozenset(found(side, getattr(model.ignored, side), "ignored", side))
+        frozenset(joint_indices(side, getattr(model.ignored, side), "ignored", side))
         for side in rigs
     ]
     document.check()
     twists = [
-        TwistShare(joint, bone, twist.share)
+        TwistFraction(joint, bone, twist.share)
         for (joint,), (bone,), (_, twist) in zip(joints, bones, stated, strict=True)
     ]
     return FileMap(
@@ -200,7 +204,7 @@ def _names(value: str | list[str]) -> list[str]:
 
 
 def _index(rig: Rig) -> Mapping[str, int]:
-    """Return the joints by every name that finds them."""
+    """Return the joints by every name that matches them."""
     index: dict[str, int] = {}
     written = [joint.source_name or joint.name for joint in rig.joints]
     for names in (rig.names, written, bare_names(written)):

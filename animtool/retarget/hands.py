@@ -1,4 +1,4 @@
-"""Hands that keep the contacts they have: with each other, the ground and props."""
+"""Hand contacts kept by retargeting: with each other, the ground and props."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.motion.contacts import find_contacts, smoothed, without_short
 from animtool.retarget.feet import between
-from animtool.retarget.legs import put_end, up_index
-from animtool.retarget.person import Person
+from animtool.retarget.legs import limb_rotations, up_index
 from animtool.retarget.props import PropMotion
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import Transfer
 
-# Hands hold each other that are nearer than this share of an arm, from wrist to wrist.
+# Hands hold each other if their wrists are nearer than this fraction of an arm,
 NEAR = 0.4
-# And whose way from one to the other changes less than this share of an arm a second.
+# and the vector between them changes by less than this fraction of an arm a second.
 TOGETHER = 0.25
-# Speeds are those of ways smoothed by a Gaussian of this width [s].
+# Gaussian width of smoothing before speeds are taken [s].
 SMOOTH = 0.03
-# A hand is at the ground below this share of an arm above it; below half of that, it is
-# as high as that of the source.
+# A hand touches the ground below this fraction of an arm; below half of that it keeps
+# the source's height.
 LOW = 0.3
-# Hands slow down from this share of an arm above the ground.
+# Hands slow down below this fraction of an arm above the ground.
 SOFT = 0.25
-# What hands hold fades in and out within about this time [s].
+# Hand contacts fade in and out within about this time [s].
 FADE = 0.15
-# Arms that hold each other's hands are bent a little: they reach this share of their
-# length. How often hands are brought nearer until both do.
+# Arms of joined hands stay slightly bent: they reach this fraction of their length.
+# Most iterations of bringing the hands within reach.
 REACH, NEARER = 0.99, 20
 
 
 @dataclass(frozen=True, slots=True)
 class ArmTracks:
-    """Where an arm of the target goes with the hips, and a hand of the source goes."""
+    """Motion of a target arm relative to the hips, and of the source's hand."""
 
     joints: FloatArray  # shoulder, elbow, wrist about the middle of the hips (F, 3, 3)
-    turns: FloatArray  # of upper arm and forearm in the world (F, 2, 4)
+    rotations: FloatArray  # of upper arm and forearm in the world (F, 2, 4)
     source: FloatArray  # the source's wrist, in the target's axes (F, 3) [m]
 
     @staticmethod
@@ -48,59 +48,65 @@ class ArmTracks:
         transfer: Transfer,
         side: str,
         source: FloatArray,
-        turns: FloatArray,
+        rotations: FloatArray,
         about: FloatArray,
     ) -> ArmTracks:
-        """Return those of some frames.
+        """Return the arm tracks of a block of frames.
 
         Args:
             transfer: How the target follows.
             side: Of the arm.
             source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
-            turns: Of the target in the world ``(F, K, 4)``.
+            rotations: World rotations of the target ``(F, K, 4)``.
             about: Joints of the target about the middle of its hips ``(F, K, 3)`` [m].
         """
-        own, other = (arm_of(each, side) for each in (transfer.target, transfer.source))
-        assert own is not None
+        target, other = (
+            arm_of(each, side) for each in (transfer.target, transfer.source)
+        )
+        assert target is not None
         assert other is not None
-        return ArmTracks(about[:, own], turns[:, own[:2]], source[:, other[2]])
+        return ArmTracks(
+            about[:, target], rotations[:, target[:2]], source[:, other[2]]
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class HeldHand:
-    """Where a hand is to be, and how its arm is turned for it."""
+class HandContact:
+    """Goals of a hand's contacts, and how its arm bends to reach them."""
 
     side: str
-    goal: FloatArray  # of the wrist where it holds something (F, 3) [m]
-    held: BoolArray  # frames in which it does (F,)
-    # By how much upper arm and forearm are turned in the world (F, 2, 3) [rad].
+    goal: FloatArray  # of the wrist while in contact (F, 3) [m]
+    active: BoolArray  # frames in contact (F,)
+    # World rotation vectors applied to upper arm and forearm (F, 2, 3) [rad].
     bends: FloatArray
     props: frozenset[int]  # tracks that it holds
 
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """How high ankles stand on the ground [m]."""
+    """Heights of planted ankles above the origin [m]."""
 
     source: float
     target: float
 
     @staticmethod
     def lift(floor: Floor | None, scale: float, up: int) -> FloatArray:
-        """Return how far what is scaled is then lifted to the ground ``(3,)`` [m]."""
-        made = np.zeros(3)
+        """Return the offset of the scaled source onto the ground ``(3,)`` [m]."""
+        lift = np.zeros(3)
         if floor is not None:
-            made[up] = floor.target - scale * floor.source
-        return made
+            lift[up] = floor.target - scale * floor.source
+        return lift
 
 
-def arm_of(person: Person, side: str) -> list[int] | None:
-    """Return shoulder, elbow and wrist of an arm, if there is one."""
-    arm = [person.first(f"{role}_{side}") for role in ("upper_arm", "forearm", "hand")]
+def arm_of(skeleton: RoledSkeleton, side: str) -> list[int] | None:
+    """Return shoulder, elbow and wrist of an arm; None if the skeleton lacks one."""
+    arm = [
+        skeleton.first(f"{role}_{side}") for role in ("upper_arm", "forearm", "hand")
+    ]
     return arm if min(arm) >= 0 else None
 
 
-def place_hands(
+def hand_contacts(
     transfer: Transfer,
     sides: str,
     tracks: Sequence[ArmTracks],
@@ -108,13 +114,12 @@ def place_hands(
     floor: Floor | None,
     fps: float,
     props: Sequence[PropMotion] = (),
-) -> list[HeldHand]:
-    """Return where hands are to be so that they keep their contacts.
+) -> list[HandContact]:
+    """Return the goals of hands that keep the source's contacts.
 
-    Hands that hold each other are as far apart as those of the source, scaled as arms
-    are, about the middle between them; hands on the ground stay where they are, and
-    those on props where they hold them. What that takes fades in and out as smoothly as
-    can be.
+    Hands that hold each other keep the source's separation, scaled by arm length, about
+    their middle. Hands on the ground stay in place; hands on props keep their grip. The
+    corrections fade in and out as smoothly as possible.
 
     Args:
         transfer: How the target follows.
@@ -123,7 +128,7 @@ def place_hands(
         hips: The middle of the target's hips ``(F, 3)`` [m].
         floor: Where the ground is; None where there are no feet to say it.
         fps: Frames a second.
-        props: What they may hold.
+        props: Props they may grip.
     """
     up = up_index(transfer.target.rig)
     lift = Floor.lift(floor, transfer.scale, up)
@@ -136,39 +141,41 @@ def place_hands(
     count = len(hips)
     starts = [hips + arm.joints[:, 0] for arm in tracks]
     goals = [wrist.copy() for wrist in wrists]
-    held = [np.zeros(count, np.bool_) for _ in tracks]
+    active = [np.zeros(count, np.bool_) for _ in tracks]
     if len(tracks) == 2:
-        apart = tracks[0].source - tracks[1].source
-        both = _together(apart, min(lengths), fps)
+        separation = tracks[0].source - tracks[1].source
+        both = _together(separation, min(lengths), fps)
         middle = (wrists[0] + wrists[1]) / 2
-        pair = [middle + half * float(np.mean(scales)) * apart for half in (0.5, -0.5)]
+        pair = [
+            middle + half * float(np.mean(scales)) * separation for half in (0.5, -0.5)
+        ]
         reaches = [REACH * _length(transfer.target, side) for side in sides]
         for k, goal in enumerate(_within_reach(pair, starts, reaches)):
             goals[k][both] = goal[both]
-            held[k] |= both
-    made = []
+            active[k] |= both
+    contacts = []
     for k, side in enumerate(sides):
         source, length, level = tracks[k].source, lengths[k], None
         carrying, holds = np.zeros(count, np.bool_), set()
         for prop in props:
-            with_it = prop.held_by(source, length, fps) & ~carrying
+            with_it = prop.gripped_by(source, length, fps) & ~carrying
             if not with_it.any():
                 continue
-            grip = so3.rotate(prop.turns, prop.seen(source))
-            place = transfer.scale * prop.places + lift
-            goals[k][with_it] = (place + grip)[with_it]
-            held[k] |= with_it
+            grip = so3.rotate(prop.rotations, prop.in_prop_frame(source))
+            origin = transfer.scale * prop.positions + lift
+            goals[k][with_it] = (origin + grip)[with_it]
+            active[k] |= with_it
             carrying |= with_it
             holds.add(prop.track)
         if floor is not None:
             high = source[:, up] - floor.source
             level = floor.target + transfer.scale * np.minimum(high, LOW / 2 * length)
             slow = find_contacts(source, None, fps, length, up).ankle & ~carrying
-            for start, end in runs(slow & (high < LOW * length) & ~held[k]):
+            for start, end in runs(slow & (high < LOW * length) & ~active[k]):
                 goals[k][start:end] = wrists[k][start:end].mean(axis=0)
                 goals[k][start:end, up] = float(level[start:end].mean())
-                held[k][start:end] = True
-        known = held[k].copy()
+                active[k][start:end] = True
+        known = active[k].copy()
         if level is not None:
             above, soft = wrists[k][:, up] - level, SOFT * length * transfer.scale
             low = ~known & (above < soft)
@@ -177,12 +184,12 @@ def place_hands(
         bends = _bends(
             transfer.target, side, tracks[k], starts[k], goals[k], known, fps
         )
-        made.append(HeldHand(side, goals[k], held[k], bends, frozenset(holds)))
-    return made
+        contacts.append(HandContact(side, goals[k], active[k], bends, frozenset(holds)))
+    return contacts
 
 
 def _bends(
-    target: Person,
+    target: RoledSkeleton,
     side: str,
     tracks: ArmTracks,
     start: FloatArray,
@@ -190,34 +197,34 @@ def _bends(
     known: BoolArray,
     fps: float,
 ) -> FloatArray:
-    """Return turns of both bones of an arm that bring its hand there ``(F, 2, 3)``.
+    """Return rotations of both arm bones that bring the hand to its goal ``(F, 2, 3)``.
 
-    In frames that are known; they fade in and out about them. Turns do so, and not
-    places: a straight arm is bent far by what moves its hand but a little.
+    They are solved in known frames and fade around them. Rotations fade, not positions:
+    a nearly straight arm bends a lot for a small motion of its hand.
     """
-    found = np.zeros((len(known), 2, 3))
+    bends = np.zeros((len(known), 2, 3))
     arm, frames = arm_of(target, side), np.flatnonzero(known)
     if arm is None or not len(frames):
-        return found
+        return bends
     joints = start[frames, None] + (tracks.joints - tracks.joints[:, :1])[frames]
-    both = tracks.turns[frames, 0], tracks.turns[frames, 1]
+    both = tracks.rotations[frames, 0], tracks.rotations[frames, 1]
     hinge = hinge_of(target, arm)
-    made = put_end(target, arm, joints, goal[frames], both, hinge)
+    bent = limb_rotations(target, arm, joints, goal[frames], both, hinge)
     for k in (0, 1):
-        found[frames, k] = so3.log(so3.multiply(made[k], so3.conjugate(both[k])))
-    flat = found.reshape(len(found), 6)
+        bends[frames, k] = so3.log(so3.multiply(bent[k], so3.conjugate(both[k])))
+    flat = bends.reshape(len(bends), 6)
     between(flat, known, fps, FADE)
-    return flat.reshape(found.shape)
+    return flat.reshape(bends.shape)
 
 
 def _bent(tracks: ArmTracks, bends: FloatArray) -> FloatArray:
-    """Return where turned arms bring the wrist, from the shoulder ``(F, 3)`` [m]."""
+    """Return the wrist relative to the shoulder for bent arms ``(F, 3)`` [m]."""
     bones = np.diff(tracks.joints, axis=1)
     return np.asarray(so3.rotate(so3.exp(bends), bones).sum(axis=1))
 
 
 def _softened(above: FloatArray, soft: float) -> FloatArray:
-    """Return heights above the ground that is reached softly: 0 from ``-soft`` down."""
+    """Return heights above ground, softened to 0 at ``-soft`` and below."""
     return np.asarray(np.clip(above + soft, 0.0, None) ** 2 / (4 * soft))
 
 
@@ -226,54 +233,54 @@ def _within_reach(
     starts: Sequence[FloatArray],
     reaches: Sequence[float],
 ) -> list[FloatArray]:
-    """Return goals of both hands brought so near that both arms reach, as one.
+    """Return the goals of both hands, shifted together until both arms reach.
 
     Args:
         goals: Of each wrist ``(F, 3)`` [m].
         starts: Where each arm begins ``(F, 3)`` [m].
         reaches: How far each arm reaches [m].
     """
-    made = list(goals)
+    goals_in_reach = list(goals)
     for _ in range(NEARER):
-        beyond = np.zeros_like(made[0])
-        for goal, start, reach in zip(made, starts, reaches, strict=True):
-            way = goal - start
-            size = np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
-            beyond += way * np.maximum(1 - reach / size, 0.0)
+        beyond = np.zeros_like(goals_in_reach[0])
+        for goal, start, reach in zip(goals_in_reach, starts, reaches, strict=True):
+            offset = goal - start
+            size = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)[:, None]
+            beyond += offset * np.maximum(1 - reach / size, 0.0)
         if not beyond.any():
             break
-        made = [goal - beyond for goal in made]
-    return made
+        goals_in_reach = [goal - beyond for goal in goals_in_reach]
+    return goals_in_reach
 
 
-def _together(apart: FloatArray, length: float, fps: float) -> BoolArray:
-    """Return when hands hold each other ``(F,)``: near, and going the same way."""
-    if len(apart) < 3 or length <= 0:
-        return np.zeros(len(apart), np.bool_)
-    smooth = smoothed(apart, SMOOTH * fps)
+def _together(separation: FloatArray, length: float, fps: float) -> BoolArray:
+    """Return when hands hold each other ``(F,)``: near, and moving together."""
+    if len(separation) < 3 or length <= 0:
+        return np.zeros(len(separation), np.bool_)
+    smooth = smoothed(separation, SMOOTH * fps)
     speed = np.linalg.norm(np.gradient(smooth, axis=0), axis=1) * fps
-    near = np.linalg.norm(apart, axis=1) < NEAR * length
+    near = np.linalg.norm(separation, axis=1) < NEAR * length
     return without_short(near & (speed < TOGETHER * length), fps)
 
 
-def _length(person: Person, side: str) -> float:
-    """Return the length of upper arm and forearm at rest [m]."""
-    arm = arm_of(person, side)
+def _length(skeleton: RoledSkeleton, side: str) -> float:
+    """Return the rest length of upper arm plus forearm [m]."""
+    arm = arm_of(skeleton, side)
     if arm is None:
         return 0.0
-    bones = np.diff(person.positions[arm], axis=0)
+    bones = np.diff(skeleton.positions[arm], axis=0)
     return float(np.linalg.norm(bones, axis=1).sum())
 
 
-def hinge_of(person: Person, arm: Sequence[int]) -> FloatArray:
-    """Return what an elbow turns about, its arm straight, in its own frame ``(3,)``.
+def hinge_of(skeleton: RoledSkeleton, arm: Sequence[int]) -> FloatArray:
+    """Return an elbow's hinge axis for a straight arm, in the elbow's frame ``(3,)``.
 
-    Across the upper arm, and as level as can be.
+    It is across the upper arm and as level as possible.
     """
-    bone = person.bone(arm[0])
-    facing = person.facing
+    bone = skeleton.bone(arm[0])
+    facing = skeleton.facing
     up = np.array([0.0, 1.0, 0.0]) if facing is None else facing[1]
     axis = np.cross(up, np.array([1.0, 0.0, 0.0]) if bone is None else bone)
     size = float(np.linalg.norm(axis))
     axis = axis / size if size > 0 else np.array([0.0, 0.0, 1.0])
-    return so3.rotate(so3.conjugate(person.turns[arm[1]]), axis)
+    return so3.rotate(so3.conjugate(skeleton.rotations[arm[1]]), axis)

@@ -1,4 +1,4 @@
-"""Legs of a skeleton that follow another's: how they stand, and where they are put."""
+"""Legs of a retargeted skeleton: stance, foot placement and ankle goals."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.contacts import find_contacts
-from animtool.retarget.balls import ball_places
+from animtool.retarget.balls import ball_positions
 from animtool.retarget.feet import Foot, bend_at_pin, bend_limb
-from animtool.retarget.person import Person
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.standing import STANDS
 from animtool.retarget.transfer import Transfer
 from animtool.rig.limits import RangeLimit, swing_twist
@@ -22,17 +22,17 @@ from animtool.rig.skeleton import JointType, Rig
 
 @dataclass(frozen=True, slots=True)
 class LegTracks:
-    """Where a leg of the target goes with the hips, and one of the source goes.
+    """Motion of a target leg relative to the hips, and of the source's leg.
 
-    Of all frames: what decides where feet stand.
+    All frames: they decide where feet are planted.
     """
 
     hip: FloatArray  # of the target, about the middle of its hips (F, 3) [m]
     ankle: FloatArray  # (F, 3) [m]
     toe: FloatArray  # its ball (F, 3) [m]; the ankle where none is known
     knee: FloatArray  # (F, 3) [m]
-    # In the world: of what is above the thigh, of thigh, shin and foot (F, 4, 4).
-    turns: FloatArray
+    # World rotations of the thigh's parent, thigh, shin and foot (F, 4, 4).
+    rotations: FloatArray
     source: FloatArray  # hip, ankle and toe of the source, in the target's axes (F, 9)
 
     @staticmethod
@@ -41,17 +41,17 @@ class LegTracks:
         side: str,
         source: FloatArray,
         ball: FloatArray,
-        turns: FloatArray,
+        rotations: FloatArray,
         about: FloatArray,
     ) -> LegTracks:
-        """Return those of some frames.
+        """Return the leg tracks of a block of frames.
 
         Args:
             transfer: How the target follows.
             side: Of the leg.
             source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
             ball: That of its foot, or its ankle, in these axes ``(F, 3)`` [m].
-            turns: Of the target in the world ``(F, K, 4)``.
+            rotations: World rotations of the target ``(F, K, 4)``.
             about: Joints of the target about the middle of its hips ``(F, K, 3)`` [m].
         """
         target = transfer.target
@@ -62,69 +62,71 @@ class LegTracks:
         return LegTracks(
             about[:, thigh],
             about[:, foot],
-            ball_of_foot(target, side, about, turns),
+            ball_of_foot(target, side, about, rotations),
             about[:, shin],
-            turns[:, [max(above, 0), thigh, shin, foot]],
+            rotations[:, [max(above, 0), thigh, shin, foot]],
             ends.reshape(len(ends), 9),
         )
 
     def foot(self, transfer: Transfer, side: str, fps: float) -> Foot:
-        """Return the foot of the target, and when that of the source stands."""
-        own = leg_of(transfer.target, side)
+        """Return the target's foot, with the contacts of the source's foot."""
+        leg = leg_of(transfer.target, side)
         up = up_index(transfer.target.rig)
         hip, ankle, toe = self.source[:, :3], self.source[:, 3:6], self.source[:, 6:]
         length = transfer.source.leg_length(side)
         tip = toe if side in transfer.source.balls else None
         contacts = find_contacts(ankle, tip, fps, length, up)
         reach = np.linalg.norm(ankle - hip, axis=1)
-        share = reach / length if length > 0 else np.ones(len(reach))
-        shortest, longest = _reach(transfer.target, own)
+        straight = reach / length if length > 0 else np.ones(len(reach))
+        shortest, longest = _reach(transfer.target, leg)
         return Foot(
             contacts,
             self.hip,
             self.ankle,
             self.toe if side in transfer.target.balls else None,
-            self.turns[:, 3],
-            None if transfer.alike else _level(transfer, own[2]),
+            self.rotations[:, 3],
+            None if transfer.similar_legs else _level(transfer, leg[2]),
             _standing(transfer, side, contacts.ground, up),
             longest,
             shortest,
             transfer.scale * (ankle[:, up] - contacts.ground),
-            np.minimum(share, 1.0),
+            np.minimum(straight, 1.0),
         )
 
 
 def up_index(rig: Rig) -> int:
-    """Return which component points up."""
+    """Return the index of the up axis."""
     return 1 if rig.up is UpAxis.Y else 2
 
 
-def leg_of(person: Person, side: str) -> tuple[int, int, int, int]:
-    """Return thigh, shin, foot and toe (-1 for none) of a leg that there is."""
-    leg = person.leg(side)
+def leg_of(skeleton: RoledSkeleton, side: str) -> tuple[int, int, int, int]:
+    """Return thigh, shin, foot and toe (-1 for none) of an existing leg."""
+    leg = skeleton.leg(side)
     assert leg is not None
     return leg
 
 
 def ball_of_foot(
-    person: Person, side: str, positions: FloatArray, turns: FloatArray
+    skeleton: RoledSkeleton, side: str, positions: FloatArray, rotations: FloatArray
 ) -> FloatArray:
-    """Return where the ball of a foot is, or its ankle ``(F, 3)`` [m].
+    """Return the ball's position, or the ankle's if unknown ``(F, 3)`` [m].
 
     Args:
-        person: Whose foot it is.
+        skeleton: The skeleton.
         side: Of the foot.
         positions: Of all joints ``(F, J, 3)`` [m].
-        turns: Of all joints in the world ``(F, J, 4)``.
+        rotations: Of all joints in the world ``(F, J, 4)``.
     """
-    foot, ball = leg_of(person, side)[2], person.balls.get(side)
+    foot, ball = leg_of(skeleton, side)[2], skeleton.balls.get(side)
     if ball is None:
         return positions[:, foot]
-    return ball_places(ball, foot, positions, turns)
+    return ball_positions(ball, foot, positions, rotations)
 
 
-def _reach(target: Person, leg: tuple[int, int, int, int]) -> tuple[float, float]:
-    """Return how near and how far an ankle can be [m]: a pin may have limits."""
+def _reach(
+    target: RoledSkeleton, leg: tuple[int, int, int, int]
+) -> tuple[float, float]:
+    """Return the least and largest hip-ankle distance [m]; pins may have limits."""
     rig, (_, shin, foot, _) = target.rig, leg
     joint, rest = rig.joints[shin], rig.rest_rotations[shin]
     upper, lower = rig.rest_translations[shin], rig.rest_translations[foot]
@@ -142,33 +144,33 @@ def _reach(target: Person, leg: tuple[int, int, int, int]) -> tuple[float, float
     )
     turning = most + np.pi * np.arange(-4, 5)
     angles = np.append(turning[(turning > low) & (turning < high)], [low, high])
-    turns = so3.from_axis_angle(pin, angles)
-    tips = upper + so3.rotate(so3.multiply(rest, turns), lower)
+    rotations = so3.from_axis_angle(pin, angles)
+    tips = upper + so3.rotate(so3.multiply(rest, rotations), lower)
     reach = np.linalg.norm(tips, axis=1)
     return float(reach.min()), float(reach.max())
 
 
 def _level(transfer: Transfer, foot: int) -> FloatArray:
-    """Return how a foot is turned where it stands at rest ``(4,)``.
+    """Return the rotation of a foot planted flat at rest ``(4,)``.
 
-    A source that lies at rest says nothing of it.
+    A source that lies at rest does not define it.
     """
     target = transfer.target
     facing, up = target.facing, up_index(target.rig)
     if facing is None or facing[1, up] < STANDS:
         return np.asarray(transfer.aligned[foot])
-    return np.asarray(target.turns[foot])
+    return np.asarray(target.rotations[foot])
 
 
 def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:
-    """Return how high an ankle stands above the ground [m]."""
+    """Return the height of a planted ankle above the ground [m]."""
     target, source = transfer.target, transfer.source
-    own = leg_of(target, side)
-    if transfer.alike:
+    leg = leg_of(target, side)
+    if transfer.similar_legs:
         return transfer.scale * ground
     low = float(target.positions[:, up].min())
-    ankle = float(target.positions[own[2], up])
-    # A rig that stands on the ground at rest says how high its ankles are.
+    ankle = float(target.positions[leg[2], up])
+    # A rig standing on the ground at rest gives the height of its ankles.
     if abs(low) < 0.1 * target.leg_length(side):
         return ankle
     balls = target.balls.get(side), source.balls.get(side)
@@ -178,91 +180,93 @@ def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:
     return ground * (feet[0] / feet[1] if feet[1] > 0 else transfer.scale)
 
 
-def put_ankle(
-    target: Person,
+def ankle_rotations(
+    target: RoledSkeleton,
     side: str,
     joints: FloatArray,
     goal: FloatArray,
-    turns: tuple[FloatArray, FloatArray],
+    rotations: tuple[FloatArray, FloatArray],
     swivel: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns of thigh and shin in the world that bring the ankle to its goal.
+    """Return world rotations of thigh and shin that bring the ankle to its goal.
 
     Args:
-        target: Whose leg it is.
+        target: The skeleton.
         side: Of the leg.
         joints: Where thigh, shin and foot begin ``(F, 3, 3)`` [m].
         goal: Of the ankle ``(F, 3)`` [m].
-        turns: Of thigh and shin in the world as they are ``(F, 4)``.
-        swivel: How far the knee then goes round the line from hip to ankle ``(F,)``
+        rotations: Current world rotations of thigh and shin ``(F, 4)``.
+        swivel: Rotation of the knee about the line from hip to ankle ``(F,)``
             [rad].
     """
     leg = leg_of(target, side)[:3]
-    made = put_end(target, leg, joints, goal, turns, _hinge(target, leg[1]))
-    return made if swivel is None else swivelled(made, goal - joints[:, 0], swivel)
+    pair = limb_rotations(target, leg, joints, goal, rotations, _hinge(target, leg[1]))
+    return pair if swivel is None else swivelled(pair, goal - joints[:, 0], swivel)
 
 
-def put_end(
-    target: Person,
+def limb_rotations(
+    target: RoledSkeleton,
     limb: Sequence[int],
     joints: FloatArray,
     goal: FloatArray,
-    turns: tuple[FloatArray, FloatArray],
+    rotations: tuple[FloatArray, FloatArray],
     hinge: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns of both bones of a limb that bring its end to a goal, in the world.
+    """Return world rotations of a limb's two bones that bring its end to a goal.
 
     Args:
-        target: Whose limb it is.
+        target: The skeleton.
         limb: Its joints: the first, the middle one and its end.
         joints: Where these are ``(F, 3, 3)`` [m].
         goal: Of the end ``(F, 3)`` [m].
-        turns: Of both bones in the world as they are ``(F, 4)``.
+        rotations: Current world rotations of both bones ``(F, 4)``.
         hinge: What the middle joint turns about where the limb is straight, in its own
             frame ``(3,)``.
     """
     if target.rig.joints[limb[1]].type is JointType.PIN:
-        return _bent_pin(target, limb, joints[:, 0], goal, turns)
+        return _bent_pin(target, limb, joints[:, 0], goal, rotations)
     ends = joints[:, 1], joints[:, 2]
-    return bend_limb(joints[:, 0], ends, goal, turns, so3.rotate(turns[1], hinge))
+    return bend_limb(
+        joints[:, 0], ends, goal, rotations, so3.rotate(rotations[1], hinge)
+    )
 
 
 def swivelled(
-    turns: tuple[FloatArray, FloatArray], way: FloatArray, angle: FloatArray
+    rotations: tuple[FloatArray, FloatArray], line: FloatArray, angle: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns of thigh and shin that go round a way ``(F, 3)`` by an angle."""
-    axis = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
-    turn = so3.from_axis_angle(axis, angle)
-    return so3.multiply(turn, turns[0]), so3.multiply(turn, turns[1])
+    """Return thigh and shin rotations swivelled about a line ``(F, 3)`` by an angle."""
+    axis = line / np.maximum(np.linalg.norm(line, axis=1), 1e-12)[:, None]
+    rotation = so3.from_axis_angle(axis, angle)
+    return so3.multiply(rotation, rotations[0]), so3.multiply(rotation, rotations[1])
 
 
 def _bent_pin(
-    target: Person,
+    target: RoledSkeleton,
     limb: Sequence[int],
     start: FloatArray,
     goal: FloatArray,
-    turns: tuple[FloatArray, FloatArray],
+    rotations: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns of both bones in the world, of a limb that bends at a pin."""
+    """Return world rotations of both bones of a limb whose middle joint is a pin."""
     rig, (_, middle, end) = target.rig, limb
     joint, rest = rig.joints[middle], rig.rest_rotations[middle]
-    own = so3.multiply(so3.conjugate(turns[0]), turns[1])
+    local = so3.multiply(so3.conjugate(rotations[0]), rotations[1])
     pin = np.array(joint.axis, np.float64)
-    angle = swing_twist(so3.multiply(so3.conjugate(rest), own), joint.axis)[1]
-    bones = rig.rest_translations[middle], so3.rotate(rest, target.way(middle, end))
+    angle = swing_twist(so3.multiply(so3.conjugate(rest), local), joint.axis)[1]
+    bones = rig.rest_translations[middle], so3.rotate(rest, target.offset(middle, end))
     limits = joint.limits if isinstance(joint.limits, RangeLimit) else None
     upper, bent = bend_at_pin(
-        start, goal, turns[0], bones, so3.rotate(rest, pin), angle, limits
+        start, goal, rotations[0], bones, so3.rotate(rest, pin), angle, limits
     )
     lower = so3.multiply(upper, so3.multiply(rest, so3.from_axis_angle(pin, bent)))
     return upper, lower
 
 
-def _hinge(target: Person, shin: int) -> FloatArray:
-    """Return what a knee turns about, in its own frame ``(3,)``."""
+def _hinge(target: RoledSkeleton, shin: int) -> FloatArray:
+    """Return a knee's hinge axis in the knee's frame ``(3,)``."""
     joint = target.rig.joints[shin]
     if joint.type is JointType.PIN:
         return np.array(joint.axis, np.float64)
     facing = target.facing
     left = np.eye(3)[0] if facing is None else facing[0]
-    return so3.rotate(so3.conjugate(target.turns[shin]), left)
+    return so3.rotate(so3.conjugate(target.rotations[shin]), left)

@@ -1,6 +1,6 @@
-"""Legs that limits stop: knees go round, and hips rise, so that feet stand even so.
+"""Legs at joint limits: knees swivel and hips rise so that planted feet stay in place.
 
-Where that is not enough, feet are where limits let them be.
+Where that is not enough, feet move to where the limits allow.
 """
 
 from __future__ import annotations
@@ -16,77 +16,79 @@ from animtool.motion.contacts import smoothed
 from animtool.retarget.feet import Placed, upper
 from animtool.retarget.legs import (
     LegTracks,
+    ankle_rotations,
     leg_of,
-    put_ankle,
     swivelled,
     up_index,
 )
-from animtool.retarget.person import Person
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.limits import BallLimit
 
-# How far knees may go round: what is tried, and then about the best of it [rad].
+# Knee swivels: a coarse grid, then a fine one about the best [rad].
 SWIVELS = np.radians(np.arange(-60.0, 60.1, 15.0))
 NEARBY = np.radians([-10.0, -5.0, 0.0, 5.0, 10.0])
-# What going round costs, over what limits take from a joint.
+# Cost of swivelling, over that of a limit violation.
 SWIVEL_COST = 0.05
-# Knees go round, and hips rise, within about these times [s].
+# Smoothing times of knee swivel and hip rise [s].
 SWIVEL_TIME, RISE_TIME = 0.1, 0.2
-# How often hips rise at most, and how deep feet may stay, over the skeleton's size.
+# Most hip iterations, and the tolerated foot depth over the skeleton's size.
 RISES, SUNK = 3, 5e-4
 
 
 @dataclass(frozen=True, slots=True)
 class _Leg:
-    """A leg whose foot is placed, at all frames."""
+    """A leg with a placed foot, in all frames."""
 
-    target: Person
+    target: RoledSkeleton
     side: str
     tracks: LegTracks
     goal: FloatArray  # of the ankle (F, 3) [m]
-    foot: FloatArray  # turns of the foot in the world (F, 4)
+    foot: FloatArray  # world rotations of the foot (F, 4)
     stands: BoolArray  # (F,)
 
-    def turns(self, hips: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return turns of thigh and shin that bring the ankle to its goal."""
+    def rotations(self, hips: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return rotations of thigh and shin that bring the ankle to its goal."""
         tracks = self.tracks
         about = np.stack([tracks.hip, tracks.knee, tracks.ankle], axis=1)
-        both = tracks.turns[:, 1], tracks.turns[:, 2]
-        return put_ankle(self.target, self.side, hips[:, None] + about, self.goal, both)
+        both = tracks.rotations[:, 1], tracks.rotations[:, 2]
+        return ankle_rotations(
+            self.target, self.side, hips[:, None] + about, self.goal, both
+        )
 
     def swivel(self, hips: FloatArray, fps: float) -> FloatArray:
-        """Return how far the knee goes round for the limits of its leg ``(F,)`` [rad].
+        """Return the knee swivel that respects the leg's limits ``(F,)`` [rad].
 
-        The least that does, or the best where none is enough.
+        The smallest sufficient one, or the best if none is sufficient.
         """
-        found = np.zeros(len(hips))
-        turns, way = self.turns(hips), self.goal - hips - self.tracks.hip
+        swivel = np.zeros(len(hips))
+        rotations, axis = self.rotations(hips), self.goal - hips - self.tracks.hip
         every = np.arange(len(hips))
-        off = np.flatnonzero(self._excess(turns, way, every, found) > 0)
+        off = np.flatnonzero(self._excess(rotations, axis, every, swivel) > 0)
         if not len(off):
-            return found
+            return swivel
         best = np.zeros(len(off))
         for steps in (SWIVELS, NEARBY):
             tried = best + steps[:, None]
             costs = [
-                self._excess(turns, way, off, angles) + (SWIVEL_COST * angles) ** 2
+                self._excess(rotations, axis, off, angles) + (SWIVEL_COST * angles) ** 2
                 for angles in tried
             ]
             best = tried[np.argmin(costs, axis=0), np.arange(len(off))]
-        found[off] = best
-        return smoothed(found, SWIVEL_TIME * fps)
+        swivel[off] = best
+        return smoothed(swivel, SWIVEL_TIME * fps)
 
     def _excess(
         self,
-        turns: tuple[FloatArray, FloatArray],
-        way: FloatArray,
+        rotations: tuple[FloatArray, FloatArray],
+        axis: FloatArray,
         frames: IntArray,
         angles: FloatArray,
     ) -> FloatArray:
-        """Return the squares of what limits take from hip and ankle [rad²]."""
+        """Return the squared limit violations of hip and ankle [rad²]."""
         rig, (thigh, _, foot, _) = self.target.rig, leg_of(self.target, self.side)
-        both = turns[0][frames], turns[1][frames]
-        first, second = swivelled(both, way[frames], angles)
-        above = so3.conjugate(self.tracks.turns[frames, 0])
+        both = rotations[0][frames], rotations[1][frames]
+        first, second = swivelled(both, axis[frames], angles)
+        above = so3.conjugate(self.tracks.rotations[frames, 0])
         total = np.zeros(len(frames))
         for joint, local in (
             (thigh, so3.multiply(above, first)),
@@ -99,23 +101,23 @@ class _Leg:
         return total
 
     def sunk(self, hips: FloatArray, swivel: FloatArray) -> FloatArray:
-        """Return how far below its goal the ankle is for the hip's limits ``(F,)`` [m].
+        """Return how far hip limits put a planted ankle below its goal ``(F,)`` [m].
 
-        Where the foot stands, and 0 elsewhere.
+        It is 0 while the foot is in the air.
         """
         rig, (thigh, shin, foot, _) = self.target.rig, leg_of(self.target, self.side)
         limit = rig.joints[thigh].limits
         if not isinstance(limit, BallLimit):
             return np.zeros(len(hips))
         start = hips + self.tracks.hip
-        first, second = swivelled(self.turns(hips), self.goal - start, swivel)
-        above, rest = self.tracks.turns[:, 0], rig.rest_rotations[thigh]
-        own = so3.multiply(so3.conjugate(so3.multiply(above, rest)), first)
-        held = so3.multiply(above, so3.multiply(rest, limit.clamped(own)))
+        first, second = swivelled(self.rotations(hips), self.goal - start, swivel)
+        above, rest = self.tracks.rotations[:, 0], rig.rest_rotations[thigh]
+        local = so3.multiply(so3.conjugate(so3.multiply(above, rest)), first)
+        clamped = so3.multiply(above, so3.multiply(rest, limit.clamped(local)))
         # The knee is as bent as it was.
-        second = so3.multiply(held, so3.multiply(so3.conjugate(first), second))
+        second = so3.multiply(clamped, so3.multiply(so3.conjugate(first), second))
         bones = rig.rest_translations
-        knee = start + so3.rotate(held, bones[shin])
+        knee = start + so3.rotate(clamped, bones[shin])
         ankle = knee + so3.rotate(second, bones[foot])
         up = up_index(rig)
         low = np.maximum(self.goal[:, up] - ankle[:, up], 0.0)
@@ -123,21 +125,25 @@ class _Leg:
 
 
 def within_limits(
-    target: Person, sides: str, tracks: Sequence[LegTracks], placed: Placed, fps: float
+    target: RoledSkeleton,
+    sides: str,
+    tracks: Sequence[LegTracks],
+    placed: Placed,
+    fps: float,
 ) -> tuple[FloatArray, list[FloatArray]]:
-    """Return where hips are ``(F, 3)`` [m], and how far knees go round [rad].
+    """Return hip positions ``(F, 3)`` [m] and knee swivels [rad] within joint limits.
 
     Args:
-        target: Whose legs they are.
+        target: The skeleton.
         sides: Of the legs.
         tracks: Of each leg.
-        placed: Where hips and feet are to be.
+        placed: Goals of hips and feet.
         fps: Frames a second.
     """
     legs = [
         _Leg(target, *parts)
         for parts in zip(
-            sides, tracks, placed.ankles, placed.turns, placed.locked, strict=True
+            sides, tracks, placed.ankles, placed.rotations, placed.locked, strict=True
         )
     ]
     hips = placed.hips.copy()

@@ -1,4 +1,4 @@
-"""A map from the joints of one skeleton to those of another, and its text."""
+"""The map from source joints to target joints, and its text."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ WIDTH = 88
 
 @dataclass(frozen=True, slots=True)
 class JointPair:
-    """A joint of the source and the joint of the target that it moves."""
+    """A source joint and the target joint that follows it."""
 
     source: int  # index of the joint
     target: int  # index of the joint
-    role: str  # of `ROLES`; empty where a file or a name alone pairs them
-    found: RoleSource  # the less sure of the two
+    role: str  # of `ROLES`; empty if a file or a name alone pairs them
+    evidence: RoleSource  # the weaker of the two
     confidence: float  # 0 to 1
 
 
 @dataclass(frozen=True, slots=True)
 class JointChain:
-    """Joints of a role on both sides, where either has several.
+    """Joints of one role on both sides, where either side has several.
 
-    Where a joint begins is its distance from the first one along the chain, as a share
-    of the chain's length with its last bone: 0 for the first.
+    The start of a joint is its distance along the chain over the length of the chain
+    with its last bone: 0 for the first.
     """
 
     role: str
@@ -41,21 +41,21 @@ class JointChain:
 
 
 @dataclass(frozen=True, slots=True)
-class TwistShare:
-    """A joint of the target that takes a share of a bone's twist."""
+class TwistFraction:
+    """A target joint that takes a fraction of a bone's twist."""
 
     joint: int  # index in the target
     bone: int  # index in the target of the joint whose bone is twisted
-    share: float  # of the twist from the bone's begin (0) to its end (1)
+    fraction: float  # of the twist from the bone's begin (0) to its end (1)
 
 
 @dataclass(frozen=True, slots=True)
 class JointMap:
-    """Which joints of a target follow which of a source."""
+    """Which target joints follow which source joints."""
 
     pairs: tuple[JointPair, ...]  # in the order of the target's joints
     chains: tuple[JointChain, ...]
-    twists: tuple[TwistShare, ...]
+    twists: tuple[TwistFraction, ...]
     unmapped_source: tuple[int, ...]  # joints that move nothing
     unmapped_target: tuple[int, ...]  # joints that stay at rest
     source: Anatomy
@@ -63,28 +63,28 @@ class JointMap:
     notices: tuple[Fault, ...] = ()
 
     def by_role(self, role: str) -> JointPair | None:
-        """Return the first pair of a role; None where it is not mapped."""
+        """Return the first pair of a role; None if it is not mapped."""
         return next((pair for pair in self.pairs if pair.role == role), None)
 
 
-def map_text(found: JointMap, source: Rig, target: Rig) -> str:
-    """Return a map as the text of a map file, to be edited.
+def map_text(joint_map: JointMap, source: Rig, target: Rig) -> str:
+    """Return a map as the text of a map file that users can edit.
 
-    Read again for the same skeletons, it gives the same pairs, chains and twists.
+    Loaded for the same skeletons, it gives the same pairs, chains and twists.
     """
-    return "\n".join(_lines(found, source, target)) + "\n"
+    return "\n".join(_lines(joint_map, source, target)) + "\n"
 
 
-def _lines(found: JointMap, source: Rig, target: Rig) -> Iterator[str]:
+def _lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     ours, theirs = source.names, target.names
     yield f"# {text(source.name)} onto {text(target.name)}"
     yield "map: animtool/1"
-    # Who edits it finds the key, and what it may be.
+    # Shown so that users find the key and its values.
     yield "others: none  # auto maps joints that are not named here, as without a file"
     yield "joints:"
-    chained = {j for chain in found.chains for j in chain.target}
-    chains = {chain.target[0]: chain for chain in found.chains}
-    for pair in found.pairs:
+    chained = {j for chain in joint_map.chains for j in chain.target}
+    chains = {chain.target[0]: chain for chain in joint_map.chains}
+    for pair in joint_map.pairs:
         if pair.target in chains:
             chain = chains[pair.target]
             left = _flow([ours[j] for j in chain.source])
@@ -94,18 +94,18 @@ def _lines(found: JointMap, source: Rig, target: Rig) -> Iterator[str]:
         else:
             left, right = text(ours[pair.source]), text(theirs[pair.target])
         role = f", role: {pair.role}" if pair.role else ""
-        sure = f"  # {pair.found or 'unsure'}, {pair.confidence:.0%} sure"
+        sure = f"  # {pair.evidence or 'unsure'}, {pair.confidence:.0%} sure"
         comment = sure if pair.confidence < 1.0 else ""
         yield f"- {{source: {left}, target: {right}{role}}}{comment}"
-    if found.twists:
+    if joint_map.twists:
         yield "twists:"
-    for twist in found.twists:
+    for twist in joint_map.twists:
         joint, bone = text(theirs[twist.joint]), text(theirs[twist.bone])
-        share = number(round(twist.share, 6))
-        yield f"- {{joint: {joint}, bone: {bone}, share: {share}}}"
+        fraction = number(round(twist.fraction, 6))
+        yield f"- {{joint: {joint}, bone: {bone}, share: {fraction}}}"
     unmapped = {
-        "source": [ours[j] for j in found.unmapped_source],
-        "target": [theirs[j] for j in found.unmapped_target],
+        "source": [ours[j] for j in joint_map.unmapped_source],
+        "target": [theirs[j] for j in joint_map.unmapped_target],
     }
     if any(unmapped.values()):
         yield "ignored:"
@@ -115,7 +115,7 @@ def _lines(found: JointMap, source: Rig, target: Rig) -> Iterator[str]:
 
 
 def _wrapped(head: str, names: Sequence[str]) -> Iterator[str]:
-    """Yield the lines of a list of names, none broken."""
+    """Yield the wrapped lines of a list of names."""
     line = head
     for i, name in enumerate(names):
         last = i == len(names) - 1

@@ -1,4 +1,4 @@
-"""What the names of joints say: their side, and the role that conventions give them."""
+"""Joint names: side, and role by naming convention."""
 
 from __future__ import annotations
 
@@ -48,19 +48,19 @@ _CONTROLS = {
     *("ik", "fk", "pole", "ctrl", "control", "ctl", "target", "helper", "prop"),
     *("props", "mch", "drv", "corrective", "share", "weapon", "gun", "camera"),
 }
-# A prefix is common from this share of the names on.
+# Least fraction of names that share a common prefix.
 _SHARED = 0.6
 # Names of a convention that a skeleton must have to be of it.
 _MIN_NAMES = 6
-# The entry of the presets that is none: words of many conventions.
+# The presets' entry for words that many conventions have.
 WORDS = "words"
-# What a word weighs that many conventions have, and what it means in any other one.
+# Vote of a word of many conventions, and of a word of another convention.
 _WORD_WEIGHT, _OTHER = 0.8, 0.6
 
 
 @dataclass(frozen=True, slots=True)
 class ReadName:
-    """A joint's name, taken apart."""
+    """A parsed joint name."""
 
     side: str  # ``l``, ``r`` or empty
     key: str  # its words in lower case, without prefix, side and separators
@@ -69,18 +69,18 @@ class ReadName:
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """A convention of names."""
+    """A naming convention."""
 
     name: str
     title: str
     source: str  # where its names were read
-    seen: bool  # whether all names were read there; else some follow from a rule
+    complete: bool  # whether all names are from there; else a rule derives some
     keys: Mapping[str, frozenset[str]]  # roles without sides, by `ReadName.key`
-    joints: Mapping[str, tuple[str, ...]]  # names by role, the usual one first
+    joints: Mapping[str, tuple[str, ...]]  # names by role, the default first
 
     @property
     def texts(self) -> frozenset[str]:
-        """All its names, as they are."""
+        """All its names, unparsed."""
         return frozenset(name for names in self.joints.values() for name in names)
 
 
@@ -94,7 +94,7 @@ def _key(words: Sequence[str]) -> str:
 
 
 def _side(words: Sequence[str]) -> tuple[str, list[str]]:
-    """Return the side that a word says, and the other words."""
+    """Return the side that a word states, and the remaining words."""
     for i, word in enumerate(words):
         side = _SIDES.get(word.lower(), "")
         # A letter with a number is a vertebra, unless there is one of the other side.
@@ -105,7 +105,7 @@ def _side(words: Sequence[str]) -> tuple[str, list[str]]:
 
 
 def bare_names(names: Sequence[str]) -> list[str]:
-    """Return names without namespaces and the prefix that most have."""
+    """Return names without namespaces and without their common prefix."""
     bare = [_NAMESPACE.sub("", name) or name for name in names]
     bare = [_PREFIX.sub("", name) for name in bare]
     starts = Counter(
@@ -123,7 +123,7 @@ def bare_names(names: Sequence[str]) -> list[str]:
 
 
 def read_names(names: Sequence[str], parents: IntArray) -> list[ReadName]:
-    """Return the names of J joints taken apart.
+    """Return the parsed names of J joints.
 
     >>> read_names(["a:LeftUpLeg", "a:RightUpLeg"], [-1, -1])[0]
     ReadName(side='l', key='upleg', kind='')
@@ -137,15 +137,15 @@ def read_names(names: Sequence[str], parents: IntArray) -> list[ReadName]:
     read = []
     for j, name in enumerate(bare):
         side, words = _side(_split(name))
-        shorter = _without_letter(name, bare[partner[j]])
+        shorter = _strip_side_letter(name, bare[partner[j]])
         if shorter:
             side, words = "l" if j in left else "r", _split(shorter)
         read.append(ReadName(side, _key(words), _kind(name, words)))
     return read
 
 
-def _without_letter(name: str, other: str) -> str:
-    """Return a name without the letter that tells it from its partner's, or nothing."""
+def _strip_side_letter(name: str, other: str) -> str:
+    """Return a name without the letter that tells it from its partner; or ""."""
     differ = [i for i, (a, b) in enumerate(zip(name, other, strict=False)) if a != b]
     if len(name) != len(other) or len(differ) != 1:
         return ""
@@ -163,7 +163,7 @@ def _kind(name: str, words: Sequence[str]) -> str:
 
 @cache
 def _tables() -> Mapping[str, Preset]:
-    """Return the shipped conventions, and what many have, as `WORDS`, by name."""
+    """Return the shipped conventions and the common words (`WORDS`), by name."""
     raw: dict[str, Any] = yaml.load(_FILE.read_text("utf-8"), yaml.CSafeLoader)
     return {name: _preset(name, entry) for name, entry in raw.items()}
 
@@ -197,19 +197,19 @@ def _preset(name: str, entry: dict[str, Any]) -> Preset:
 
 
 def _with_fingers(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the joints of a convention, names of digits put into those of fingers."""
+    """Return a convention's joints, with digit names expanded into finger joints."""
     words, joints = entry.get("digits", ()), dict(entry["joints"])
     digit, metacarpal = joints.pop("digit", ()), joints.pop("digit_0", None)
     for role, word in zip(DIGITS[len(DIGITS) - len(words) :], words, strict=True):
         joints[role] = [name.replace("{d}", word) for name in digit]
-        # A thumb has none: what would be its metacarpal is its first joint.
+        # A thumb has none: its metacarpal is its first joint.
         if metacarpal is not None and role != DIGITS[0]:
             joints[f"{role}_0"] = metacarpal.replace("{d}", word)
     return joints
 
 
 def _templates(joints: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield roles without sides, and the texts of names of each."""
+    """Yield roles without sides, and the name templates of each."""
     for role, value in joints.items():
         entries = value if isinstance(value, list) else [value]
         for i, entry in enumerate(entries):
@@ -222,7 +222,7 @@ def find_preset(name: str) -> Preset:
     """Return a shipped convention.
 
     Raises:
-        OptionError: There is none of that name (MAP003).
+        OptionError: Unknown preset (MAP003).
     """
     table = presets()
     if name not in table:
@@ -232,7 +232,7 @@ def find_preset(name: str) -> Preset:
 
 
 def best_preset(names: Sequence[str], read: Sequence[ReadName]) -> Preset | None:
-    """Return the convention that most names are of; None where few are of any."""
+    """Return the convention that matches most names; None if too few match any."""
     keys = {name.key for name in read if name.kind != CONTROL}
     scores = {
         name: (
@@ -250,11 +250,11 @@ def best_preset(names: Sequence[str], read: Sequence[ReadName]) -> Preset | None
 def role_votes(
     read: Sequence[ReadName], preset: Preset | None
 ) -> list[dict[str, float]]:
-    """Return what the names say: weights 0 to 1 of the roles of each of J joints."""
+    """Return the role votes of names: weights 0 to 1 for each of J joints."""
     known, words = preset.keys if preset else {}, _tables()[WORDS].keys
     votes = []
     for name in read:
-        # What the convention says goes before what others mean by the word.
+        # The convention precedes what others mean by the word.
         table, weight = (known, 1.0) if name.key in known else (words, _WORD_WEIGHT)
         weights = dict.fromkeys(table.get(name.key, ()), weight)
         if weights:
@@ -270,9 +270,11 @@ def role_votes(
 
 @cache
 def _limb_words() -> Mapping[str, frozenset[str]]:
-    """Return the roles in limbs that any convention gives a name, by its key."""
+    """Return the limb roles that any convention assigns to a name, by its key."""
     roles: dict[str, set[str]] = {}
     for preset in presets().values():
-        for key, own in preset.keys.items():
-            roles.setdefault(key, set()).update(own & {*ARM, *LEG})
-    return {key: frozenset(own) for key, own in roles.items() if own}
+        for key, base_roles in preset.keys.items():
+            roles.setdefault(key, set()).update(base_roles & {*ARM, *LEG})
+    return {
+        key: frozenset(base_roles) for key, base_roles in roles.items() if base_roles
+    }

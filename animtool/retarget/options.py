@@ -14,7 +14,7 @@ from animtool.retarget.roles import MapMode
 @described
 @dataclass(frozen=True, slots=True)
 class RetargetOptions:
-    """How a take goes onto another rig.
+    """Options of retargeting.
 
     Attributes:
         free_feet: Whether feet may slide where they stand.

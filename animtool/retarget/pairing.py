@@ -1,4 +1,4 @@
-"""Pairing the joints of two skeletons by their roles, their names or a map file."""
+"""Pairing of two skeletons' joints by roles, names or a map file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.file import FileMap, MapFile, load_map, resolved_map
-from animtool.retarget.map import JointChain, JointMap, JointPair, TwistShare
+from animtool.retarget.map import JointChain, JointMap, JointPair, TwistFraction
 from animtool.retarget.roles import (
     DIGITS,
     END,
@@ -30,7 +30,7 @@ from animtool.retarget.roles import (
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
-# Where the last bone of a chain leads to, the first of them that there is.
+# Roles that the last bone of a chain leads to, in order of preference.
 _NEXT = {
     "spine": ("neck", "head"),
     "neck": ("head",),
@@ -42,7 +42,7 @@ _NEXT = {
     "shin": ("foot",),
     "foot": ("toe",),
 }
-# Twist joints hang on the bones that their name or place says.
+# Twist joints belong to the bone that their name or position tells.
 _TWISTED = ("upper_arm", "forearm", "thigh", "shin")
 
 
@@ -57,7 +57,7 @@ def map_joints(
     source_positions: FloatArray | None = None,
     target_positions: FloatArray | None = None,
 ) -> JointMap:
-    """Return which joints of a target follow which of a source.
+    """Return which target joints follow which source joints.
 
     Args:
         source: The skeleton of a take, of J joints.
@@ -65,14 +65,14 @@ def map_joints(
         preset: The convention of the source's names; None finds it.
         target_preset: That of the target's names.
         map_file: A map file, or one that was read; its pairs go before all others.
-        mode: What joints are told by.
-        source_positions: Of the source's joints in a pose of a person who stands
-            ``(J, 3)`` [m], where its rest pose is none.
+        mode: Which evidence pairs joints.
+        source_positions: Of the source's joints in a standing pose
+            ``(J, 3)`` [m], if its rest pose does not stand.
         target_positions: Of the target's joints ``(K, 3)`` [m].
 
     Raises:
-        FormatError: The map file cannot be read, or names joints that neither has.
-        OptionError: There is no such preset (MAP003), or nothing is mapped (MAP004).
+        FormatError: The map file cannot be read, or names an unknown joint.
+        OptionError: Unknown preset (MAP003), or nothing is mapped (MAP004).
 
     >>> from animtool.rig.skeleton import Joint
     >>> ours = [Joint("LeftArm", -1), Joint("LeftForeArm", 0), Joint("LeftHand", 1)]
@@ -116,20 +116,20 @@ def map_joints(
         raise OptionError(Fault("MAP004", message, hint=hint))
     used = {pair.source for pair in pairs.values()}
     used |= {j for chain in chains for j in chain.source}
-    moved = {*pairs, *(twist.joint for twist in twists)}
+    driven = {*pairs, *(twist.joint for twist in twists)}
     return JointMap(
         tuple(pairs[j] for j in sorted(pairs)),
         tuple(chains),
         twists,
         _left(source, anatomies[0], used),
-        _left(target, anatomies[1], moved),
+        _left(target, anatomies[1], driven),
         *anatomies,
         (*anatomies[0].notices, *anatomies[1].notices),
     )
 
 
 def _left(rig: Rig, known: Anatomy, used: set[int]) -> tuple[int, ...]:
-    """Return the joints that are not mapped and are no mere ends of bones."""
+    """Return the unmapped joints that are not mere bone ends."""
     return tuple(
         j for j in range(len(rig.joints)) if j not in used and known.roles[j] != END
     )
@@ -137,17 +137,17 @@ def _left(rig: Rig, known: Anatomy, used: set[int]) -> tuple[int, ...]:
 
 @dataclass(slots=True)
 class _Pairing:
-    """The pairs and chains found so far; what was paired first stays."""
+    """Pairs and chains collected so far; earlier pairs win."""
 
     rigs: tuple[Rig, Rig]
     anatomies: tuple[Anatomy, Anatomy]
     pairs: dict[int, JointPair] = field(default_factory=dict)  # by joint of the target
     chains: list[JointChain] = field(default_factory=list)
-    # Joints that a file keeps as they are, of both sides.
+    # Joints that a file keeps at rest, of both sides.
     ignored: tuple[frozenset[int], frozenset[int]] = (frozenset(), frozenset())
 
     def add_file(self, stated: FileMap) -> None:
-        """Pair what a map file says."""
+        """Pair the joints that a map file names."""
         self.ignored = stated.ignored
         for entry in stated.entries:
             role = entry.role or self.anatomies[1].roles[entry.target[0]]
@@ -163,7 +163,7 @@ class _Pairing:
                 self.pairs[j] = JointPair(names[name], j, "", RoleSource.NAME, 1.0)
 
     def add_role(self, role: str, mode: MapMode) -> None:
-        """Pair the joints of one role that are left."""
+        """Pair the remaining joints of one role."""
         ours, theirs = (
             [
                 j
@@ -184,7 +184,7 @@ class _Pairing:
             self._add(role, ours, theirs)
 
     def _add_toes(self, role: str, ours: list[int], theirs: list[int]) -> None:
-        """Pair the toes of a foot, in their order from the inner side on."""
+        """Pair the toes of a foot in order, from the inner side outwards."""
         rows = [
             _in_order(rig, known, role, chain)
             for rig, known, chain in zip(
@@ -197,7 +197,7 @@ class _Pairing:
             self._add(role, rows[0][int(at * last + 0.5)], toe)
 
     def add_mittens(self) -> None:
-        """Pair fingers with a hand that has them in one, whichever side has it."""
+        """Pair fingers with a mitten chain, on either side."""
         for side in SIDES:
             mittens = [known.chain(f"{MITTEN}_{side}") for known in self.anatomies]
             first = [
@@ -218,11 +218,11 @@ class _Pairing:
         role: str,
         ours: Sequence[int],
         theirs: Sequence[int],
-        found: RoleSource | None = None,
+        evidence: RoleSource | None = None,
     ) -> None:
-        """Pair two chains, and note them where either has several joints."""
+        """Pair two chains, and record them if either has several joints."""
         at = [
-            _places(rig, known, chain)
+            _chain_fractions(rig, known, chain)
             for rig, known, chain in zip(
                 self.rigs, self.anatomies, (ours, theirs), strict=True
             )
@@ -235,11 +235,14 @@ class _Pairing:
             k = ours[i] if same else ours[_nearest(at[0], at[1][i])]
             ends = zip(self.anatomies, (k, j), strict=True)
             sure, how = min(
-                ((known.confidence[each], known.found[each]) for known, each in ends),
+                (
+                    (known.confidence[each], known.evidence[each])
+                    for known, each in ends
+                ),
                 key=lambda pair: pair[0],
             )
-            if found is not None:
-                sure, how = 1.0, found
+            if evidence is not None:
+                sure, how = 1.0, evidence
             self.pairs[j] = JointPair(k, j, role, how, sure)
 
 
@@ -249,25 +252,29 @@ def _in_order(
     """Return the joints of each toe of a foot, the innermost first."""
     tops = [j for j in joints if int(rig.parents[j]) not in joints]
     toes = [[j for j in joints if top in rig.upwards(j)] for top in tops]
-    side, places = role[-1:], rest_world(rig).positions[0]
+    side, positions = role[-1:], rest_world(rig).positions[0]
     feet = [known.chain(f"foot_{each}") for each in (side, "lr".replace(side, ""))]
     if len(toes) < 2 or not all(feet):
         return toes
-    inwards = places[feet[1][0]] - places[feet[0][0]]
-    return sorted(toes, key=lambda toe: -float(places[toe[0]] @ inwards))
+    inwards = positions[feet[1][0]] - positions[feet[0][0]]
+    return sorted(toes, key=lambda toe: -float(positions[toe[0]] @ inwards))
 
 
 def _by_name(known: Anatomy, joint: int) -> bool:
-    return known.found[joint] in {RoleSource.NAME, RoleSource.PRESET, RoleSource.FILE}
+    return known.evidence[joint] in {
+        RoleSource.NAME,
+        RoleSource.PRESET,
+        RoleSource.FILE,
+    }
 
 
-def _nearest(at: Sequence[float], place: float) -> int:
-    """Return the last joint that begins at a place or above, or next to it."""
-    return int(np.argmin(np.abs(np.asarray(at) - place)))
+def _nearest(at: Sequence[float], position: float) -> int:
+    """Return the last joint that begins at or before a position along its chain."""
+    return int(np.argmin(np.abs(np.asarray(at) - position)))
 
 
-def _places(rig: Rig, known: Anatomy, chain: Sequence[int]) -> list[float]:
-    """Return where the joints of a chain begin, as shares of its length."""
+def _chain_fractions(rig: Rig, known: Anatomy, chain: Sequence[int]) -> list[float]:
+    """Return where the joints of a chain begin, as fractions of its length."""
     steps = [0.0, *(_distance(rig, a, b) for a, b in pairwise(chain))]
     total = sum(steps) + _bone(rig, known, chain[-1])
     if total <= 0 or max(steps) <= 0:
@@ -276,14 +283,14 @@ def _places(rig: Rig, known: Anatomy, chain: Sequence[int]) -> list[float]:
 
 
 def _distance(rig: Rig, upper: int, lower: int) -> float:
-    """Return the length of the way down from one joint to another [m]."""
-    way = rig.upwards(lower)
-    way = way[: way.index(upper)] if upper in way else [lower]
-    return float(np.linalg.norm(rig.rest_translations[way], axis=1).sum())
+    """Return the length of the path from one joint down to another [m]."""
+    path = rig.upwards(lower)
+    path = path[: path.index(upper)] if upper in path else [lower]
+    return float(np.linalg.norm(rig.rest_translations[path], axis=1).sum())
 
 
 def _bone(rig: Rig, known: Anatomy, joint: int) -> float:
-    """Return the length of a joint's bone: to the next role, or else its end [m]."""
+    """Return the length of a joint's bone: to the next role, else to its end [m]."""
     role = known.roles[joint]
     side = role.removeprefix(base_role(role))
     for name in _NEXT.get(base_role(role), ()):
@@ -295,8 +302,10 @@ def _bone(rig: Rig, known: Anatomy, joint: int) -> float:
     return max((float(np.linalg.norm(end)) for end in ends), default=0.0)
 
 
-def _twists(target: Rig, known: Anatomy, pairing: _Pairing) -> tuple[TwistShare, ...]:
-    """Return the shares of twist of joints that lie along a bone."""
+def _twists(
+    target: Rig, known: Anatomy, pairing: _Pairing
+) -> tuple[TwistFraction, ...]:
+    """Return the twist fractions of joints that lie along a bone."""
     shares = []
     for j, role in enumerate(known.roles):
         bone = target.joints[j].parent
@@ -305,7 +314,7 @@ def _twists(target: Rig, known: Anatomy, pairing: _Pairing) -> tuple[TwistShare,
         if base_role(known.roles[bone]) not in _TWISTED:
             continue
         length = _bone(target, known, bone)
-        own = float(np.linalg.norm(target.joints[j].translation))
-        share = min(own / length, 1.0) if length > 0 else 0.5
-        shares.append(TwistShare(j, bone, share))
+        offset = float(np.linalg.norm(target.joints[j].translation))
+        fraction = min(offset / length, 1.0) if length > 0 else 0.5
+        shares.append(TwistFraction(j, bone, fraction))
     return tuple(shares)

@@ -1,4 +1,4 @@
-"""Poses of a skeleton: turns in the world as local ones that its joints can have."""
+"""World rotations as local rotations that joint types and limits allow."""
 
 from __future__ import annotations
 
@@ -9,66 +9,69 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.retarget.person import Person
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import Transfer, middle_of_hips
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Sines of a bend below and above which a limb is straight, and is not.
+# Sines of a bend below which a limb is straight, and above which it is bent.
 BENT = (0.05, 0.2)
-# Cosine from which on a pin's axis is along its bone, which it twists.
+# Cosine above which a pin's axis is along its bone, which it twists.
 ALONG = 0.9
-# Coordinates that are beyond their limits by less are within them, but for rounding.
-HELD = 1e-6
+# Limit violations below this are rounding.
+LIMIT_ROUNDING = 1e-6
 
 
 def about_hips(
-    target: Person, turns: FloatArray, bones: FloatArray, joints: Collection[int]
+    target: RoledSkeleton,
+    rotations: FloatArray,
+    bones: FloatArray,
+    joints: Collection[int],
 ) -> FloatArray:
-    """Return where joints are about the middle of the hips ``(F, K, 3)`` [m].
+    """Return joint positions relative to the hips' middle ``(F, K, 3)`` [m].
 
-    Of some joints and what they hang on; the others are left at the root.
+    Only the given joints and their ancestors are computed; the others stay at the root.
     """
     rig = target.rig
-    places = np.zeros((len(turns), len(rig.joints), 3))
+    positions = np.zeros((len(rotations), len(rig.joints), 3))
     needed = set(joints)
     for j in range(len(rig.joints) - 1, -1, -1):
         if j in needed:
             needed.add(int(rig.parents[j]))
     for j, parent in enumerate(rig.parents.tolist()):
         if parent >= 0 and j in needed:
-            bone = so3.rotate(turns[:, parent], bones[:, j])
-            places[:, j] = places[:, parent] + bone
-    return np.asarray(places - middle_of_hips(target, places)[:, None])
+            bone = so3.rotate(rotations[:, parent], bones[:, j])
+            positions[:, j] = positions[:, parent] + bone
+    return np.asarray(positions - middle_of_hips(target, positions)[:, None])
 
 
-def hinged(transfer: Transfer, turns: FloatArray) -> FloatArray:
-    """Return turns where what bends at a pin is across its axis ``(F, K, 4)``.
+def hinged(transfer: Transfer, rotations: FloatArray) -> FloatArray:
+    """Return rotations with limbs bent across their pin's axis ``(F, K, 4)``.
 
-    The joint above twists about its own bone, so that the bone below the pin points
-    where it did; a straight limb does not say how, and keeps its twist.
+    The joint above twists about its bone, so that the bone below the pin keeps its
+    direction; a straight limb keeps its twist.
     """
-    target, made = transfer.target, turns
+    target, adjusted = transfer.target, rotations
     rig = target.rig
     for j, joint in enumerate(rig.joints):
         parent = int(rig.parents[j])
         if joint.type is not JointType.PIN or parent < 0:
             continue
-        # Who follows nobody rests.
+        # Joints that follow none rest.
         if rig.joints[parent].type is not JointType.BALL or transfer.follows[j] < 0:
             continue
         bone = target.bone(j)
         if bone is None:
             continue
-        upper = so3.rotate(made[:, parent], _unit(rig.rest_translations[j]))
-        own = so3.rotate(so3.conjugate(target.turns[j]), bone)
-        way = so3.rotate(made[:, j], own)
+        upper = so3.rotate(adjusted[:, parent], _unit(rig.rest_translations[j]))
+        bone_local = so3.rotate(so3.conjugate(target.rotations[j]), bone)
+        direction = so3.rotate(adjusted[:, j], bone_local)
         rest = so3.rotate(rig.rest_rotations[j], np.array(joint.axis, np.float64))
-        axis = so3.rotate(made[:, parent], rest)
-        normal = np.cross(upper, way)
+        axis = so3.rotate(adjusted[:, parent], rest)
+        normal = np.cross(upper, direction)
         sine = np.linalg.norm(normal, axis=1)
         normal = normal / np.maximum(sine, 1e-12)[:, None]
-        # It bends the way that its limits let it, or else that is nearer to the axis.
+        # It bends as its limits allow, or else towards the axis.
         side = np.where((normal * axis).sum(axis=1) < 0, -1.0, 1.0)[:, None]
         if isinstance(joint.limits, RangeLimit):
             side = np.full_like(side, _bends(joint.limits))
@@ -80,12 +83,12 @@ def hinged(transfer: Transfer, turns: FloatArray) -> FloatArray:
         bent = np.clip((sine - BENT[0]) / (BENT[1] - BENT[0]), 0.0, 1.0)
         angle = angle * bent * bent * (3 - 2 * bent)
         twist = so3.from_axis_angle(upper, angle)
-        made[:, parent] = so3.multiply(twist, made[:, parent])
-    return made
+        adjusted[:, parent] = so3.multiply(twist, adjusted[:, parent])
+    return adjusted
 
 
 def _bends(limits: RangeLimit) -> float:
-    """Return which way a pin bends: 1 for angles above 0, -1 for those below."""
+    """Return the bending direction of a pin: 1 for positive angles, -1 for negative."""
     return 1.0 if limits.low + limits.high >= 0 else -1.0
 
 
@@ -95,52 +98,52 @@ def _unit(vector: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class LocalTurns:
-    """Turns that joints can have."""
+class LocalRotations:
+    """Rotations that the joints allow."""
 
     local: FloatArray  # (F, K, 4)
-    world: FloatArray  # what these make (F, K, 4)
-    held: dict[int, BoolArray]  # joints that limits hold anywhere, and when (F,)
+    world: FloatArray  # the same in the world (F, K, 4)
+    clamped: dict[int, BoolArray]  # joints that limits clamp, and when (F,)
 
-    def rows(self, frames: IntArray) -> LocalTurns:
-        """Return those of some frames."""
-        held = {j: mask[frames] for j, mask in self.held.items()}
-        return LocalTurns(self.local[frames], self.world[frames], held)
+    def rows(self, frames: IntArray) -> LocalRotations:
+        """Return the rotations of some frames."""
+        clamped = {j: mask[frames] for j, mask in self.clamped.items()}
+        return LocalRotations(self.local[frames], self.world[frames], clamped)
 
-    def put(self, frames: IntArray, other: LocalTurns) -> None:
-        """Change those of some frames."""
+    def set_rows(self, frames: IntArray, other: LocalRotations) -> None:
+        """Replace the rotations of some frames."""
         self.local[frames], self.world[frames] = other.local, other.world
-        for j in {*self.held, *other.held}:
-            mask = self.held.setdefault(j, np.zeros(len(self.local), np.bool_))
-            mask[frames] = other.held.get(j, False)
+        for j in {*self.clamped, *other.clamped}:
+            mask = self.clamped.setdefault(j, np.zeros(len(self.local), np.bool_))
+            mask[frames] = other.clamped.get(j, False)
 
 
-def local_turns(
+def local_rotations(
     transfer: Transfer,
-    turns: FloatArray,
-    known: LocalTurns | None = None,
+    rotations: FloatArray,
+    known: LocalRotations | None = None,
     changed: Collection[int] = (),
-) -> LocalTurns:
-    """Return local turns within limits of those in the world ``(F, K, 4)``.
+) -> LocalRotations:
+    """Return local rotations within limits, from world rotations ``(F, K, 4)``.
 
-    What a limit takes from a joint, the joints below it make up for; who follows
-    nobody rests.
+    Joints below compensate for what a limit takes from a joint; joints that follow none
+    stay at rest.
 
     Args:
         transfer: How the target follows.
-        turns: Of its joints in the world.
-        known: Those of other turns, of which only some joints are to be changed.
-        changed: These joints; what is below them changes as well.
+        rotations: Of its joints in the world.
+        known: Rotations of which only some joints are recomputed.
+        changed: These joints; joints below them change as well.
     """
     target = transfer.target
     rig = target.rig
     if known is None:
-        local, world = np.zeros_like(turns), np.zeros_like(turns)
-        held: dict[int, BoolArray] = {}
+        local, world = np.zeros_like(rotations), np.zeros_like(rotations)
+        clamped: dict[int, BoolArray] = {}
         stale = set(range(len(rig.joints)))
     else:
         local, world = known.local.copy(), known.world.copy()
-        held, stale = dict(known.held), set(changed)
+        clamped, stale = dict(known.clamped), set(changed)
     for j, joint in enumerate(rig.joints):
         parent, rest = int(rig.parents[j]), rig.rest_rotations[j]
         if parent in stale:
@@ -149,24 +152,26 @@ def local_turns(
             continue
         above = world[:, parent] if parent >= 0 else None
         back = so3.IDENTITY if above is None else so3.conjugate(above)
-        own = rest[None]
+        joint_local = rest[None]
         if transfer.follows[j] >= 0:
-            own = so3.multiply(back, turns[:, j])
+            joint_local = so3.multiply(back, rotations[:, j])
             twisted = _twisted(target, j)
             if twisted >= 0:
                 below = so3.conjugate(rig.rest_rotations[twisted])
-                own = so3.multiply(back, so3.multiply(turns[:, twisted], below))
-        own, stopped = _within(joint, rest, own)
-        held.pop(j, None)
+                joint_local = so3.multiply(
+                    back, so3.multiply(rotations[:, twisted], below)
+                )
+        joint_local, stopped = _within(joint, rest, joint_local)
+        clamped.pop(j, None)
         if stopped.any():
-            held[j] = np.broadcast_to(stopped, len(local)).copy()
-        local[:, j] = own
-        world[:, j] = own if above is None else so3.multiply(above, own)
-    return LocalTurns(local, world, held)
+            clamped[j] = np.broadcast_to(stopped, len(local)).copy()
+        local[:, j] = joint_local
+        world[:, j] = joint_local if above is None else so3.multiply(above, joint_local)
+    return LocalRotations(local, world, clamped)
 
 
-def _twisted(target: Person, j: int) -> int:
-    """Return the joint whose twist a pin along its bone has; -1 where it is no such."""
+def _twisted(target: RoledSkeleton, j: int) -> int:
+    """Return the joint whose twist a pin along its bone carries; -1 for other pins."""
     joint, rig = target.rig.joints[j], target.rig
     if joint.type is not JointType.PIN:
         return -1
@@ -181,46 +186,46 @@ def _twisted(target: Person, j: int) -> int:
 def _within(
     joint: Joint, rest: FloatArray, local: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return local turns that a joint can have ``(F, 4)``, and where limits stop it."""
+    """Return allowed local rotations ``(F, 4)``, and where limits clamp them."""
     free = np.zeros(len(local), np.bool_)
     limits = joint.limits
     if joint.type is JointType.FREE or (
         joint.type is JointType.BALL and limits is None
     ):
         return local, free
-    own = so3.multiply(so3.conjugate(rest), local)
+    relative = so3.multiply(so3.conjugate(rest), local)
     if joint.type is JointType.PIN:
-        angle = swing_twist(own, joint.axis)[1]
+        angle = swing_twist(relative, joint.axis)[1]
         if isinstance(limits, RangeLimit):
-            free = np.abs(limits.excess(angle)) > HELD
+            free = np.abs(limits.excess(angle)) > LIMIT_ROUNDING
             angle = limits.clamped(angle)
-        own = so3.from_axis_angle(np.array(joint.axis, np.float64), angle)
+        relative = so3.from_axis_angle(np.array(joint.axis, np.float64), angle)
     elif isinstance(limits, BallLimit):
-        kept = limits.clamped(own)
-        free, own = so3.angle_between(kept, own) > HELD, kept
+        kept = limits.clamped(relative)
+        free, relative = so3.angle_between(kept, relative) > LIMIT_ROUNDING, kept
     else:
-        own = np.broadcast_to(so3.IDENTITY, own.shape)
-    return so3.multiply(rest, own), free
+        relative = np.broadcast_to(so3.IDENTITY, relative.shape)
+    return so3.multiply(rest, relative), free
 
 
-def world_turns(rig: Rig, local: FloatArray) -> FloatArray:
-    """Return turns in the world of local ones, both ``(F, K, 4)``."""
-    made = local.copy()
+def world_rotations(rig: Rig, local: FloatArray) -> FloatArray:
+    """Return world rotations from local ones, both ``(F, K, 4)``."""
+    world = local.copy()
     for j, parent in enumerate(rig.parents.tolist()):
         if parent >= 0:
-            made[:, j] = so3.multiply(made[:, parent], local[:, j])
-    return made
+            world[:, j] = so3.multiply(world[:, parent], local[:, j])
+    return world
 
 
-def share_twist(
+def distribute_twist(
     transfer: Transfer, local: FloatArray, before: FloatArray | None
 ) -> FloatArray:
-    """Give twist joints their share of the turn of the joint at the bone's end.
+    """Give twist joints their fraction of the twist at the bone's end.
 
     Args:
         transfer: How the target follows.
-        local: Turns ``(F, K, 4)``, changed.
-        before: The angles of the frame before ``(T,)`` [rad], which these go on from;
+        local: Local rotations ``(F, K, 4)``, changed in place.
+        before: Angles of the frame before ``(T,)`` [rad], for continuity;
             None at the beginning of a take.
 
     Returns:
@@ -228,43 +233,45 @@ def share_twist(
     """
     rig = transfer.target.rig
     last = np.zeros(len(transfer.twists))
-    for k, (joint, _, below, share) in enumerate(transfer.twists):
+    for k, (joint, _, below, fraction) in enumerate(transfer.twists):
         axis = _unit(rig.rest_translations[below])
-        own = so3.multiply(so3.conjugate(rig.rest_rotations[below]), local[:, below])
-        ahead = so3.rotate(so3.conjugate(rig.rest_rotations[below]), axis)
-        angle = swing_twist(own, tuple(ahead))[1]
+        relative = so3.multiply(
+            so3.conjugate(rig.rest_rotations[below]), local[:, below]
+        )
+        below_axis = so3.rotate(so3.conjugate(rig.rest_rotations[below]), axis)
+        angle = swing_twist(relative, tuple(below_axis))[1]
         if before is None:
             angle = np.unwrap(angle)
         else:
             angle = np.unwrap(np.concatenate([before[k : k + 1], angle]))[1:]
         last[k] = angle[-1]
-        turn = so3.from_axis_angle(axis, share * angle)
-        local[:, joint] = so3.multiply(turn, rig.rest_rotations[joint])
+        rotation = so3.from_axis_angle(axis, fraction * angle)
+        local[:, joint] = so3.multiply(rotation, rig.rest_rotations[joint])
     return last
 
 
-def root_places(
-    target: Person,
+def root_translations(
+    target: RoledSkeleton,
     hips: FloatArray,
-    turns: FloatArray,
+    rotations: FloatArray,
     bones: FloatArray,
     about: FloatArray,
 ) -> tuple[int, FloatArray]:
     """Return the joint that moves the hips, and its local translations ``(F, 3)`` [m].
 
     Args:
-        target: Whose hips they are.
+        target: The skeleton.
         hips: The middle between the thighs ``(F, 3)`` [m].
-        turns: Of all joints in the world ``(F, K, 4)``.
+        rotations: World rotations of all joints ``(F, K, 4)``.
         bones: Local translations ``(F or 1, K, 3)`` [m].
         about: Joints about the middle of the hips ``(F, K, 3)`` [m].
     """
     rig = target.rig
     root = max(target.first("hips"), 0)
-    place = hips + about[:, root]
+    position = hips + about[:, root]
     parent = int(rig.parents[root])
     if parent < 0:
-        return root, place
+        return root, position
     above = np.zeros((len(hips), 3))
     chain = []
     while parent >= 0:
@@ -273,5 +280,5 @@ def root_places(
     for j in reversed(chain):
         outer = int(rig.parents[j])
         bone = bones[:, j]
-        above = above + (bone if outer < 0 else so3.rotate(turns[:, outer], bone))
-    return root, so3.rotate(so3.conjugate(turns[:, chain[0]]), place - above)
+        above = above + (bone if outer < 0 else so3.rotate(rotations[:, outer], bone))
+    return root, so3.rotate(so3.conjugate(rotations[:, chain[0]]), position - above)

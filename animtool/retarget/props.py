@@ -1,4 +1,4 @@
-"""Props of a take that hands hold: where they are, and where they go with the rig."""
+"""Props held by hands: their motion, and how they follow the retargeted hands."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.motion.contacts import smoothed, without_short
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.transforms import Track, Transforms, turned_track
+from animtool.motion.transforms import Track, Transforms, rotated_track
 from animtool.retarget.transfer import Transfer
 
-# A hand holds what goes with it: its place changes less than this share of an arm a
-# second, seen from the prop.
+# A hand grips a prop in whose frame it moves by less than this fraction of an arm a
+# second,
 STEADY = 0.25
-# And is nearer to its origin than this many arms.
+# and is nearer to its origin than this many arms.
 NEAR = 1.5
-# What is held is carried: it goes further than this share of an arm.
+# A gripped prop moves farther than this fraction of an arm.
 TAKEN_ALONG = 0.1
-# Speeds are those of ways smoothed by a Gaussian of this width [s].
+# Gaussian width of smoothing before speeds are taken [s].
 SMOOTH = 0.03
 
 
 @dataclass(frozen=True, slots=True)
 class PropMotion:
-    """Where a prop is in all frames, in the target's axes."""
+    """Motion of a prop in the target's axes, in all frames."""
 
     track: int  # which of the take's it is
-    places: FloatArray  # (F, 3) [m]
-    turns: FloatArray  # (F, 4)
+    positions: FloatArray  # (F, 3) [m]
+    rotations: FloatArray  # (F, 4)
 
-    def held_by(self, wrist: FloatArray, arm: float, fps: float) -> BoolArray:
-        """Return when a hand holds it ``(F,)``.
+    def gripped_by(self, wrist: FloatArray, arm: float, fps: float) -> BoolArray:
+        """Return when a hand grips the prop ``(F,)``.
 
         Args:
             wrist: Of the source ``(F, 3)`` [m].
@@ -45,73 +45,73 @@ class PropMotion:
         """
         if len(wrist) < 3 or arm <= 0:
             return np.zeros(len(wrist), np.bool_)
-        seen = self.seen(wrist)
-        speed = np.gradient(smoothed(seen, SMOOTH * fps), axis=0) * fps
+        local = self.in_prop_frame(wrist)
+        speed = np.gradient(smoothed(local, SMOOTH * fps), axis=0) * fps
         steady = np.linalg.norm(speed, axis=1) < STEADY * arm
-        near = np.linalg.norm(seen, axis=1) < NEAR * arm
-        held = without_short(steady & near, fps)
-        for start, end in runs(held):
-            if np.ptp(self.places[start:end], axis=0).max() < TAKEN_ALONG * arm:
-                held[start:end] = False
-        return held
+        near = np.linalg.norm(local, axis=1) < NEAR * arm
+        gripped = without_short(steady & near, fps)
+        for start, end in runs(gripped):
+            if np.ptp(self.positions[start:end], axis=0).max() < TAKEN_ALONG * arm:
+                gripped[start:end] = False
+        return gripped
 
-    def seen(self, points: FloatArray) -> FloatArray:
-        """Return points in the prop's own frame ``(F, 3)`` [m]."""
-        return so3.rotate(so3.conjugate(self.turns), points - self.places)
+    def in_prop_frame(self, points: FloatArray) -> FloatArray:
+        """Return points in the prop's frame ``(F, 3)`` [m]."""
+        return so3.rotate(so3.conjugate(self.rotations), points - self.positions)
 
 
 class Props:
-    """The tracks of a take, with what its frames show of them."""
+    """The tracks of a take, and the times at which its frames show them."""
 
     def __init__(self, tracks: Sequence[Track]) -> None:
         self.tracks = tuple(tracks)
         self._times: list[Channel] = []
 
     def noting(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
-        """Yield blocks, and note which times of the tracks they show."""
+        """Yield blocks, recording the track times they show."""
         for block in blocks:
             assert block.track_times is not None
             self._times.append(block.track_times)
             yield block
 
     def motions(self, transfer: Transfer) -> list[PropMotion]:
-        """Return where those are that move, once all frames were read."""
+        """Return the motion of props that move; call it after all frames were read."""
         times = Channel.concatenate(self._times).dense()[..., 0]
-        found = []
+        motions = []
         for i, track in enumerate(self.tracks):
             if track.placed and track.moves:
-                turned = turned_track(track, transfer.upright).at(times[:, i])
-                found.append(PropMotion(i, turned.translations, turned.rotations))
-        return found
+                turned = rotated_track(track, transfer.upright).at(times[:, i])
+                motions.append(PropMotion(i, turned.translations, turned.rotations))
+        return motions
 
-    def moved(
-        self, held: set[int], transfer: Transfer, lift: FloatArray
+    def with_gripped(
+        self, gripped: set[int], transfer: Transfer, lift: FloatArray
     ) -> tuple[Track, ...]:
-        """Return the tracks, of which those that hands hold go with the target.
+        """Return the tracks, with gripped props scaled to follow the target.
 
         Args:
-            held: Which they are.
+            gripped: Indices of the gripped tracks.
             transfer: How the target follows.
-            lift: By how much its ground is higher ``(3,)`` [m].
+            lift: Offset of the target's ground ``(3,)`` [m].
         """
         return tuple(
-            _scaled(turned_track(track, transfer.upright), transfer.scale, lift)
-            if i in held
+            _scaled(rotated_track(track, transfer.upright), transfer.scale, lift)
+            if i in gripped
             else track
             for i, track in enumerate(self.tracks)
         )
 
 
 def _scaled(track: Track, scale: float, lift: FloatArray) -> Track:
-    """Return a track whose way is scaled, and its size is not."""
+    """Return a track with its path scaled and its size unchanged."""
 
     def sample(times: FloatArray) -> Transforms:
-        found = track.sample(times)
-        matrices = found.matrices
+        sampled = track.sample(times)
+        matrices = sampled.matrices
         if matrices is not None:
             matrices = matrices.copy()
             matrices[:, :3, 3] = scale * matrices[:, :3, 3] + lift
-        places = scale * found.translations + lift
-        return replace(found, translations=places, matrices=matrices)
+        translations = scale * sampled.translations + lift
+        return replace(sampled, translations=translations, matrices=matrices)
 
     return replace(track, sample=sample)

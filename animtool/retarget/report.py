@@ -1,4 +1,4 @@
-"""How well a take fits the skeleton that it was brought onto."""
+"""Fit report: how well a take fits the rig it was retargeted onto."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from animtool.maths.runs import runs
 from animtool.motion.contacts import FootContacts
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.retarget.feet import Placed
-from animtool.retarget.hands import HeldHand
+from animtool.retarget.hands import HandContact
 from animtool.retarget.legs import ball_of_foot, leg_of, up_index
 from animtool.retarget.map import JointMap
-from animtool.retarget.person import Person
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.roles import FINGERS, MITTEN, base_role
 from animtool.retarget.transfer import Transfer
 from animtool.retarget.verdict import Verdict, verdict_of
@@ -34,71 +34,73 @@ BONES = {
 
 ARM = ("upper_arm", "forearm", "hand")
 
-# The most that a good take has; above these a viewer sees it, or the map is wrong.
-USUAL_DRIFT = 1e-3  # [m]
-USUAL_SOLE = 1e-3  # [m]
-USUAL_REACH = 0.01  # of the arm
-USUAL_ANGLE = np.radians(3.0)  # [rad]
-USUAL_ACCELERATION = 1.25  # of the source's
-USUAL_HELD = 0.05  # of frames
-# A heel that is farther from where it is placed has given way, over the size [1].
-GAVE_WAY = 1e-4
-USUAL_UNMAPPED = 0.2  # of the source's joints
+# Largest values of a good take; above, viewers notice or the map is wrong.
+MAX_DRIFT = 1e-3  # [m]
+MAX_SOLE_ERROR = 1e-3  # [m]
+MAX_REACH_ERROR = 0.01  # of the arm
+MAX_ANGLE = np.radians(3.0)  # [rad]
+MAX_ACCELERATION = 1.25  # of the source's
+MAX_CLAMPED = 0.05  # of frames
+# A heel farther from its goal than this has yielded, over the size [1].
+YIELDED_HEEL = 1e-4
+MAX_UNMAPPED = 0.2  # of the source's joints
 
 
 @dataclass(frozen=True, slots=True)
 class RetargetReport:
-    """How well a take fits its rig; a score of what there is none of is NaN."""
+    """How well a take fits its rig; a score without data is NaN."""
 
     frames: int
     scale: float  # lengths of the target's legs over those of the source's
     pairs: int  # joints that follow one of the source
-    contacts: float  # share of frames in which a foot stands
-    # How far what stands goes from the middle of where it stands [m].
+    contacts: float  # fraction of frames in which a foot is planted
+    # Distance of planted feet from the middle of their contact [m].
     drift_mean: float
     drift_max: float
     source_drift_max: float  # of the source, scaled
-    sole_error: float  # of the height of what stands, at most [m]
-    penetration: float  # how far soles come below where they stand, at most [m]
+    sole_error: float  # largest height error of planted feet [m]
+    penetration: float  # deepest sole below its planted height [m]
     # Of the distance of hands from shoulders, over the length of the arms, at most.
     reach_error: float
     # How far hands that hold each other, or stand, are from where they are to be, at
     # most [m].
     hand_error: float
-    # Between bones of both, feet that stand apart [rad].
+    # Between bones of both, without planted feet [rad].
     bone_angle_mean: float
     bone_angle_max: float
     # The largest acceleration over that of the source, scaled as legs are, or as the
     # way from the hips to the joint where that is more.
     acceleration: float
-    lowered: float  # how far the hips came down so that legs reach, at most [m]
-    held: Mapping[str, float]  # share of frames in which limits stop a joint
-    held_mean: float  # of that, over the paired joints but for fingers
+    lowered: float  # most that the hips sank so that legs reach [m]
+    held: Mapping[str, float]  # fraction of frames in which limits stop a joint
+    held_mean: float  # its mean over the paired joints without fingers
     unmapped_source: tuple[str, ...]
     unmapped_target: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Which feet stand, and when."""
+    """Which feet and hands are in contact, and when."""
 
     sides: str  # of the legs that both skeletons have, such as "lr"
     contacts: Sequence[FootContacts]  # of each
-    placed: Placed | None  # None where feet are not held
-    hands: Sequence[HeldHand] = ()  # that keep their contacts
+    placed: Placed | None  # None if feet are not planted
+    hands: Sequence[HandContact] = ()  # that keep their contacts
 
 
 class FitMeter:
-    """How well a take fits, gathered block by block.
+    """Accumulates the fit of a take, block by block.
 
     Args:
         transfer: How the rig follows.
         found: Which joints follow which.
-        standing: Which feet stand, of all frames.
+        standing: Which feet are planted, in all frames.
     """
 
-    def __init__(self, transfer: Transfer, found: JointMap, standing: Standing) -> None:
-        self._transfer, self._found, self._standing = transfer, found, standing
+    def __init__(
+        self, transfer: Transfer, joint_map: JointMap, standing: Standing
+    ) -> None:
+        self._transfer, self._joint_map, self._standing = transfer, joint_map, standing
         self._up = up_index(transfer.target.rig)
         self._frames = 0
         # Ankle and ball of each foot, of the target and of the source, scaled; the ball
@@ -112,8 +114,8 @@ class FitMeter:
         # The largest accelerations of both so far, and the last frames of both.
         self._fastest = np.zeros(2)
         self._last: list[FloatArray] = []
-        ours = transfer.target.ways[[pair.target for pair in found.pairs]]
-        theirs = transfer.source.ways[[pair.source for pair in found.pairs]]
+        ours = transfer.target.path_lengths[[pair.target for pair in joint_map.pairs]]
+        theirs = transfer.source.path_lengths[[pair.source for pair in joint_map.pairs]]
         theirs = np.maximum(theirs, transfer.source.size * 0.01)
         # A source without offsets has no lengths.
         ratios = np.divide(ours, theirs, out=np.zeros_like(ours), where=theirs > 0)
@@ -123,7 +125,7 @@ class FitMeter:
     def add(
         self, begin: int, world: WorldTransforms, source: FloatArray, balls: FloatArray
     ) -> None:
-        """Take the frames that come next.
+        """Add the next block of frames.
 
         Args:
             begin: The first of them.
@@ -137,10 +139,10 @@ class FitMeter:
         for k, side in enumerate(self._standing.sides):
             ball = ball_of_foot(self._transfer.target, side, target, world.rotations)
             tips, rows = (ball, balls[:, k]), []
-            for (person, points, size), tip in zip(
+            for (skeleton, points, size), tip in zip(
                 self._both(target, source), tips, strict=True
             ):
-                ankle = points[:, leg_of(person, side)[2]]
+                ankle = points[:, leg_of(skeleton, side)[2]]
                 rows.append(size * np.stack([ankle, tip], axis=1))
             self._feet[k].append(np.stack(rows, axis=1))
         self._add_angles(part, target, source)
@@ -149,9 +151,9 @@ class FitMeter:
         self._note("hands", reach)
         for hand in self._standing.hands:
             wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
-            off = np.linalg.norm(wrist - hand.goal[part], axis=1)[hand.held[part]]
+            off = np.linalg.norm(wrist - hand.goal[part], axis=1)[hand.active[part]]
             self._hand = max(self._hand, float(off.max(initial=0.0)))
-        pairs = self._found.pairs
+        pairs = self._joint_map.pairs
         now = [
             target[:, [pair.target for pair in pairs]],
             self._sizes * source[:, [pair.source for pair in pairs]],
@@ -174,8 +176,8 @@ class FitMeter:
 
     def _both(
         self, target: FloatArray, source: FloatArray
-    ) -> list[tuple[Person, FloatArray, float]]:
-        """Return both skeletons with where they are, and what scales them."""
+    ) -> list[tuple[RoledSkeleton, FloatArray, float]]:
+        """Return both skeletons with their positions and scale factors."""
         transfer = self._transfer
         return [
             (transfer.target, target, 1.0),
@@ -183,22 +185,22 @@ class FitMeter:
         ]
 
     def _add_angles(self, part: slice, target: FloatArray, source: FloatArray) -> None:
-        """Take angles between bones of both, legs that stand left out."""
+        """Add angles between bones of both skeletons; planted legs are left out."""
         standing = self._standing
         total, count, most = self._angles
         bends, counts = np.zeros((2, len(target)))
         for side in "lr":
             for role, end in BONES.items():
-                ways = []
-                for person, points, _ in self._both(target, source):
-                    first = person.first(f"{role}_{side}")
-                    last = person.first(f"{end}_{side}")
-                    if min(first, last) >= 0 and person.apart(first, last):
-                        ways.append(points[:, last] - points[:, first])
-                if len(ways) < 2:
+                directions = []
+                for skeleton, points, _ in self._both(target, source):
+                    first = skeleton.first(f"{role}_{side}")
+                    last = skeleton.first(f"{end}_{side}")
+                    if min(first, last) >= 0 and skeleton.separate(first, last):
+                        directions.append(points[:, last] - points[:, first])
+                if len(directions) < 2:
                     continue
-                across = np.linalg.norm(np.cross(ways[0], ways[1]), axis=1)
-                angle = np.arctan2(across, (ways[0] * ways[1]).sum(axis=1))
+                across = np.linalg.norm(np.cross(directions[0], directions[1]), axis=1)
+                angle = np.arctan2(across, (directions[0] * directions[1]).sum(axis=1))
                 if role in {"thigh", "shin"} and side in standing.sides:
                     k = standing.sides.index(side)
                     free = ~standing.contacts[k].any[part]
@@ -214,26 +216,28 @@ class FitMeter:
         self._note("limbs", bends / np.maximum(counts, 1))
 
     def _raised(self, k: int, ankle: FloatArray) -> BoolArray:
-        """Return where a limit raises a heel about its toe, which stands ``(F,)``."""
+        """Return where limits lift a heel whose toe is planted ``(F,)``."""
         placed, contacts = self._standing.placed, self._standing.contacts[k]
         if placed is None or not contacts.toe.any():
             return np.zeros(len(ankle), np.bool_)
         off = np.linalg.norm(ankle - placed.ankles[k], axis=1)
-        return np.asarray(contacts.toe & (off > GAVE_WAY * self._transfer.target.size))
+        return np.asarray(
+            contacts.toe & (off > YIELDED_HEEL * self._transfer.target.size)
+        )
 
     def _keep_worst(self, score: str, values: FloatArray) -> None:
-        """Take values of all frames; the worst of several counts."""
+        """Add per-frame values of a score; the worst of several is kept."""
         before = self._worst.get(score)
         self._worst[score] = values if before is None else np.fmax(before, values)
 
     def verdict(
         self, clamped: Mapping[int, float], forced: Sequence[Fault] = ()
     ) -> Verdict:
-        """Return whether the frames so far can be used; see `report`.
+        """Return whether the frames so far are usable; see `report`.
 
         Args:
-            clamped: Joints that limits held, in shares of the frames.
-            forced: Errors that were passed over on request.
+            clamped: Fraction of frames in which limits clamp each joint.
+            forced: Errors ignored on request.
         """
         report = self.report(clamped)
         values = {
@@ -247,12 +251,12 @@ class FitMeter:
         return verdict_of(scores_of(report), values, least, forced)
 
     def report(self, clamped: Mapping[int, float]) -> RetargetReport:
-        """Return how well the frames so far fit.
+        """Return the fit of the frames so far.
 
         Args:
-            clamped: Joints that limits held, in shares of the frames.
+            clamped: Fraction of frames in which limits clamp each joint.
         """
-        transfer, found, standing = self._transfer, self._found, self._standing
+        transfer, joint_map, standing = self._transfer, self._joint_map, self._standing
         self._worst.clear()
         drifts, others = [np.zeros(0)], [np.zeros(0)]
         soles: list[float] = []
@@ -284,7 +288,7 @@ class FitMeter:
             for each in (np.concatenate(drifts), np.concatenate(others))
         )
         total, count, most = self._angles
-        own, other = self._fastest.tolist()
+        fastest, source_fastest = self._fastest.tolist()
         names, ours = transfer.target.rig.names, transfer.source.rig.names
         joints = transfer.target.rig.joints
         driven = {j for j, joint in enumerate(joints) if joint.driven is not None}
@@ -292,7 +296,7 @@ class FitMeter:
         return RetargetReport(
             self._frames,
             transfer.scale,
-            len(found.pairs),
+            len(joint_map.pairs),
             stands,
             float(drift.mean()) if len(drift) else math.nan,
             float(drift.max()) if len(drift) else math.nan,
@@ -303,27 +307,27 @@ class FitMeter:
             self._hand,
             total / count if count else math.nan,
             most if count else math.nan,
-            own / other if other > 0 else math.nan,
+            fastest / source_fastest if source_fastest > 0 else math.nan,
             0.0 if placed is None else placed.lowered,
-            {names[j]: share for j, share in clamped.items()},
-            _mean_held(found, clamped),
-            tuple(ours[j] for j in found.unmapped_source),
-            tuple(names[j] for j in found.unmapped_target if j not in driven),
+            {names[j]: fraction for j, fraction in clamped.items()},
+            _mean_clamped(joint_map, clamped),
+            tuple(ours[j] for j in joint_map.unmapped_source),
+            tuple(names[j] for j in joint_map.unmapped_target if j not in driven),
         )
 
 
 def scores_of(report: RetargetReport) -> PassScores:
-    """Return the numbers by which takes are compared, and the joints they concern."""
-    length, share = ScoreUnit.LENGTH, ScoreUnit.SHARE
+    """Return the scores by which takes are compared, and the joints they concern."""
+    length, fraction = ScoreUnit.LENGTH, ScoreUnit.FRACTION
     lost, stopped = len(report.unmapped_source), report.held_mean
     values = (
-        ("drift", report.drift_max, length, USUAL_DRIFT, 0.0),
-        ("soles", report.sole_error, length, USUAL_SOLE, 0.0),
-        ("hands", report.reach_error, share, USUAL_REACH, 0.0),
-        ("limbs", report.bone_angle_mean, ScoreUnit.ANGLE, USUAL_ANGLE, 0.0),
-        ("acceleration", report.acceleration, ScoreUnit.RATIO, USUAL_ACCELERATION, 1.0),
-        ("limits", stopped, share, USUAL_HELD, 0.0),
-        ("not mapped", lost / max(lost + report.pairs, 1), share, USUAL_UNMAPPED, 0.0),
+        ("drift", report.drift_max, length, MAX_DRIFT, 0.0),
+        ("soles", report.sole_error, length, MAX_SOLE_ERROR, 0.0),
+        ("hands", report.reach_error, fraction, MAX_REACH_ERROR, 0.0),
+        ("limbs", report.bone_angle_mean, ScoreUnit.ANGLE, MAX_ANGLE, 0.0),
+        ("acceleration", report.acceleration, ScoreUnit.RATIO, MAX_ACCELERATION, 1.0),
+        ("limits", stopped, fraction, MAX_CLAMPED, 0.0),
+        ("not mapped", lost / max(lost + report.pairs, 1), fraction, MAX_UNMAPPED, 0.0),
     )
     names = {
         "stopped by their limits": tuple(report.held),
@@ -336,42 +340,44 @@ def scores_of(report: RetargetReport) -> PassScores:
     )
 
 
-def _mean_held(found: JointMap, clamped: Mapping[int, float]) -> float:
-    """Return the mean share of frames in which limits stop a joint, without fingers."""
+def _mean_clamped(joint_map: JointMap, clamped: Mapping[int, float]) -> float:
+    """Return the mean fraction of frames with a clamped joint, without fingers."""
     fingers = {*FINGERS, MITTEN}
-    joints = [p.target for p in found.pairs if base_role(p.role) not in fingers]
+    joints = [p.target for p in joint_map.pairs if base_role(p.role) not in fingers]
     return sum(clamped.get(j, 0.0) for j in joints) / max(len(joints), 1)
 
 
 def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
-    """Return distances on the ground from the middle of each contact ``(F,)`` [m].
+    """Return ground distances from the middle of each contact ``(F,)`` [m].
 
-    NaN where nothing stands.
+    NaN while nothing is planted.
     """
     flat = [k for k in range(3) if k != up]
-    made = np.full(len(points), math.nan)
+    drift = np.full(len(points), math.nan)
     for start, end in runs(stands):
-        own = points[start:end][:, flat]
-        made[start:end] = np.linalg.norm(own - own.mean(axis=0), axis=1)
-    return made
+        path = points[start:end][:, flat]
+        drift[start:end] = np.linalg.norm(path - path.mean(axis=0), axis=1)
+    return drift
 
 
-def _reach_errors(both: Sequence[tuple[Person, FloatArray, float]]) -> FloatArray:
-    """Return how far the share of the arm that a hand is off differs ``(F,)``.
+def _reach_errors(
+    both: Sequence[tuple[RoledSkeleton, FloatArray, float]],
+) -> FloatArray:
+    """Return how much relative hand distance from the shoulder differs ``(F,)``.
 
-    NaN where there is no pair of arms.
+    NaN without a pair of arms.
     """
     worst = np.full(len(both[0][1]), math.nan)
     for side in "lr":
         shares = []
-        for person, points, _ in both:
-            arm = [person.first(f"{role}_{side}") for role in ARM]
+        for skeleton, points, _ in both:
+            arm = [skeleton.first(f"{role}_{side}") for role in ARM]
             if min(arm) < 0:
                 continue
-            own = points[:, arm]
-            length = np.linalg.norm(np.diff(own[0], axis=0), axis=1).sum()
+            arms = points[:, arm]
+            length = np.linalg.norm(np.diff(arms[0], axis=0), axis=1).sum()
             if length > 0:
-                shares.append(np.linalg.norm(own[:, 2] - own[:, 0], axis=1) / length)
+                shares.append(np.linalg.norm(arms[:, 2] - arms[:, 0], axis=1) / length)
         if len(shares) == 2:
             worst = np.fmax(worst, np.abs(shares[0] - shares[1]))
     return worst

@@ -1,6 +1,6 @@
-"""The roles of joints in a person, such as ``hips``, ``forearm_l`` and ``index_2_r``.
+"""Roles of body joints, such as ``hips``, ``forearm_l`` and ``index_2_r``.
 
-A role may be that of several joints, a chain: extra joints within an upper arm all are
+Several joints may share a role, as a chain: extra joints within an upper arm all are
 ``upper_arm_l``. Fingers have a role for each joint: 0 is the metacarpal, 1 to 3 the
 phalanges; a thumb has 1 (its metacarpal) to 3.
 """
@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 
 CENTER = ("root", "hips", "pelvis", "spine", "neck", "head", "jaw")
 ARM = ("clavicle", "upper_arm", "forearm", "hand")
-# What stands between the hips and a thigh moves no leg: it is of the pelvis.
+# Joints between hips and thigh belong to the pelvis.
 LEG = ("pelvis", "thigh", "shin", "foot", "toe")
 DIGITS = ("thumb", "index", "middle", "ring", "pinky")
 FINGERS = tuple(f"{digit}_{i}" for digit in DIGITS for i in range(digit == "thumb", 4))
@@ -24,22 +24,22 @@ MITTEN = "fingers"
 SIDED = (*ARM, *LEG, *FINGERS, MITTEN, "eye")
 SIDES = ("l", "r")
 ROLES: tuple[str, ...] = (*CENTER, *(f"{r}_{s}" for s in SIDES for r in SIDED))
-# Joints without a role, of which it is known why they have none.
+# Kinds of joints that have no role.
 TWIST, END, CONTROL = "twist", "end", "control"
 
 
 # By names and structure; by names alone; by structure alone; or joints of the same name
-# or role one to one, for takes that only want other names.
+# or role one to one, for takes that only need other names.
 MapMode: TypeAlias = Literal["auto", "names", "structure", "rename"]
 
 
 class RoleSource(StrEnum):
-    """How the role of a joint was found."""
+    """Evidence for the role of a joint."""
 
-    PRESET = "preset"  # its name is that of a convention
+    PRESET = "preset"  # its name is of a convention
     NAME = "name"  # its name has a word that many conventions have
-    STRUCTURE = "structure"  # from where it is among the others
-    FILE = "file"  # a map file says so
+    STRUCTURE = "structure"  # its position in the tree
+    FILE = "file"  # stated by a map file
     NONE = ""
 
 
@@ -49,14 +49,14 @@ class Anatomy:
 
     # One of `ROLES`, or `TWIST`, `END`, `CONTROL` or empty, per joint ``(J,)``.
     roles: tuple[str, ...]
-    found: tuple[RoleSource, ...]  # ``(J,)``
+    evidence: tuple[RoleSource, ...]  # ``(J,)``
     confidence: tuple[float, ...]  # 0 to 1 ``(J,)``
     preset: str = ""  # the convention of the names; empty for none
     notices: tuple[Fault, ...] = ()
 
     def chain(self, role: str) -> tuple[int, ...]:
         """Return the joints of a role, parents before children."""
-        return tuple(j for j, own in enumerate(self.roles) if own == role)
+        return tuple(j for j, each in enumerate(self.roles) if each == role)
 
 
 def base_role(role: str) -> str:

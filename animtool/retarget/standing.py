@@ -1,7 +1,6 @@
-"""Which axis a body stands along, of files that do not say which is up.
+"""The axis a body stands along, for files that do not state the up axis.
 
-It is told by where limbs, trunk and head are, whatever joints are called, and by how
-the body moves.
+It is inferred from limbs, trunk and head, independent of names, and from motion.
 """
 
 from __future__ import annotations
@@ -22,27 +21,27 @@ from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward, rest_world
 from animtool.rig.skeleton import Rig
 
-# Cosine of the angle to an axis up to which a person stands along it [1].
+# Least cosine to an axis of a body that stands along it [1].
 STANDS = 0.8
-# Share of the frames in which a body stands that stands all the time [1].
+# Least fraction of frames of a body that stands throughout [1].
 MOSTLY = 0.9
-# Share of the frames below which it does so by chance [1].
+# Fraction of frames below which it stands by chance [1].
 SELDOM = 0.1
-# Cosine between the trunk and the way from the feet, of who stands upright [1].
+# Least cosine between trunk and feet-to-hips direction of an upright body [1].
 UPRIGHT = 0.5
-# Cosine of trunks that point along an axis on the whole, and legs across it [1].
+# Least mean cosine of a trunk along an axis, and of legs across it [1].
 LEANS = 0.6
-# Who lies is lowest at one height, within this share of the length [1].
+# A lying body's lowest point varies by less than this fraction of its length [1].
 LEVEL = 0.06
-# Cosine between arms and legs of what stands on all four of them [1].
+# Least cosine between arms and legs of a four-legged stance [1].
 ON_FOURS = 0.8
-# The lowest joint is this near to 0, over the height, where that is the ground, and not
-# this far below it; in this share of the frames, for some jump [1].
+# On the ground, the lowest joint is this near to 0 and not this far below it, over the
+# height, in this fraction of the frames: some jump [1].
 ON_GROUND, SUNK, OFTEN = 0.08, 0.02, 0.6
-# Who walks goes this far over the ground, and no farther up and down, over the
+# A walking body travels this far over the ground, and no farther up and down, over its
 # height [1].
 GOES, BOBS = 0.6, 0.25
-# Frames that are looked at first, and that say enough of a long take.
+# Frames sampled: at first, and of a long take.
 GLANCES, ENOUGH = 3, 2000
 
 
@@ -51,21 +50,21 @@ class Stance:
     """How a body stands in a take.
 
     Attributes:
-        axis: The axis that it stands along, if that is not the one that is up.
-        share: In which share of the frames.
+        axis: The axis that it stands along, if it is not the up axis.
+        fraction: Of the frames in which it does.
         upside_down: Whether it stands on its head in nearly all frames.
     """
 
     axis: UpAxis | None = None
-    share: float = 0.0
+    fraction: float = 0.0
     upside_down: bool = False
 
 
 def body_axes(roles: Sequence[str], positions: FloatArray) -> FloatArray:
-    """Return which way a body points, from its feet on ``(F, 3)``.
+    """Return the direction from feet to head ``(F, 3)``.
 
-    Units, or 0 where it does not stand: where it crawls, sits on its heels or is none.
-    What stands on four legs points away from its feet, however its trunk lies.
+    Unit vectors, or 0 where the body does not stand: crawling, sitting on its heels, or
+    not a body. A four-legged body points away from its feet, however its trunk lies.
 
     Args:
         roles: Of the joints ``(J,)``.
@@ -79,20 +78,20 @@ def body_axes(roles: Sequence[str], positions: FloatArray) -> FloatArray:
     if legs is None:
         return trunk
     up = (trunk * -legs).sum(axis=1)
-    made = np.where(up[:, None] > UPRIGHT, _units(trunk - legs), nothing)
+    axes = np.where(up[:, None] > UPRIGHT, _units(trunk - legs), nothing)
     if arms is None:
-        return made
+        return axes
     down = _units(legs + arms)
     fours = (legs * arms).sum(axis=1) > ON_FOURS
     fours &= np.abs((trunk * down).sum(axis=1)) < UPRIGHT
-    return np.where(fours[:, None], -down, made)
+    return np.where(fours[:, None], -down, axes)
 
 
 _LIMBS = (("thigh", "foot"), ("upper_arm", "hand"))
 
 
 def _trunk(roles: Sequence[str], positions: FloatArray) -> FloatArray | None:
-    """Return the way from the hips to the head ``(F, 3)``, if both are known."""
+    """Return the vector from hips to head ``(F, 3)``; None if either is unknown."""
     if "hips" not in roles or "head" not in roles:
         return None
     low, high = roles.index("hips"), roles.index("head")
@@ -104,20 +103,20 @@ def _trunk(roles: Sequence[str], positions: FloatArray) -> FloatArray | None:
 def _limbs(
     roles: Sequence[str], positions: FloatArray, first: str, last: str
 ) -> FloatArray | None:
-    """Return the mean way of a pair of limbs to their ends ``(F, 3)``, if known."""
+    """Return the mean vector along a pair of limbs ``(F, 3)``; None if unknown."""
     pairs = [(f"{first}_{side}", f"{last}_{side}") for side in "lr"]
     if not all({*pair} <= {*roles} for pair in pairs):
         return None
-    ways = [
+    vectors = [
         _units(positions[:, roles.index(b)] - positions[:, roles.index(a)])
         for a, b in pairs
     ]
-    return _units(ways[0] + ways[1])
+    return _units(vectors[0] + vectors[1])
 
 
-def _units(ways: FloatArray) -> FloatArray:
-    sizes = np.linalg.norm(ways, axis=1)
-    return np.asarray(ways / np.maximum(sizes, 1e-12)[:, None])
+def _units(vectors: FloatArray) -> FloatArray:
+    sizes = np.linalg.norm(vectors, axis=1)
+    return np.asarray(vectors / np.maximum(sizes, 1e-12)[:, None])
 
 
 def stance(
@@ -125,42 +124,48 @@ def stance(
 ) -> Stance:
     """Return how a body stands in frames of a take.
 
-    It stands along another axis where it does in nearly all frames, or from the first
-    on and as often as along the one that is up. Its rest pose says so, too, or how it
-    moves, or the ground: else it is someone who lies.
+    It stands along another axis if it does in nearly all frames, or from the first
+    frame on and at least as often as along the up axis. Rest pose, motion or ground
+    contact must confirm it: else the body lies.
 
     Args:
         roles: Of the joints ``(J,)``.
         positions: Of these ``(F, J, 3)`` [m].
-        up: The axis that is taken as up.
+        up: The assumed up axis.
         rest: Positions of the joints at rest ``(J, 3)`` [m]; None where not known.
     """
     axes, other = body_axes(roles, positions), _other(up)
     along = axes @ np.array(other.vector) > STANDS
     upright = axes @ np.array(up.vector)
-    share, usual = float(along.mean()), float((upright > STANDS).mean())
+    fraction, upright_fraction = float(along.mean()), float((upright > STANDS).mean())
     if float((upright < -STANDS).mean()) >= MOSTLY:
-        return Stance(share=float((upright < -STANDS).mean()), upside_down=True)
+        return Stance(fraction=float((upright < -STANDS).mean()), upside_down=True)
     rests = np.zeros(3) if rest is None else body_axes(roles, rest[None])[0]
     if rests @ np.array(other.vector) > STANDS:
-        starts = bool(along[0] or along[-1]) and share >= max(usual, SELDOM)
-        found = starts or share >= MOSTLY or _leans(roles, positions, other, up)
-        return Stance(other, share) if found else Stance()
-    if share < MOSTLY and not (along[0] and share >= max(usual, SELDOM)):
+        starts = bool(along[0] or along[-1]) and fraction >= max(
+            upright_fraction, SELDOM
+        )
+        along_other = (
+            starts or fraction >= MOSTLY or _leans(roles, positions, other, up)
+        )
+        return Stance(other, fraction) if along_other else Stance()
+    if fraction < MOSTLY and not (
+        along[0] and fraction >= max(upright_fraction, SELDOM)
+    ):
         return Stance()
     standing = positions[along]
     if _moves_over(positions, other, up) or _feet_on_ground(standing, other, up):
-        return Stance(other, share)
-    lies = share < MOSTLY or _on_one_level(standing, up)
-    return Stance() if lies else Stance(other, share)
+        return Stance(other, fraction)
+    lies = fraction < MOSTLY or _on_one_level(standing, up)
+    return Stance() if lies else Stance(other, fraction)
 
 
 def _leans(
     roles: Sequence[str], positions: FloatArray, axis: UpAxis, up: UpAxis
 ) -> bool:
-    """Return whether a trunk is along an axis on the whole, with no legs below it.
+    """Return whether the trunk is along an axis on average, with no legs below it.
 
-    Of poses in which nobody stands, such as a leap.
+    Covers takes that never stand, such as a leap.
     """
     trunk = _trunk(roles, positions)
     legs = _limbs(roles, positions, *_LIMBS[0])
@@ -172,31 +177,31 @@ def _leans(
 
 
 def _on_one_level(positions: FloatArray, up: UpAxis) -> bool:
-    """Return whether the lowest joints are always as high, as those of who lies."""
+    """Return whether the lowest joint keeps its height, as for a lying body."""
     size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
     low = (positions @ np.array(up.vector)).min(axis=1)
     return float(np.quantile(low, 1 - SELDOM) - np.quantile(low, SELDOM)) < LEVEL * size
 
 
 def _feet_on_ground(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
-    """Return whether feet are at 0 of an axis, and who lies does not lie at 0 of up."""
+    """Return whether feet are at 0 of an axis while the body is not at 0 of up."""
     spans = np.ptp(positions, axis=1).max(axis=1)
     size = float(np.median(spans))
     feet = (positions @ np.array(axis.vector)).min(axis=1) / size
     low = (positions @ np.array(up.vector)).min(axis=1) / size
     stands = float((np.abs(feet) < ON_GROUND).mean()) >= OFTEN
-    # Nothing of who lies is below the ground.
+    # A lying body has nothing below the ground.
     lies = float(((low > -SUNK) & (low < ON_GROUND)).mean()) >= OFTEN
     return stands and not lies
 
 
 def _moves_over(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
-    """Return whether a body goes over ground across an axis as who walks does."""
+    """Return whether a body travels across an axis as a walking one does."""
     middle = positions.mean(axis=1)
     size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
     spans = np.ptp(middle, axis=0)
     high = float(spans @ np.array(axis.vector))
-    # Along what is taken as up nobody who lies goes.
+    # A lying body does not travel along the assumed up axis.
     far = float(spans @ np.array(up.vector))
     return far > GOES * size and high < BOBS * size
 
@@ -204,19 +209,19 @@ def _moves_over(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
 def stands_along(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis | None:
     """Return the axis that a body stands along, if it is not the rig's up axis.
 
-    BVH files do not say which it is. ``roles`` of the joints ``(J,)``.
+    BVH files do not state it. ``roles`` of the joints ``(J,)``.
     """
     if not _other_is_longer(rig, motion):
         return None
     every = max(motion.frames // ENOUGH, 1)
     frames = motion.select(slice(0, motion.frames, every))
-    places = forward(rig, frames.translations.dense(), frames.rotations.dense())
+    positions = forward(rig, frames.translations.dense(), frames.rotations.dense())
     rest = rest_world(rig).positions[0]
-    return stance(roles, places.positions, rig.up, rest).axis
+    return stance(roles, positions.positions, rig.up, rest).axis
 
 
 def _other_is_longer(rig: Rig, motion: Motion) -> bool:
-    """Return whether some of a few frames is longer along the other axis than up."""
+    """Return whether any sampled pose extends farther along the other axis than up."""
     if not rig.joints or not motion.frames:
         return False
     some = np.linspace(0, motion.frames - 1, GLANCES).astype(int)
@@ -231,7 +236,7 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
 
 
 def lying_notice(path: Path, rig: Rig, motion: Motion) -> list[Fault]:
-    """Return a note of a body that stands along another axis than up (MOT214)."""
+    """Return a note that a body stands along another axis than up (MOT214)."""
     if not _other_is_longer(rig, motion):
         return []
     from animtool.retarget.anatomy import anatomy
@@ -245,7 +250,7 @@ def lying_notice(path: Path, rig: Rig, motion: Motion) -> list[Fault]:
 
 
 def with_lying_notice(path: Path, stream: TakeStream) -> TakeStream:
-    """Return a stream that says in its notices of whom its first block shows lying."""
+    """Return a stream that adds MOT214 to its notices if its first block lies."""
 
     def blocks() -> Iterator[Motion]:
         for i, block in enumerate(stream.blocks):

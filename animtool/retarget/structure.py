@@ -1,7 +1,6 @@
-"""Where limbs, hands and the trunk are in a skeleton, from its tree and its lengths.
+"""Limbs, hands and trunk of a skeleton, found from its tree and bone lengths.
 
-Names, where they say anything, are votes that the same search weighs: one way from a
-skeleton to its anatomy, whatever is known of it.
+Names, where they tell anything, are votes that the same search weighs.
 """
 
 from __future__ import annotations
@@ -24,15 +23,15 @@ from animtool.retarget.roles import CONTROL, END, SIDES, TWIST
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
 
-# Shorter than this share of the skeleton, a bone has no length.
+# Bones shorter than this fraction of the skeleton have no length.
 _ZERO = 1e-4
-# Limbs of one pair differ in reach by less than this share.
-_ALIKE = 0.15
-# A pair of limbs reaches over at least this share of the skeleton.
+# Limbs of a pair differ in reach by less than this fraction.
+_PAIR_TOLERANCE = 0.15
+# Least reach of a pair of limbs over the skeleton's size.
 _LIMB = 0.2
-# Joints of a limb that are told apart; the time it takes grows with the fourth power.
+# Most joints of a limb to assign; time grows with the fourth power.
 _MAX_LIMB_JOINTS = 16
-# Cosine between trunk and legs of a person who stands, at most.
+# Largest cosine between trunk and legs of a standing body.
 _UPRIGHT = -0.7
 # Cosine from which a leaf lies along its sibling's bone, as a twist joint does.
 _ALONG = 0.97
@@ -43,11 +42,11 @@ Pair = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class Body:
-    """A skeleton as the search sees it."""
+class SkeletonTree:
+    """A skeleton prepared for the anatomy search."""
 
     rig: Rig
-    # Of J joints in the pose that the search looks at ``(J, 3)`` [m], world.
+    # Joint positions in the searched pose ``(J, 3)`` [m], world.
     positions: FloatArray
     last_bones: FloatArray  # at rest, zero for none ``(J, 3)`` [m], world
     kinds: tuple[str, ...]  # of joints that have no role, by their names ``(J,)``
@@ -56,8 +55,8 @@ class Body:
     @classmethod
     def of(
         cls, rig: Rig, votes: Sequence[dict[str, float]], kinds: Sequence[str]
-    ) -> Body:
-        """Return a skeleton at rest."""
+    ) -> SkeletonTree:
+        """Return the tree of a skeleton at rest."""
         rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
         tips = np.zeros((len(rig.joints), 3))
         for j, joint in enumerate(rig.joints):
@@ -68,14 +67,14 @@ class Body:
 
     @cached_property
     def children(self) -> list[list[int]]:
-        """Children of each joint, without controls that carry nothing else."""
+        """Children of each joint, without controls that carry no joint with a role."""
         below: list[list[int]] = [[] for _ in self.rig.joints]
         used = [kind != CONTROL for kind in self.kinds]
         for j in range(len(used) - 1, -1, -1):
             parent = self.rig.joints[j].parent
             if used[j] and parent >= 0:
                 below[parent].insert(0, j)
-                # A control that carries a joint with a role is an extra bone.
+                # A control above a joint with a role is an extra bone.
                 used[parent] |= bool(self.votes[j]) or bool(below[j])
         return below
 
@@ -93,7 +92,7 @@ class Body:
 
     @cached_property
     def reach(self) -> FloatArray:
-        """Length of the longest way down from each joint ``(J,)`` [m]."""
+        """Length of the longest path down from each joint ``(J,)`` [m]."""
         reach = self.tips.copy()
         for j in range(len(reach) - 1, -1, -1):
             parent = self.rig.joints[j].parent
@@ -103,7 +102,7 @@ class Body:
 
     @cached_property
     def size(self) -> float:
-        """Length of the longest way through the skeleton from a root [m]."""
+        """Length of the longest path through the skeleton from a root [m]."""
         return float(max(self.reach[self.rig.roots], default=0.0))
 
     @cached_property
@@ -115,20 +114,20 @@ class Body:
                 counts[self.rig.joints[j].parent] += counts[j]
         return counts
 
-    def way(self, top: int, bottom: int) -> list[int]:
-        """Return the joints from one to another below it; none where it is not."""
-        way = self.rig.upwards(bottom)[::-1]
-        return way[way.index(top) :] if top in way else []
+    def path(self, top: int, bottom: int) -> list[int]:
+        """Return the joints from one to another below it; empty if it is not below."""
+        path = self.rig.upwards(bottom)[::-1]
+        return path[path.index(top) :] if top in path else []
 
     def common(self, joints: Sequence[int]) -> int:
-        """Return the lowest joint above or at all of these; -1 where none is."""
+        """Return the lowest common ancestor of joints; -1 for none."""
         shared = set(self.rig.upwards(joints[0]))
         for j in joints[1:]:
             shared &= set(self.rig.upwards(j))
         return max(shared, default=-1)
 
     def limb_children(self, joint: int) -> list[int]:
-        """Return the children that go on: no ends, no twist joints along a bone."""
+        """Return the children that continue a limb: no bone ends, no twist joints."""
         below = [c for c in self.children[joint] if not self._is_end(c)]
         if len(below) < 2:
             return below
@@ -141,7 +140,7 @@ class Body:
         return self.kinds[joint] == END or self.is_tip(joint)
 
     def is_tip(self, joint: int) -> bool:
-        """Return whether a leaf only marks where the bone above it ends."""
+        """Return whether a leaf only marks the end of the bone above it."""
         tips = self.rig.joints[joint].tips
         if not tips or not self._marked or self.children[joint]:
             return False
@@ -149,9 +148,9 @@ class Body:
 
     @cached_property
     def _marked(self) -> bool:
-        """Whether leaves with a bone of no length are ends, and not joints.
+        """Whether leaves with a zero-length bone are bone ends, not joints.
 
-        Some files give no bone a last length; there, fingers of four joints show that
+        Some files give no last bone a length; there, fingers of four joints show that
         the last ones are ends.
         """
         leaves = [j for j, below in enumerate(self.children) if not below]
@@ -160,13 +159,13 @@ class Body:
         return sum(self._run(leaf) >= 4 for leaf in leaves) >= 6
 
     def _run(self, leaf: int) -> int:
-        """Return how many joints there are from a leaf to where its chain begins."""
+        """Return the number of joints from a leaf up to the start of its chain."""
         above = self.rig.upwards(leaf)
         forks = [i for i, j in enumerate(above) if len(self.children[j]) > 1]
         return min(forks, default=len(above))
 
     def _along(self, leaf: int, other: int) -> bool:
-        """Return whether a joint lies on the bone to its sibling, or in the joint."""
+        """Return whether a joint lies on its sibling's bone, or at the joint itself."""
         if self.votes[leaf] or self.kinds[leaf] == TWIST:
             return not self.votes[leaf]
         if self.children[leaf] or self.rig.joints[leaf].tips:
@@ -179,25 +178,25 @@ class Body:
         return cosine > _ALONG and length <= 1.05 * bone
 
     def extent(self, joint: int) -> float:
-        """Return the length of the longest way from a joint's parent through it [m]."""
+        """Return the longest path length from a joint's parent through it [m]."""
         return float(self.lengths[joint] + self.reach[joint])
 
     def heaviest(self, joint: int) -> list[int]:
-        """Return the longest way down from a joint, itself first."""
-        way = [joint]
-        while below := self.limb_children(way[-1]):
-            way.append(max(below, key=self.extent))
-        return way
+        """Return the longest path down from a joint, itself first."""
+        path = [joint]
+        while below := self.limb_children(path[-1]):
+            path.append(max(below, key=self.extent))
+        return path
 
-    def branches(self, way: Sequence[int]) -> tuple[int, int]:
-        """Return the joint of a way from which most ways go on, and their number."""
-        counts = [len(self.limb_children(j)) for j in way]
+    def branches(self, path: Sequence[int]) -> tuple[int, int]:
+        """Return the joint of a path with the most branches, and their number."""
+        counts = [len(self.limb_children(j)) for j in path]
         most = max(counts)
-        return way[counts.index(most)], most
+        return path[counts.index(most)], most
 
 
-def limb_pairs(body: Body) -> tuple[Pair | None, Pair | None]:
-    """Return the pair of legs and the pair of arms, as far as the tree shows them."""
+def limb_pairs(body: SkeletonTree) -> tuple[Pair | None, Pair | None]:
+    """Return the pairs of legs and of arms, as far as the tree shows them."""
     outer: list[Pair] = []
     for pair in sorted(_pairs(body), key=lambda pair: -body.extent(pair[0])):
         above = set(body.rig.upwards(pair[0]))
@@ -211,9 +210,9 @@ def limb_pairs(body: Body) -> tuple[Pair | None, Pair | None]:
     return None, None
 
 
-def _pairs(body: Body) -> list[Pair]:
-    """Return pairs of like subtrees, each joint with the one that is most like it."""
-    found = []
+def _pairs(body: SkeletonTree) -> list[Pair]:
+    """Return pairs of similar subtrees, each joint with its most similar one."""
+    pairs = []
     for below in body.children:
         long = [
             c
@@ -223,21 +222,21 @@ def _pairs(body: Body) -> list[Pair]:
         for a, b in combinations(sorted(long, key=body.extent)[-_MAX_LIMB_JOINTS:], 2):
             low, high = sorted((body.extent(a), body.extent(b)))
             fewer, more = sorted((body.counts[a], body.counts[b]))
-            if high - low <= _ALIKE * high and more <= 1.2 * fewer + 2:
-                found.append((more - fewer, high - low, (a, b)))
+            if high - low <= _PAIR_TOLERANCE * high and more <= 1.2 * fewer + 2:
+                pairs.append((more - fewer, high - low, (a, b)))
     best: list[Pair] = []
-    for _, _, pair in sorted(found):
+    for _, _, pair in sorted(pairs):
         if not any(set(pair) & set(other) for other in best):
             best.append(pair)
     return best
 
 
-def _leg_score(body: Body, legs: Pair, arms: Pair) -> float:
-    """Return how well two pairs do as legs and arms."""
+def _leg_score(body: SkeletonTree, legs: Pair, arms: Pair) -> float:
+    """Return how well two pairs fit as legs and arms."""
     hips, chest = (body.rig.joints[pair[0]].parent for pair in (legs, arms))
-    ways = [body.rig.upwards(hips), body.rig.upwards(chest)]
-    score = 2.0 * (hips in ways[1]) - 2.0 * (chest in ways[0][1:])
-    score += float(np.sign(len(ways[1]) - len(ways[0])))
+    paths = [body.rig.upwards(hips), body.rig.upwards(chest)]
+    score = 2.0 * (hips in paths[1]) - 2.0 * (chest in paths[0][1:])
+    score += float(np.sign(len(paths[1]) - len(paths[0])))
     fingers = [
         max(body.branches(body.heaviest(c))[1] for c in pair) for pair in (legs, arms)
     ]
@@ -248,8 +247,8 @@ def _leg_score(body: Body, legs: Pair, arms: Pair) -> float:
     return score + (body.extent(legs[0]) + body.extent(arms[0])) / max(body.size, 1e-30)
 
 
-def upright(body: Body, tips: Mapping[str, int]) -> FloatArray | None:
-    """Return the way up of a person who stands ``(3,)``; None where nobody does.
+def upright(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray | None:
+    """Return the up direction of a standing body ``(3,)``; None if it does not stand.
 
     Limbs are given by their lowest joints: ``leg_l``, ``arm_r`` …
     """
@@ -259,9 +258,9 @@ def upright(body: Body, tips: Mapping[str, int]) -> FloatArray | None:
     legs, arms = ([tips[f"{limb}_{side}"] for side in SIDES] for limb in ("leg", "arm"))
     hips, chest = body.common(legs), body.common(arms)
     trunk = positions[chest] - positions[hips]
-    # Toes and hands point anywhere: where limbs are on the whole says more.
+    # Toes and hands point anywhere: mean limb positions are more reliable.
     drops = [
-        positions[body.way(hips, leg)].mean(axis=0) - positions[hips] for leg in legs
+        positions[body.path(hips, leg)].mean(axis=0) - positions[hips] for leg in legs
     ]
     drop = np.asarray(drops).mean(axis=0)
     lengths = float(np.linalg.norm(trunk)), float(np.linalg.norm(drop))
@@ -272,15 +271,15 @@ def upright(body: Body, tips: Mapping[str, int]) -> FloatArray | None:
 
 
 def left_of(
-    body: Body, tips: Mapping[str, int], up: FloatArray | None, *, at_rest: bool
+    body: SkeletonTree, tips: Mapping[str, int], up: FloatArray | None, *, at_rest: bool
 ) -> FloatArray:
-    """Return the direction to the left of a person ``(3,)``, by feet and trunk."""
+    """Return a body's left direction ``(3,)``, from feet and trunk."""
     if up is None:
         is_y = body.rig.up is UpAxis.Y
         up = np.array([0.0, 1.0, 0.0] if is_y else [0.0, 0.0, 1.0])
-    # Who stands along an axis looks along the one that the field takes for ahead.
+    # A body standing along an axis faces that axis's conventional forward.
     axis = int(np.argmax(np.abs(up)))
-    ahead: FloatArray = np.array([0.0, 0.0, 1.0] if axis == 1 else [0.0, -1.0, 0.0])
+    forward: FloatArray = np.array([0.0, 0.0, 1.0] if axis == 1 else [0.0, -1.0, 0.0])
     unit = np.eye(3)[axis] * np.sign(up[axis])
     feet: FloatArray = np.zeros(3)
     for name in sorted({"leg_l", "leg_r"} & tips.keys()):
@@ -289,23 +288,23 @@ def left_of(
         tip = body.last_bones[toe] if at_rest else np.zeros(3)
         for bone in (bones, tip):
             level = bone - unit * float(bone @ unit)
-            # A shin or an ankle that leans says nothing of where feet point.
+            # A leaning shin or ankle does not tell where feet point.
             if np.linalg.norm(level) > 0.6 * max(float(np.linalg.norm(bone)), 1e-30):
                 feet += level
     if np.linalg.norm(feet) > 0.01 * body.size:
-        ahead = feet / np.linalg.norm(feet)
-    return np.cross(unit, ahead)
+        forward = feet / np.linalg.norm(feet)
+    return np.cross(unit, forward)
 
 
 @dataclass(frozen=True, slots=True)
-class Limb:
-    """What the joints of a limb are called, and how long its bones are of a person."""
+class LimbShape:
+    """Names and typical bone lengths of a limb's joints."""
 
-    roles: tuple[str, ...]  # before it, its two long bones, its end, what is behind
+    roles: tuple[str, ...]  # before it, its two long bones, its end, beyond it
     ratio: float  # of the upper long bone to the lower one
     before: float  # length before it, of the upper bone's
     end: float  # length from the end's joint on, of the lower bone's
-    led: bool  # whether most skeletons have a joint before it
+    led: bool  # whether most skeletons have a joint above it
 
 
 # How far the logarithms of those lengths vary.
@@ -313,19 +312,19 @@ _RATIO_SPREAD, _BEFORE_SPREAD, _END_SPREAD = 0.2, 0.7, 0.5
 
 
 def split_limb(
-    body: Body, way: Sequence[int], limb: Limb, branch: int = -1
+    body: SkeletonTree, path: Sequence[int], limb: LimbShape, branch: int = -1
 ) -> list[str]:
-    """Return the role of each joint of a limb's way, in the order of its roles.
+    """Return the role of each joint along a limb, in the order of its roles.
 
     Args:
         body: The skeleton.
-        way: Joints of the limb, downwards.
+        path: Joints of the limb, downwards.
         limb: What it is.
         branch: The joint where the end begins, where the tree shows it.
     """
-    beyond, way = way[_MAX_LIMB_JOINTS:], way[:_MAX_LIMB_JOINTS]
-    n = len(way)
-    at = np.cumsum([0.0, *body.lengths[way[1:]], body.tips[way[-1]]])
+    beyond, path = path[_MAX_LIMB_JOINTS:], path[:_MAX_LIMB_JOINTS]
+    n = len(path)
+    at = np.cumsum([0.0, *body.lengths[path[1:]], body.tips[path[-1]]])
     best, best_score = [""] * n, -np.inf
     for upper, lower, end in combinations_with_replacement(range(n + 1), 3):
         for last in range(min(end + 1, n), n + 1):
@@ -335,20 +334,20 @@ def split_limb(
                 for role, (a, b) in zip(limb.roles, pairwise(parts), strict=True)
                 for _ in range(b - a)
             ]
-            score = _named(body, way, labels) + _shaped(at, parts, limb)
+            score = _named(body, path, labels) + _shaped(at, parts, limb)
             if branch >= 0:
-                score += 4.0 if end < n and way[end] == branch else -4.0
+                score += 4.0 if end < n and path[end] == branch else -4.0
             elif not limb.led and end < n - 1:
-                score += _bend(body, [way[lower], way[end], way[end + 1]])
+                score += _bend(body, [path[lower], path[end], path[end + 1]])
             if score > best_score:
                 best, best_score = labels, score
     return best + [""] * len(beyond)
 
 
-def _named(body: Body, way: Sequence[int], labels: Sequence[str]) -> float:
-    """Return how far the names agree; the first joint of a role counts most."""
+def _named(body: SkeletonTree, path: Sequence[int], labels: Sequence[str]) -> float:
+    """Return how well names agree with roles; a role's first joint counts most."""
     score, before = 0.0, ""
-    for j, label in zip(way, labels, strict=True):
+    for j, label in zip(path, labels, strict=True):
         votes = body.votes[j]
         if label in votes:
             score += (20.0 if label != before else 12.0) * votes[label]
@@ -358,8 +357,8 @@ def _named(body: Body, way: Sequence[int], labels: Sequence[str]) -> float:
     return score
 
 
-def _shaped(at: FloatArray, parts: Sequence[int], limb: Limb) -> float:
-    """Return how far a limb's lengths and numbers of joints are those of a person."""
+def _shaped(at: FloatArray, parts: Sequence[int], limb: LimbShape) -> float:
+    """Return how well a limb's lengths and joint counts fit a human one."""
     _, upper, lower, end, _, n = parts
     counts = [b - a for a, b in pairwise(parts)]
     score = -0.4 * max(counts[1] - 1, 0) - 0.4 * max(counts[2] - 1, 0)
@@ -381,12 +380,12 @@ def _shaped(at: FloatArray, parts: Sequence[int], limb: Limb) -> float:
 
 
 def _off(value: float, expected: float, spread: float) -> float:
-    """Return half the square of how far a ratio is off, in spreads, up to 12."""
+    """Return half the squared deviation of a ratio, in spreads, up to 12."""
     return min(0.5 * float(np.log(value / expected) / spread) ** 2, 12.0)
 
 
-def _bend(body: Body, joints: Sequence[int]) -> float:
-    """Return 0 to 1: how far the way through three joints bends, as at an ankle."""
+def _bend(body: SkeletonTree, joints: Sequence[int]) -> float:
+    """Return 0 to 1: how much the path through three joints bends, as at an ankle."""
     first, second = np.diff(body.positions[list(joints)], axis=0)
     size = float(np.linalg.norm(first) * np.linalg.norm(second))
     if size <= 0:

@@ -1,4 +1,4 @@
-"""The pass ``retarget``: a take brought onto another rig."""
+"""The pass ``retarget``: takes onto another rig."""
 
 from __future__ import annotations
 
@@ -55,46 +55,46 @@ from animtool.rig.kinematics import forward
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
-# Whether enough of a take is paired for its motion to be that of the rig.
+# Thresholds for how much of a take has to be paired.
 
-# Bones that a whole limb has.
+# Bones of a complete limb.
 LIMBS = {"arm": ("upper_arm", "forearm", "hand"), "leg": ("thigh", "shin", "foot")}
-# Least share of the joints that move in a take that are paired [1].
+# Least fraction of a take's moving joints that are paired [1].
 PAIRED = 1 / 3
-# Joints that say nothing of how a body moves: some takes have hundreds of them.
+# Joints irrelevant to body motion: some takes have hundreds of them.
 _DETAIL = {*FINGERS, MITTEN, "toe", "jaw", "eye", TWIST, END, CONTROL}
 _ENDS = {"head", "hand", "foot"}
 MAX_NAMED = 6
-# Share of its length at rest that a bone keeps at most that has none [1].
+# A bone shorter than this fraction of its rest length has no length [1].
 NO_LENGTH = 1e-4
 
 
-def lacking_pairs(
-    source: Rig, found: JointMap, follows: IntArray, moving: Collection[int]
+def insufficient_pairs(
+    source: Rig, joint_map: JointMap, follows: IntArray, moving: Collection[int]
 ) -> Fault | None:
-    """Return why a take does not fit a rig (MAP010); None where it does.
+    """Return why too little of a take is mapped to its rig (MAP010); None if enough is.
 
     Args:
         source: The skeleton of the take, of J joints.
-        found: Which joints follow which.
+        joint_map: Which joints follow which.
         follows: Which joint of the source each of the target follows ``(K,)``.
         moving: Joints of the source that move; where none does, all count.
     """
-    roles = found.source.roles
-    used = {pair.source for pair in found.pairs} | {*follows.tolist()}
-    used |= {j for chain in found.chains for j in chain.source}
+    roles = joint_map.source.roles
+    used = {pair.source for pair in joint_map.pairs} | {*follows.tolist()}
+    used |= {j for chain in joint_map.chains for j in chain.source}
     limbs = _limbs(roles)
-    whole = [name for name, joints in limbs.items() if used.issuperset(joints)]
+    intact = [name for name, joints in limbs.items() if used.issuperset(joints)]
     body = _body(source, roles)
     counts = [j for j in body if j in moving] or body
     paired = [j for j in counts if j in used]
-    if len(paired) >= PAIRED * len(counts) and (whole or not limbs):
+    if len(paired) >= PAIRED * len(counts) and (intact or not limbs):
         return None
     message = (
         f"{len(paired)} of {counted(len(counts), 'moving joint')} of {source.name!r} "
         f"are paired"
     )
-    if limbs and not whole:
+    if limbs and not intact:
         message += f", and none of its limbs ({listed(sorted(limbs), MAX_NAMED)})"
     hint = (
         "write a map file, or retarget what is paired with "
@@ -104,15 +104,17 @@ def lacking_pairs(
     return Fault("MAP010", message, hint=hint)
 
 
-def collapsed(source: Rig, found: JointMap, longest: FloatArray) -> Fault | None:
+def zero_length_limbs(
+    source: Rig, joint_map: JointMap, longest: FloatArray
+) -> Fault | None:
     """Return which limbs of a take have bones without length (MAP011); None for none.
 
     Args:
         source: The skeleton of the take, of J joints.
-        found: Which joints follow which.
-        longest: How far its joints get from their parents, at most ``(J,)`` [m].
+        joint_map: Which joints follow which.
+        longest: Largest distance of its joints from their parents ``(J,)`` [m].
     """
-    roles = found.source.roles
+    roles = joint_map.source.roles
     lengths = np.linalg.norm(source.rest_translations, axis=1)
     lost = (longest <= NO_LENGTH * lengths) & (lengths > 0) & (source.parents >= 0)
     bones = sorted(
@@ -141,7 +143,7 @@ def collapsed(source: Rig, found: JointMap, longest: FloatArray) -> Fault | None
 
 
 def nothing_paired(source: Rig, roles: tuple[str, ...], target: Rig) -> Fault | None:
-    """Return that nothing of a body is paired (MAP010); None for what is no body."""
+    """Return the fault that no body joint is paired (MAP010); None for non-bodies."""
     limbs = _limbs(roles)
     if not limbs:
         return None
@@ -151,24 +153,24 @@ def nothing_paired(source: Rig, roles: tuple[str, ...], target: Rig) -> Fault | 
 
 
 def _limbs(roles: tuple[str, ...]) -> dict[str, list[int]]:
-    """Return the joints of the limbs that a skeleton has whole, by name."""
-    found = {}
+    """Return the joints of a skeleton's complete limbs, by name."""
+    limbs = {}
     for name, bones in LIMBS.items():
         for side, text in (("l", "left"), ("r", "right")):
-            own = [f"{bone}_{side}" for bone in bones]
-            if {*own} <= {*roles}:
-                found[f"{text} {name}"] = [roles.index(role) for role in own]
-    return found
+            bone_roles = [f"{bone}_{side}" for bone in bones]
+            if {*bone_roles} <= {*roles}:
+                limbs[f"{text} {name}"] = [roles.index(role) for role in bone_roles]
+    return limbs
 
 
 def _body(rig: Rig, roles: tuple[str, ...]) -> list[int]:
     """Return the joints of a skeleton without fingers, toes, face and twists."""
-    made = []
+    joints = []
     for j, role in enumerate(roles):
         ends = {base_role(roles[k]) for k in rig.upwards(j)[1:]} & _ENDS
         if base_role(role) not in _DETAIL and not (ends and not role):
-            made.append(j)
-    return made
+            joints.append(j)
+    return joints
 
 
 @with_written(RetargetOptions)
@@ -176,7 +178,7 @@ def _body(rig: Rig, roles: tuple[str, ...]) -> list[int]:
 class RetargetPassOptions:
     """The rig that the take goes onto, and the options of `RetargetOptions`."""
 
-    rig: Path | None = None  # the file of the rig
+    rig: Path | None = None  # the rig file
 
 
 def onto_rig(
@@ -187,17 +189,17 @@ def onto_rig(
     same: bool = False,
     props: Props | None = None,
 ) -> tuple[Retargeting, JointMap, list[Fault]]:
-    """Return a take on its way to another rig, the map of joints, and what is odd.
+    """Return a retargeting of a take, the joint map, and warnings.
 
     Args:
         stream: The take.
         rig: The rig that it goes onto.
         options: How.
         same: Whether feet are held on legs like those of the source, too.
-        props: Tracks of the take that hands may hold.
+        props: Tracks of the take that hands may grip.
 
     Raises:
-        FormatError: The map file cannot be read, or names joints that neither has; or
+        FormatError: The map file cannot be read, or names an unknown joint; or
             too little is paired (MAP010), or limbs have no length (MAP011).
         OptionError: Nothing maps (MAP004), or the rest frame is none of the take's
             (MAP006).
@@ -207,13 +209,13 @@ def onto_rig(
     frame = None if isinstance(options.rest, str) else options.rest
     rest, blocks = _rest(stream.blocks, frame)
     first = next(blocks)
-    found = _paired(stream.rig, rig, options, _positions(stream.rig, first, rest))
-    notices = list(found.notices)
-    # How a stage turns its character is part of the motion, and not of how it rests.
+    joint_map = _paired(stream.rig, rig, options, _positions(stream.rig, first, rest))
+    notices = list(joint_map.notices)
+    # A stage's rotation of its character is motion, not part of its rest pose.
     source = at_origin(stream.rig)
     stands = None
     if stream.details.get("up_choice") != "stated":
-        stands = stands_along(source, first, found.source.roles)
+        stands = stands_along(source, first, joint_map.source.roles)
     if stands is not None:
         message = (
             f"the body stands along {stands}, though the take's up axis is "
@@ -226,34 +228,43 @@ def onto_rig(
         )
         notices.append(Fault("MAP009", message, hint=hint, severity=Severity.WARNING))
         source = replace(source, up=stands)
-    transfer = transfer_of(source, rig, found, rest, as_rig=as_rig)
+    transfer = transfer_of(source, rig, joint_map, rest, as_rig=as_rig)
     notices += _scale_warnings(transfer.scale)
     fps = float(stream.fps / stream.step)
     lock = not options.free_feet
     motions = chain([first], blocks)
     hands = options.hold_hands
-    made = Retargeting(
-        transfer, found, motions, fps, lock=lock, same=same, hands=hands, props=props
+    retargeting = Retargeting(
+        transfer,
+        joint_map,
+        motions,
+        fps,
+        lock=lock,
+        same=same,
+        hands=hands,
+        props=props,
     )
-    lacking = lacking_pairs(source, found, transfer.follows, made.moving)
+    lacking = insufficient_pairs(
+        source, joint_map, transfer.follows, retargeting.moving
+    )
     if options.map is not None:
         lacking = None
-    lacking = collapsed(source, found, made.longest) or lacking
+    lacking = zero_length_limbs(source, joint_map, retargeting.longest) or lacking
     if lacking is not None and not options.force_fit and not same:
         raise FormatError(lacking)
-    made.forced = [] if lacking is None else [lacking]
-    contacts = made.standing.contacts if lock else ()
-    if contacts and not any(own.any.any() for own in contacts):
+    retargeting.forced = [] if lacking is None else [lacking]
+    contacts = retargeting.standing.contacts if lock else ()
+    if contacts and not any(each.any.any() for each in contacts):
         message = "no foot is planted in any frame: none is held"
         hint = "does the take show a person with legs, for more than two frames?"
         notices.append(Fault("MAP007", message, hint=hint, severity=Severity.NOTE))
-    return made, found, notices
+    return retargeting, joint_map, notices
 
 
 def _paired(
     source: Rig, target: Rig, options: RetargetOptions, positions: FloatArray
 ) -> JointMap:
-    """Return which joints follow which; ``positions``: of the source's ``(J, 3)``."""
+    """Return the joint map; ``positions``: of the source's joints ``(J, 3)``."""
     try:
         return map_joints(
             source,
@@ -276,41 +287,41 @@ def _paired(
 def _rest(
     blocks: Iterator[Motion], frame: int | None
 ) -> tuple[FloatArray | None, Iterator[Motion]]:
-    """Return local turns of the frame that is the rest pose ``(J, 4)``, and all blocks.
+    """Return local rotations of the rest frame ``(J, 4)``, and all blocks.
 
     Raises:
         OptionError: There is no such frame (MAP006).
     """
     if frame is None:
         return None, blocks
-    held, count = [], 0
+    buffered, count = [], 0
     for motion in blocks:
-        held.append(motion)
+        buffered.append(motion)
         if count < frame <= count + motion.frames:
-            turns = motion.select(slice(frame - 1 - count, frame - count)).rotations
-            return turns.dense()[0], chain(held, blocks)
+            rotations = motion.select(slice(frame - 1 - count, frame - count)).rotations
+            return rotations.dense()[0], chain(buffered, blocks)
         count += motion.frames
     message = f"the rest pose is frame {frame}, but the take has {count}"
     raise OptionError(Fault("MAP006", message, where="rest"))
 
 
 def _positions(rig: Rig, first: Motion, rest: FloatArray | None) -> FloatArray:
-    """Return where joints are in a pose of a person who stands ``(J, 3)`` [m].
+    """Return joint positions in a standing pose ``(J, 3)`` [m].
 
-    That of the rest pose, or of the first frame: of a skeleton that has none.
+    That of the rest pose, or of the first frame if the skeleton has no rest pose.
     """
     start = first.select(slice(0, 1))
-    turns = start.rotations.dense() if rest is None else rest[None]
-    return np.asarray(forward(rig, start.translations.dense(), turns).positions[0])
+    rotations = start.rotations.dense() if rest is None else rest[None]
+    return np.asarray(forward(rig, start.translations.dense(), rotations).positions[0])
 
 
-# Between these a person, a child, a giant and a doll stand; beyond them it is rather a
-# unit that is wrong, of which the smallest step but one is 10.
+# Size ratios that a child, a giant or a doll explains; beyond them it is rather a
+# wrong unit, the smallest of which but one is a factor of 10.
 LIKELY_SCALES = (1 / 9, 9.0)
 
 
 def _scale_warnings(scale: float) -> list[Fault]:
-    """Return a warning of a rig that is of another order of size than the take."""
+    """Return a warning if rig and take differ in size by an order of magnitude."""
     low, high = LIKELY_SCALES
     if low <= scale <= high:
         return []
@@ -330,7 +341,7 @@ def _named_rig(options: RetargetPassOptions) -> Path:
 
 
 def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
-    # The take says where it goes, and not the stage that has the rig.
+    # The take determines root motion, not the rig's stage.
     rig = at_origin(Rig.load(context.folder / _named_rig(options)))
     names = RetargetOptions.__dataclass_fields__
     settings = RetargetOptions(**{name: getattr(options, name) for name in names})
@@ -339,44 +350,46 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     props = Props(stream.tracks) if stream.tracks and settings.hold_hands else None
     if props is not None:
         stream = replace(stream, blocks=props.noting(stream.blocks))
-    # What is beside the rig passes by; frames stay as they are.
+    # Other tracks pass through; frames stay unchanged.
     beyond = PassthroughTracks(stream) if stream.tracks else None
-    own = stream if beyond is None else beyond.stream
-    made, _, notices = onto_rig(own, rig, settings, props=props)
+    source = stream if beyond is None else beyond.stream
+    retargeting, _, notices = onto_rig(source, rig, settings, props=props)
     context.notices.extend(notices)
-    blocks = checked_blocks(made, settings, stream.notices)
-    done = replace(own, rig=rig, blocks=_scored(made, blocks, context))
+    blocks = checked_blocks(retargeting, settings, stream.notices)
+    done = replace(source, rig=rig, blocks=_scored(retargeting, blocks, context))
     if beyond is None:
         return done
     done = beyond.restore(done)
     if props is None:
         return done
-    held = {track for hand in made.standing.hands for track in hand.props}
-    return replace(done, tracks=props.moved(held, made.transfer, made.lift))
+    gripped = {track for hand in retargeting.standing.hands for track in hand.props}
+    return replace(
+        done, tracks=props.with_gripped(gripped, retargeting.transfer, retargeting.lift)
+    )
 
 
 def _scored(
-    made: Retargeting, blocks: Iterator[Motion], context: PassContext
+    retargeting: Retargeting, blocks: Iterator[Motion], context: PassContext
 ) -> Iterator[Motion]:
-    """Yield the motion of the target, and say how well it fits at the end."""
+    """Yield the target's motion; report the fit at the end."""
     yield from blocks
-    context.scores.append(scores_of(made.report()))
+    context.scores.append(scores_of(retargeting.report()))
 
 
 def checked_blocks(
-    made: Retargeting,
+    retargeting: Retargeting,
     options: RetargetOptions,
     notices: list[Fault],
     path: Path | None = None,
 ) -> Iterator[Motion]:
-    """Yield the motion of the target, and at the end add warnings of bad scores.
+    """Yield the target's motion; add warnings of bad scores at the end.
 
-    path: the file that they are located at.
+    path: the file that the warnings refer to.
     """
-    yield from made.blocks()
+    yield from retargeting.blocks()
     if options.warn_above is None:
         return
-    for score in scores_of(made.report()).scores:
+    for score in scores_of(retargeting.report()).scores:
         if score.excess > options.warn_above:
             good = replace(score, value=score.usual).text
             message = f"{score.name} {score.text}; a good take has up to {good}"
@@ -387,7 +400,7 @@ def checked_blocks(
 
 
 def _check_bound(options: Any) -> None:
-    """Refuse a bound of scores that is none (CAP001)."""
+    """Refuse an invalid score bound (CAP001)."""
     bound = options.warn_above
     if bound is not None and not 0 <= bound < np.inf:
         message = f"warn_above must be finite and 0 or more, not {bound:g}"
@@ -415,17 +428,17 @@ PASS = Pass(
 
 @dataclass(frozen=True, slots=True)
 class FeetOptions:
-    """What feet are told by.
+    """How feet are identified.
 
     Attributes:
-        map: A map file that says which joints are legs and feet; None finds them.
+        map: A map file that names leg and foot joints; None detects them.
     """
 
     map: Path | None = None
 
 
-def nobody(error: OptionError) -> Fault:
-    """Return a warning that a take is of no person, where that is what is wrong."""
+def no_body_warning(error: OptionError) -> Fault:
+    """Return a warning that a take has no body, if that is the cause of an error."""
     if error.code != "MAP004":
         raise error
     message = "no person was recognised in the take: it is unchanged"
@@ -433,33 +446,35 @@ def nobody(error: OptionError) -> Fault:
     return Fault("CAP105", message, hint=hint, severity=Severity.WARNING)
 
 
-def held_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
-    """Return a take whose feet stay where they stand; its legs and hips move for it."""
+def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
+    """Return a take with planted feet locked in place; legs and hips adapt."""
     path = None if options.map is None else context.folder / options.map
     settings = RetargetOptions(map=path)
     try:
-        made, _, notices = onto_rig(TakeStream.of(take), take.rig, settings, same=True)
+        retargeting, _, notices = onto_rig(
+            TakeStream.of(take), take.rig, settings, same=True
+        )
     except OptionError as error:
-        context.notices.append(nobody(error))
+        context.notices.append(no_body_warning(error))
         return take
     context.notices.extend(notices)
-    if made.standing.placed is None:
+    if retargeting.standing.placed is None:
         return take
-    motion = Motion.concatenate(list(made.blocks()))
-    context.scores.append(scores_of(made.report()))
-    person = made.transfer.target
-    legs = {leg_of(person, side)[0] for side in made.standing.sides}
+    motion = Motion.concatenate(list(retargeting.blocks()))
+    context.scores.append(scores_of(retargeting.report()))
+    skeleton = retargeting.transfer.target
+    legs = {leg_of(skeleton, side)[0] for side in retargeting.standing.sides}
     for j, parent in enumerate(take.rig.parents.tolist()):
         if parent in legs:
             legs.add(j)
-    moved, root = np.array(sorted(legs)), np.array([max(person.first("hips"), 0)])
+    joints, root = np.array(sorted(legs)), np.array([max(skeleton.first("hips"), 0)])
     old = take.motion
-    held = replace(
+    locked = replace(
         old,
-        rotations=old.rotations.put(moved, motion.rotations.gather(moved)),
+        rotations=old.rotations.put(joints, motion.rotations.gather(joints)),
         translations=old.translations.put(root, motion.translations.gather(root)),
     )
-    return replace(take, motion=held)
+    return replace(take, motion=locked)
 
 
 FEET = Pass(
@@ -467,7 +482,7 @@ FEET = Pass(
     "Hold planted feet in place",
     FeetOptions,
     Scope.CLIP,
-    held_feet,
+    lock_feet,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.JOINTS}),
 )

@@ -1,4 +1,4 @@
-"""Poses of one skeleton as those of another: turns in the world, and the root's way."""
+"""Transfer of poses between skeletons: world rotations and root motion."""
 
 from __future__ import annotations
 
@@ -13,157 +13,165 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.retarget.balls import balls_of
 from animtool.retarget.map import JointMap
-from animtool.retarget.person import NO_BONE, Person
+from animtool.retarget.roled_skeleton import NO_BONE, RoledSkeleton
 from animtool.retarget.roles import base_role
 from animtool.retarget.standing import STANDS
 from animtool.rig.skeleton import Rig
 
-# Roles whose bones point the way that those of the source do, however they rest.
+# Roles whose bones point along the source's, whatever their rest pose.
 _POINTING = {"upper_arm", "forearm", "hand", "thigh", "shin"}
-# Joints that leave their rest by less, over the skeleton, do by rounding alone [1].
+# Deviations from rest below this, over the skeleton, are rounding [1].
 NO_MOVE = 1e-9
-# Bones whose lengths differ by less, over the leg, are alike [1].
-ALIKE = 1e-6
+# Bones with lengths that differ by less, over the leg, are equal [1].
+EQUAL_LENGTHS = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Transfer:
-    """How a skeleton follows another one."""
+    """The transfer of poses from one skeleton to another."""
 
-    source: Person
-    target: Person
-    # From the world of the source to that of the target: its up axis (4,).
+    source: RoledSkeleton
+    target: RoledSkeleton
+    # Rotation from the source's up axis to the target's (4,).
     upright: FloatArray
     # Lengths of the target over those of the source.
     scale: float
-    # Of each joint of the target (K,): which of the source it follows, -1 for none;
-    # and which is next in its chain, with the share of that.
+    # For each target joint (K,): the source joint it follows, -1 for none;
+    # and the next in its chain, with its weight.
     follows: IntArray
     after: IntArray
-    share: FloatArray
-    # Turns of the target in the world where the source rests (K, 4).
+    fraction: FloatArray
+    # World rotations of the target at the source's rest pose (K, 4).
     aligned: FloatArray
     twists: Sequence[tuple[int, int, int, float]] = field(default=())
 
     @staticmethod
     def of(
-        source: Person, target: Person, found: JointMap, *, as_rig: bool = False
+        source: RoledSkeleton,
+        target: RoledSkeleton,
+        joint_map: JointMap,
+        *,
+        as_rig: bool = False,
     ) -> Transfer:
-        """Return how the joints of a map follow.
+        """Return the transfer for a joint map.
 
-        ``as_rig``: whether the source rests as the target does.
+        ``as_rig``: whether the source's rest pose equals the target's.
         """
         balls = balls_of(source, target), balls_of(target, source)
         source = replace(source, balls=balls[0])
         target = replace(target, balls=balls[1])
-        turn = up_from_up(target.rig.up, source.rig.up)
-        upright = so3.IDENTITY if turn is None else np.array(turn)
+        up_rotation = up_from_up(target.rig.up, source.rig.up)
+        upright = so3.IDENTITY if up_rotation is None else np.array(up_rotation)
         count = len(target.rig.joints)
         follows, after = np.full(count, -1), np.full(count, -1)
-        share = np.zeros(count)
-        for pair in found.pairs:
+        fraction = np.zeros(count)
+        for pair in joint_map.pairs:
             follows[pair.target] = after[pair.target] = pair.source
-        for chain in found.chains:
+        for chain in joint_map.chains:
             if len(chain.source) == len(chain.target):
-                places = list(zip(chain.target, chain.source, strict=True))
-                for own, other in places:
-                    follows[own] = after[own] = other
+                positions = list(zip(chain.target, chain.source, strict=True))
+                for joint, other in positions:
+                    follows[joint] = after[joint] = other
                 continue
             middles = _middles(chain.source_at)
-            for own, at in zip(chain.target, _middles(chain.target_at), strict=True):
+            for joint, at in zip(chain.target, _middles(chain.target_at), strict=True):
                 k = int(np.searchsorted(middles, at))
                 low, high = max(k - 1, 0), min(k, len(middles) - 1)
                 gap = middles[high] - middles[low]
-                follows[own], after[own] = chain.source[low], chain.source[high]
-                share[own] = (at - middles[low]) / gap if gap > 0 else 0.0
-        for own, other in _namesakes(source.rig, target.rig, follows):
-            follows[own] = after[own] = other
+                follows[joint], after[joint] = chain.source[low], chain.source[high]
+                fraction[joint] = (at - middles[low]) / gap if gap > 0 else 0.0
+        for joint, other in _namesakes(source.rig, target.rig, follows):
+            follows[joint] = after[joint] = other
         aligned = _aligned(source, target, follows, upright, as_rig=as_rig)
         twists = []
-        for twist in found.twists:
+        for twist in joint_map.twists:
             below = _below(target, twist.bone)
             if below >= 0:
-                twists.append((twist.joint, twist.bone, below, twist.share))
+                twists.append((twist.joint, twist.bone, below, twist.fraction))
         scale = _scale(source, target)
         return Transfer(
-            source, target, upright, scale, follows, after, share, aligned, twists
+            source, target, upright, scale, follows, after, fraction, aligned, twists
         )
 
     @property
-    def alike(self) -> bool:
-        """Whether legs and feet of both are the same but for their size."""
+    def similar_legs(self) -> bool:
+        """Whether legs and feet of both skeletons are the same up to scale."""
         sides = [s for s in "lr" if self.target.leg(s) and self.source.leg(s)]
         both = self.target, self.source
         for side in sides:
             balls = [each.balls.get(side) for each in both]
-            # Feet with other toes roll otherwise, though they are as long.
+            # Feet with other toes roll differently, even if they are as long.
             if len({ball is not None and ball.joint >= 0 for ball in balls}) > 1:
                 return False
             bones = [each.leg_bones(side) for each in both]
             if len(bones[0]) != len(bones[1]):
                 return False
             off = np.abs(bones[0] - self.scale * bones[1])
-            if (off > ALIKE * bones[0].sum()).any():
+            if (off > EQUAL_LENGTHS * bones[0].sum()).any():
                 return False
         return bool(sides)
 
-    def turns(self, world: FloatArray) -> FloatArray:
-        """Return turns of the target in the world ``(F, K, 4)``.
+    def rotations(self, world: FloatArray) -> FloatArray:
+        """Return world rotations of the target ``(F, K, 4)``.
 
         Args:
-            world: Turns of the source ``(F, J, 4)``.
+            world: World rotations of the source ``(F, J, 4)``.
 
-        Joints that follow none are as their parents carry them.
+        Joints that follow none move with their parents.
         """
         rig = self.target.rig
-        changed = so3.multiply(world, so3.conjugate(self.source.turns))
+        changed = so3.multiply(world, so3.conjugate(self.source.rotations))
         if (self.upright != so3.IDENTITY).any():
             changed = so3.multiply(self.upright, changed)
             changed = so3.multiply(changed, so3.conjugate(self.upright))
-        made = np.zeros((len(world), len(rig.joints), 4))
+        world_rotations = np.zeros((len(world), len(rig.joints), 4))
         for j, (joint, parent) in enumerate(zip(rig.joints, rig.parents, strict=True)):
             first = self.follows[j]
             if first < 0:
-                own = rig.rest_rotations[j]
-                above = made[:, parent] if parent >= 0 else so3.IDENTITY
-                made[:, j] = so3.multiply(above, own)
+                rest = rig.rest_rotations[j]
+                above = world_rotations[:, parent] if parent >= 0 else so3.IDENTITY
+                world_rotations[:, j] = so3.multiply(above, rest)
                 continue
             del joint
-            turn = changed[:, first]
+            rotation = changed[:, first]
             if self.after[j] != first:
-                share = np.full(len(world), self.share[j])
-                turn = so3.slerp(turn, changed[:, self.after[j]], share)
-            made[:, j] = so3.multiply(turn, self.aligned[j])
-        return made
+                fraction = np.full(len(world), self.fraction[j])
+                rotation = so3.slerp(rotation, changed[:, self.after[j]], fraction)
+            world_rotations[:, j] = so3.multiply(rotation, self.aligned[j])
+        return world_rotations
 
     def bones(
-        self, world: FloatArray, translations: FloatArray, turns: FloatArray
+        self, world: FloatArray, translations: FloatArray, rotations: FloatArray
     ) -> FloatArray:
         """Return local translations of the target ``(F, K, 3)`` [m].
 
-        Those of rest, and by how much the source's leave its own, scaled; ``(1, K, 3)``
-        where they never do.
+        The rest translations plus the source's deviations from its own rest, scaled;
+        ``(1, K, 3)`` if there are none.
 
         Args:
-            world: Turns of the source ``(F, J, 4)``.
+            world: World rotations of the source ``(F, J, 4)``.
             translations: Local, of the source ``(F, J, 3)`` [m].
-            turns: Of the target in the world ``(F, K, 4)``.
+            rotations: World rotations of the target ``(F, K, 4)``.
         """
         ours, theirs = self.source.rig, self.target.rig
         off = translations - ours.rest_translations
         moves = np.abs(off).max(axis=(0, 2)) > NO_MOVE * self.source.size
-        made = theirs.rest_translations[None]
+        local_translations = theirs.rest_translations[None]
         hips = self.target.first("hips")
-        for own, other in enumerate(self.follows.tolist()):
-            above, below = int(theirs.parents[own]), int(ours.parents[max(other, 0)])
-            if other < 0 or not moves[other] or min(above, below) < 0 or own == hips:
+        for joint, other in enumerate(self.follows.tolist()):
+            above, below = int(theirs.parents[joint]), int(ours.parents[max(other, 0)])
+            if other < 0 or not moves[other] or min(above, below) < 0 or joint == hips:
                 continue
-            if len(made) == 1:
-                made = np.repeat(made, len(turns), axis=0)
-            way = so3.rotate(self.upright, so3.rotate(world[:, below], off[:, other]))
-            back = so3.conjugate(turns[:, above])
-            made[:, own] += self.scale * so3.rotate(back, way)
-        return np.asarray(made)
+            if len(local_translations) == 1:
+                local_translations = np.repeat(
+                    local_translations, len(rotations), axis=0
+                )
+            offset = so3.rotate(
+                self.upright, so3.rotate(world[:, below], off[:, other])
+            )
+            back = so3.conjugate(rotations[:, above])
+            local_translations[:, joint] += self.scale * so3.rotate(back, offset)
+        return np.asarray(local_translations)
 
     def hips(self, positions: FloatArray) -> FloatArray:
         """Return the middle between the thighs of the target ``(F, 3)`` [m].
@@ -180,21 +188,21 @@ class Transfer:
         return so3.rotate(self.upright, points)
 
 
-def middle_of_hips(person: Person, positions: FloatArray) -> FloatArray:
-    """Return what is between the thighs ``(F, 3)``; the root, where there are none."""
-    thighs = [person.first(f"thigh_{side}") for side in "lr"]
+def middle_of_hips(skeleton: RoledSkeleton, positions: FloatArray) -> FloatArray:
+    """Return the middle of the thigh joints ``(F, 3)``; the root if there are none."""
+    thighs = [skeleton.first(f"thigh_{side}") for side in "lr"]
     thighs = [j for j in thighs if j >= 0]
-    joints = thighs if len(thighs) == 2 else [max(person.first("hips"), 0)]
+    joints = thighs if len(thighs) == 2 else [max(skeleton.first("hips"), 0)]
     return np.asarray(positions[:, joints].mean(axis=1))
 
 
 def _namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, int]]:
-    """Return joints of which no more is known than that both have them: tails."""
+    """Return pairs of otherwise unmapped joints with equal names, such as tails."""
     used, names = {*follows.tolist()}, {name: j for j, name in enumerate(source.names)}
     return [
-        (own, names[name])
-        for own, name in enumerate(target.names)
-        if follows[own] < 0 and name in names and names[name] not in used
+        (joint, names[name])
+        for joint, name in enumerate(target.names)
+        if follows[joint] < 0 and name in names and names[name] not in used
     ]
 
 
@@ -203,55 +211,55 @@ def _middles(at: Sequence[float]) -> FloatArray:
     return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
-def _below(person: Person, bone: int) -> int:
-    """Return the joint whose turn twists a bone: the next with a role below it."""
-    below = [k for k, parent in enumerate(person.rig.parents) if parent == bone]
-    with_role = [k for k in below if person.roles[k] not in {"", "twist", "end"}]
+def _below(skeleton: RoledSkeleton, bone: int) -> int:
+    """Return the joint whose rotation twists a bone: the next below it with a role."""
+    below = [k for k, parent in enumerate(skeleton.rig.parents) if parent == bone]
+    with_role = [k for k in below if skeleton.roles[k] not in {"", "twist", "end"}]
     return with_role[0] if with_role else -1
 
 
 def _aligned(
-    source: Person,
-    target: Person,
+    source: RoledSkeleton,
+    target: RoledSkeleton,
     follows: IntArray,
     upright: FloatArray,
     *,
     as_rig: bool,
 ) -> FloatArray:
-    """Return how the target is turned where the source rests ``(K, 4)``.
+    """Return target rotations that match the source's rest pose ``(K, 4)``.
 
-    All of it faces the same way; limbs point the way of the source's, feet along the
-    ground, unless it rests as the target does.
+    Headings agree; limbs point along the source's limbs, feet along the ground, unless
+    the rest poses are equal.
     """
     up = np.eye(3)[1 if target.rig.up is UpAxis.Y else 2]
     heading = _heading(source, target, upright, up)
-    made = so3.multiply(heading, target.turns)
+    rotations = so3.multiply(heading, target.rotations)
     for j, first in enumerate(follows.tolist() if not as_rig else []):
-        own = base_role(target.roles[j])
+        base = base_role(target.roles[j])
         if first < 0:
             continue
         bone, other = target.bone(j), source.bone(first)
         if bone is None or other is None:
             continue
         bone, other = so3.rotate(heading, bone), so3.rotate(upright, other)
-        if own == "foot":
-            bone, other = (way - (way @ up) * up for way in (bone, other))
+        if base == "foot":
+            bone, other = (flat - (flat @ up) * up for flat in (bone, other))
             sizes = np.linalg.norm(bone), np.linalg.norm(other)
             if min(sizes) < NO_BONE:
                 continue
             bone, other = bone / sizes[0], other / sizes[1]
-        elif own not in _POINTING and own[:-2] not in _FINGERS:
+        elif base not in _POINTING and base[:-2] not in _FINGERS:
             continue
-        made[j] = so3.multiply(so3.between(bone, other), made[j])
-    return made
+        rotations[j] = so3.multiply(so3.between(bone, other), rotations[j])
+    return rotations
 
 
 def _heading(
-    source: Person, target: Person, upright: FloatArray, up: FloatArray
+    source: RoledSkeleton, target: RoledSkeleton, upright: FloatArray, up: FloatArray
 ) -> FloatArray:
-    """Return the turn of the target's rest pose to the way the source faces ``(4,)``.
+    """Return the rotation from the target's rest heading to the source's ``(4,)``.
 
-    Who stands is turned about the vertical alone, so that soles stay level.
+    A standing body rotates about the vertical alone, so that soles stay level.
     """
     ours, theirs = source.facing, target.facing
     if ours is None or theirs is None:
@@ -259,20 +267,20 @@ def _heading(
     ours = so3.rotate(upright, ours)
     if min(float(ours[1] @ up), float(theirs[1] @ up)) < STANDS:
         return so3.from_matrix(ours.T @ theirs)
-    old, new = (way - (way @ up) * up for way in (theirs[2], ours[2]))
+    old, new = (flat - (flat @ up) * up for flat in (theirs[2], ours[2]))
     angle = np.arctan2(np.cross(old, new) @ up, old @ new)
     return so3.from_axis_angle(up, angle)
 
 
-# Roles whose way from the hips says how large a person is, whatever its arms are.
+# Roles whose path from the hips measures body size, independent of arms.
 BODY = {"neck", "head", "upper_arm", "thigh", "shin"}
 _FINGERS = {"thumb", "index", "middle", "ring", "pinky"}
 
 
-def _scale(source: Person, target: Person) -> float:
-    """Return the lengths of the target's legs over those of the source's.
+def _scale(source: RoledSkeleton, target: RoledSkeleton) -> float:
+    """Return the ratio of target leg length to source leg length.
 
-    Without legs, the lengths of the bones from the hips to the rest of the body.
+    Without legs, of the path lengths from the hips to the rest of the body.
     """
     pairs = [
         (target.leg_length(side), source.leg_length(side))
@@ -280,11 +288,14 @@ def _scale(source: Person, target: Person) -> float:
         if target.leg(side) and source.leg(side)
     ]
     if not pairs:
-        ways = target.ways, source.ways
+        path_lengths = target.path_lengths, source.path_lengths
         pairs = [
-            (float(ways[0][target.first(role)]), float(ways[1][source.first(role)]))
+            (
+                float(path_lengths[0][target.first(role)]),
+                float(path_lengths[1][source.first(role)]),
+            )
             for role in dict.fromkeys(source.roles)
             if base_role(role) in BODY and role in target.roles
         ]
-    own, other = (sum(lengths) for lengths in zip((0.0, 0.0), *pairs, strict=True))
-    return own / other if other > 0 and own > 0 else 1.0
+    ours, other = (sum(lengths) for lengths in zip((0.0, 0.0), *pairs, strict=True))
+    return ours / other if other > 0 and ours > 0 else 1.0

@@ -1,4 +1,4 @@
-"""Whether a take on its rig can be used as it is, and which frames to look at."""
+"""Verdict on a retargeted take: whether it is usable, and which frames to check."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from animtool.core.record import dataclass
 from animtool.maths.runs import joined, runs
 from animtool.motion.scores import PassScores, Score
 
-# Scores of more than so many times what a good take has are looked at [1].
+# Scores above this multiple of a good take's value need a look [1].
 LOOK = 3.0
-# Limbs that are off the source's by more, on the mean, are not its motion [rad].
+# Limbs farther off the source's on average are another motion [rad].
 UNLIKE = np.radians(30.0)
-# Runs of frames that are nearer to each other are one [frames].
+# Runs of frames nearer to each other are joined [frames].
 NEAR = 4
 
 
-class Status(StrEnum):
+class TakeStatus(StrEnum):
     """What to do with a take."""
 
     GOOD = "good"
@@ -35,7 +35,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FrameNumbers:
-    """How an output numbers the frames of a take.
+    """Frame numbering of an output.
 
     Attributes:
         start: Number of the first.
@@ -53,7 +53,7 @@ class FrameNumbers:
     last: int | None = None
 
     def run(self, first: int, last: int) -> tuple[int, int] | None:
-        """Return the numbers of a run of frames from 0; None where none is left."""
+        """Return output numbers of a run of frames from 0; None if all are cut."""
         low = math.floor(self.start + first * self.step)
         high = math.ceil(self.start + last * self.step)
         low = low if self.first is None else max(low, self.first)
@@ -62,13 +62,13 @@ class FrameNumbers:
 
 
 @dataclass(frozen=True, slots=True)
-class Reason:
-    """Why a take is not good as it is.
+class VerdictReason:
+    """Why a take needs a look.
 
     Attributes:
-        what: The score, or what is wrong.
-        text: Its value with its unit; empty for none.
-        frames: First and last frames of where it is, from 0; empty where that is
+        what: The score, or the fault.
+        text: Its value with unit; empty for none.
+        frames: First and last frames concerned, from 0; empty if it is
             everywhere.
     """
 
@@ -76,8 +76,8 @@ class Reason:
     text: str = ""
     frames: tuple[tuple[int, int], ...] = ()
 
-    def numbered(self, numbers: FrameNumbers) -> Reason | None:
-        """Return it with the frames of an output; None where it has none of them."""
+    def numbered(self, numbers: FrameNumbers) -> VerdictReason | None:
+        """Return it with an output's frame numbers; None if they are all cut."""
         if not self.frames:
             return self
         runs = [numbers.run(first, last) for first, last in self.frames]
@@ -87,18 +87,18 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether a take can be used, and why not, the worst first."""
+    """Whether a take is usable, and why not, worst reason first."""
 
-    status: Status
-    reasons: tuple[Reason, ...] = ()
+    status: TakeStatus
+    reasons: tuple[VerdictReason, ...] = ()
     json_keys: ClassVar[str] = "verdict=status look_at=reasons{what value=text frames}"
 
     def numbered(self, numbers: FrameNumbers) -> Verdict:
-        """Return that of the frames of an output, as it numbers them."""
-        found = [reason.numbered(numbers) for reason in self.reasons]
-        reasons = tuple(reason for reason in found if reason is not None)
-        good = self.status is Status.LOOK and not reasons
-        return Verdict(Status.GOOD if good else self.status, reasons)
+        """Return the verdict on the frames of an output, in its numbering."""
+        numbered = [reason.numbered(numbers) for reason in self.reasons]
+        reasons = tuple(reason for reason in numbered if reason is not None)
+        good = self.status is TakeStatus.LOOK and not reasons
+        return Verdict(TakeStatus.GOOD if good else self.status, reasons)
 
 
 def verdict_of(
@@ -107,33 +107,33 @@ def verdict_of(
     least: Mapping[str, float],
     forced: Sequence[Fault] = (),
 ) -> Verdict:
-    """Return whether a take can be used.
+    """Return whether a take is usable.
 
     Args:
-        scores: Of the whole take.
-        values: Of some of these, what each of F frames has ``(F,)``.
-        least: Of some of these, what the source itself has.
-        forced: Errors that were passed over on request.
+        scores: Of the full take.
+        values: Per-frame values of some of them ``(F,)``.
+        least: Values of the source itself for some of them.
+        forced: Errors ignored on request.
     """
     if forced:
-        why = tuple(Reason(fault.message) for fault in forced)
-        return Verdict(Status.UNUSABLE, why)
+        why = tuple(VerdictReason(fault.message) for fault in forced)
+        return Verdict(TakeStatus.UNUSABLE, why)
     by_name = {score.name: score for score in scores.scores}
     limbs = by_name["limbs"]
     if limbs.value > UNLIKE:
-        return Verdict(Status.UNUSABLE, (Reason("limbs", limbs.text),))
+        return Verdict(TakeStatus.UNUSABLE, (VerdictReason("limbs", limbs.text),))
     worse = [(s, _bound(s, least.get(s.name, math.nan))) for s in scores.scores]
     worse = [(score, bound) for score, bound in worse if score.value > bound]
     worse.sort(key=lambda each: -each[0].excess)
     reasons = tuple(
-        Reason(score.name, score.text, _runs(values, score.name, bound))
+        VerdictReason(score.name, score.text, _runs(values, score.name, bound))
         for score, bound in worse
     )
-    return Verdict(Status.LOOK if reasons else Status.GOOD, reasons)
+    return Verdict(TakeStatus.LOOK if reasons else TakeStatus.GOOD, reasons)
 
 
 def _bound(score: Score, least: float) -> float:
-    """Return the value of a score above which it is looked at."""
+    """Return the value above which a score needs a look."""
     bound = score.ideal + LOOK * (score.usual - score.ideal)
     return bound if math.isnan(least) else max(bound, least)
 
@@ -141,9 +141,9 @@ def _bound(score: Score, least: float) -> float:
 def _runs(
     values: Mapping[str, FloatArray], name: str, bound: float
 ) -> tuple[tuple[int, int], ...]:
-    """Return first and last frames of the runs in which a score is above a bound."""
-    own = values.get(name)
-    if own is None:
+    """Return first and last frames of runs in which a score exceeds a bound."""
+    samples = values.get(name)
+    if samples is None:
         return ()
-    near = joined(runs(own > bound), NEAR)
+    near = joined(runs(samples > bound), NEAR)
     return tuple((first, end - 1) for first, end in near)

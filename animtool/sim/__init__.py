@@ -1,4 +1,4 @@
-"""Simulation: what has a state over time, and methods that carry it on."""
+"""Time integration: systems with a state, and the methods that step them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motion in steps that a method chooses by their errors.
+"""Adaptive time steps, chosen by a method's error estimate.
 
 References:
     E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I,
@@ -18,14 +18,14 @@ from animtool.sim.options import IntegrateOptions
 from animtool.sim.run import Run
 from animtool.sim.trajectory import Status
 
-# Of the step whose error would just be allowed, and how far steps may change at once.
+# Safety factor on the step, and bounds of the step change.
 SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
-# Of a step whose equations were not solved, or which led to no numbers.
+# Step factor after a stage that did not converge, or a state that is not finite.
 FAILED = 0.25
 
 
 def advance(run: Run, target: float) -> Status:
-    """Bring a motion to a later time, and end a step there."""
+    """Integrate up to a time, and end a step there."""
     while run.time < target:
         go = _next(run, target)
         if go is not Status.OK:
@@ -34,7 +34,7 @@ def advance(run: Run, target: float) -> Status:
 
 
 def _next(run: Run, target: float) -> Status:
-    """Try a step, and go on where its error is within the tolerance."""
+    """Try a step; accept it if its error is within tolerance."""
     take = run.integrator.step
     assert take is not None
     run.equations.anchor(run.time, run.state)
@@ -50,14 +50,14 @@ def _next(run: Run, target: float) -> Status:
         run.rejected += 1
         run.trial = h * (FAILED if math.isnan(ratio) else _factor(ratio, run))
         return run.within_budget()
-    # A step cut short says little of the next one.
+    # A truncated step says little about the next one.
     grown = h * _factor(ratio, run)
     run.trial = grown if h == trial else max(grown, trial)
     return run.keep(step, t, h)
 
 
 def _fitted(trial: float, now: float, target: float) -> tuple[float, float]:
-    """Return a step and its end, so that steps end on a time and none is a sliver."""
+    """Return a step size and its end time, so that no sliver remains before a stop."""
     left = target - now
     if trial >= left:
         return left, target
@@ -79,7 +79,7 @@ def _stopped(run: Run, trial: float) -> Status:
 
 
 def _factor(ratio: float, run: Run) -> float:
-    """Return by what to change the step, of an error over the one that is allowed."""
+    """Return the factor of the next step size, from the error over the tolerance."""
     if ratio == 0:
         return GROW
     factor = SAFETY * math.pow(ratio, -1 / run.integrator.error_order)
@@ -87,17 +87,17 @@ def _factor(ratio: float, run: Run) -> float:
 
 
 def _ratio(step: Step, before: FloatArray, options: IntegrateOptions) -> float:
-    """Return the largest error over the one that is allowed; NaN without numbers."""
+    """Return the largest error over its tolerance; NaN if the state is not finite."""
     assert step.error is not None
     size = np.maximum(np.abs(before), np.abs(step.state))
     allowed = options.least + options.relative * size
-    # With neither tolerance nor size, an error of 0 is none.
+    # With neither tolerance nor scale, an error of 0 passes.
     shares = np.abs(step.error) / np.maximum(allowed, 1e-300)
     return float(shares.max(initial=0.0)) if np.isfinite(shares).all() else math.nan
 
 
 def _first_trial(run: Run) -> float:
-    """Return a step to begin with, from the rate and how fast it changes."""
+    """Return an initial step size, from the rate and its rate of change."""
     options, equations, y = run.options, run.equations, run.state
     allowed = np.maximum(options.least + options.relative * np.abs(y), 1e-300)
 
@@ -105,10 +105,10 @@ def _first_trial(run: Run) -> float:
         return float(np.sqrt(np.mean((values / allowed) ** 2))) if values.size else 0.0
 
     rate = equations.rate(run.time, y)
-    place, speed = size(y), size(rate)
-    small = 0.01 * place / speed if place > 1e-5 and speed > 1e-5 else 1e-6
-    ahead = equations.rate(run.time + small, y + small * rate)
-    most = max(speed, size(ahead - rate) / small)
+    scale, speed = size(y), size(rate)
+    small = 0.01 * scale / speed if scale > 1e-5 and speed > 1e-5 else 1e-6
+    next_rate = equations.rate(run.time + small, y + small * rate)
+    most = max(speed, size(next_rate - rate) / small)
     power = 1 / run.integrator.error_order
     best = max(1e-6, small * 1e-3) if most <= 1e-15 else (0.01 / most) ** power
     step = min(100 * small, best)

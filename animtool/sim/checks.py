@@ -1,4 +1,4 @@
-"""What cannot be integrated, and signs that a motion has blown up."""
+"""Checks before integration, and divergence checks during it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from animtool.sim.run import divide
 from animtool.sim.system import Energy, System
 from animtool.sim.trajectory import Checkpoint, Stats, Status
 
-# What to take where no step of a method is stable.
+# Hint when no step of a method is stable.
 STEADY = "symplectic_euler, velocity_verlet, rk4 or implicit_euler"
 _CODES = {
     Status.UNSTABLE: "SIM102",
@@ -32,17 +32,17 @@ def step_notices(
     equations: Equations,
     integrator: Integrator,
     options: IntegrateOptions,
-    moments: FloatArray,
+    times: FloatArray,
     state: FloatArray,
 ) -> list[Fault]:
-    """Return a warning where fixed steps to come are too long to be stable.
+    """Return a warning if fixed steps exceed the stability limit.
 
     Only of systems that say how fast they move (`System.frequencies`).
     """
-    step, modes = options.step, equations.system.frequencies(float(moments[0]), state)
+    step, modes = options.step, equations.system.frequencies(float(times[0]), state)
     if step is None or modes is None or integrator.control is not Control.FIXED:
         return []
-    gaps = [(start, end) for start, end in pairwise(moments.tolist()) if end > start]
+    gaps = [(start, end) for start, end in pairwise(times.tolist()) if end > start]
     longest = max((divide(*gap, step).h for gap in gaps), default=0.0)
     limit = allowed_step(integrator, modes)
     if limit is None or longest <= limit:
@@ -52,7 +52,7 @@ def step_notices(
 
 
 def ending(integrator: Integrator, options: IntegrateOptions, stats: Stats) -> Fault:
-    """Return what a motion stopped for, and what to change."""
+    """Return why integration stopped, and a hint."""
     verb = "blew up" if stats.status is Status.UNSTABLE else "stopped"
     message = f"{integrator.name} {verb} at {stats.time:.6g} s: {stats.reason}"
     advice = {
@@ -77,7 +77,7 @@ def _advice(stable_step: float | None) -> str:
 
 
 class Watch:
-    """Looks at states for numbers, energy and stretch beyond bounds.
+    """Checks states for non-finite values, and energy or strain out of bounds.
 
     Energy counts from the start, in the largest of: the energies there, what may be
     supplied, and the potential energy released since. A motion that starts without
@@ -88,24 +88,24 @@ class Watch:
         self._system = system
         self._options = options
         self._first: Energy | None = None
-        self.energy: Energy | None = None  # of the state that was looked at last
-        self._usual = 0.0
+        self.energy: Energy | None = None  # of the last checked state
+        self._typical = 0.0
 
     def start(self, t: float, state: FloatArray) -> None:
-        """Take a state for what is usual."""
+        """Take a state's energy and strain as the reference."""
         first = self._system.energy(t, state)
         self._first = self.energy = first
         if first is not None:
-            self._usual = max(
+            self._typical = max(
                 abs(first.total), first.kinetic, abs(first.potential), first.supply
             )
 
     def look_at(self, system: System) -> None:
-        """Look at another system from now on, such as what is left of the first."""
+        """Watch another system from now on, such as the particles that remain."""
         self._system = system
 
     def sign(self, t: float, state: FloatArray) -> str:
-        """Return why a state is beyond bounds, empty where it is not."""
+        """Return why a state has diverged; empty if it has not."""
         if not np.isfinite(state).all():
             return "its state is not finite"
         return self._grown(t, state) or self._stretched(t, state)
@@ -116,10 +116,10 @@ class Watch:
         if first is None or now is None:
             return ""
         released = first.potential - now.potential
-        self._usual = max(self._usual, now.supply, released)
-        most = self._options.growth * self._usual
+        self._typical = max(self._typical, now.supply, released)
+        most = self._options.growth * self._typical
         gained = now.total - first.total
-        if self._usual > 0 and not gained <= most:
+        if self._typical > 0 and not gained <= most:
             return f"its energy rose from {first.total:.3g} J to {now.total:.3g} J"
         return ""
 
@@ -132,34 +132,34 @@ class Watch:
         return ""
 
 
-def check_times(times: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
-    """Return times as an array.
+def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
+    """Return sample times as an array; they must be finite and ascending.
 
     Raises:
         OptionError: They are no times to integrate over (SIM002).
     """
-    moments = np.asarray(times, np.float64)
+    times = np.asarray(values, np.float64)
     message, hint = "", None
-    if moments.ndim != 1 or not len(moments):
-        message = f"times must be a list of at least one, not of shape {moments.shape}"
-    elif not np.isfinite(moments).all():
-        message = f"time {int(np.argmin(np.isfinite(moments)))} is not finite"
-    elif (np.diff(moments) < 0).any():
-        i = int(np.argmax(np.diff(moments) < 0))
-        message = f"times go backwards, from {moments[i]:g} to {moments[i + 1]:g} s"
+    if times.ndim != 1 or not len(times):
+        message = f"times must be a list of at least one, not of shape {times.shape}"
+    elif not np.isfinite(times).all():
+        message = f"time {int(np.argmin(np.isfinite(times)))} is not finite"
+    elif (np.diff(times) < 0).any():
+        i = int(np.argmax(np.diff(times) < 0))
+        message = f"times go backwards, from {times[i]:g} to {times[i + 1]:g} s"
         hint = (
             "systems that dissipate energy cannot be integrated backwards: start at "
             "the beginning"
         )
-    elif checkpoint is not None and moments[0] != checkpoint.time:
-        message = f"the saved state is at {checkpoint.time:g} s, not {moments[0]:g} s"
+    elif checkpoint is not None and times[0] != checkpoint.time:
+        message = f"the saved state is at {checkpoint.time:g} s, not {times[0]:g} s"
     if message:
         raise OptionError(Fault("SIM002", message, where="times", hint=hint))
-    return moments
+    return times
 
 
 def check_fit(equations: Equations, integrator: Integrator) -> None:
-    """Raise where a method cannot serve a system.
+    """Raise if a method does not support a system.
 
     Raises:
         OptionError: The method needs accelerations, or leaves no room for contacts
@@ -181,7 +181,7 @@ def check_fit(equations: Equations, integrator: Integrator) -> None:
 
 
 def check_start(equations: Equations, t: float, state: FloatArray) -> None:
-    """Raise where there is nothing to go on from.
+    """Raise if the initial state is missing or invalid.
 
     Raises:
         OptionError: The start, or its rate, is not finite or of another shape
@@ -196,9 +196,9 @@ def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
     if equations.second is not None:
         if state.ndim != 3 or state.shape[0] != 2:
             return [f"the start must have shape (2, N, d), not {state.shape}"]
-        held = equations.second.fixed
-        if held is not None and held.shape != state.shape[1:2]:
-            return [f"fixed must have shape {state.shape[1:2]}, not {held.shape}"]
+        fixed = equations.second.fixed
+        if fixed is not None and fixed.shape != state.shape[1:2]:
+            return [f"fixed must have shape {state.shape[1:2]}, not {fixed.shape}"]
         return _non_finite_rows("particle", state.swapaxes(0, 1))
     return _non_finite_rows("component", state)
 
@@ -216,7 +216,7 @@ def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]
 
 
 def _non_finite_rows(what: str, values: FloatArray) -> list[str]:
-    """Return a message for each row that is not finite at the start."""
+    """Return one message for each row that is not finite at the start."""
     finite = np.isfinite(np.atleast_1d(values))
-    odd = np.flatnonzero(~finite.all(axis=tuple(range(1, finite.ndim))))
-    return [f"{what} {i} is not finite at the start" for i in odd.tolist()]
+    bad_rows = np.flatnonzero(~finite.all(axis=tuple(range(1, finite.ndim))))
+    return [f"{what} {i} is not finite at the start" for i in bad_rows.tolist()]

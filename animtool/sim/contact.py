@@ -1,4 +1,4 @@
-"""What touching a surface does, as files say it and simulations take it."""
+"""Contact materials: the options of files, and what simulations use."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Annotated
 from animtool.core.options import Range, above, key, or_more
 from animtool.core.record import dataclass
 
-# No body of a shot is as fast as this [m/s]: what is has been put elsewhere.
+# Faster colliders are taken as teleporting [m/s]; no prop of a shot is this fast.
 SPEED_LIMIT = 200.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
-    """What a contact keeps of velocities."""
+    """Restitution, friction and related contact coefficients."""
 
     restitution: Annotated[float, Range("0 to 1", "SIM020", 0, 1)] = key(
         "Restitution: fraction of the normal speed that is returned, 0 to 1.", 0.4, 0.0
@@ -25,7 +25,7 @@ class Material:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact(Material):
-    """What touching a collider does."""
+    """Contact options of a collider."""
 
     name: str = key("For messages.", "step_1", "")
     container: bool = key(

@@ -1,4 +1,4 @@
-"""A system's equations as methods ask for them: counted, fixed particles held."""
+"""A system's equations of motion: evaluations counted, fixed particles held."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ from animtool.sim.system import FirstOrder, Matrix, SecondOrder
 
 
 class Equations:
-    """The rates of a system, whichever way it says them.
+    """The rate of a first- or second-order system.
 
-    A rate at the state that was anchored, or at the one asked for last, is not
-    evaluated again: so a step that is tried again costs less, and the last stage of
-    one step is the first of the next. Arrays are told apart by identity.
+    Rates at the anchored state and at the last evaluated one are cached: this saves
+    evaluations in retried steps, and where the last stage of a step is the first of
+    the next. Arrays are compared by identity.
     """
 
     def __init__(self, system: FirstOrder | SecondOrder) -> None:
         self.system = system
-        # By what each alone has: a look at all of a protocol takes as long as a step.
+        # Told apart by one attribute each: an isinstance check of a protocol takes as
+        # long as a step.
         second, first = (hasattr(system, name) for name in ("acceleration", "rate"))
         self.second = cast("SecondOrder", system) if second else None
         self.first = cast("FirstOrder", system) if first else None
         self.evaluations = 0
-        held = None if self.second is None else self.second.fixed
-        self._held = None if held is None else np.asarray(held, bool)[:, None]
+        fixed = None if self.second is None else self.second.fixed
+        self._fixed = None if fixed is None else np.asarray(fixed, bool)[:, None]
         self._anchor: tuple[float, FloatArray] | None = None
         self._anchored: FloatArray | None = None
         self._last: tuple[float, FloatArray, FloatArray] | None = None
 
     def anchor(self, t: float, y: FloatArray) -> None:
-        """Keep the rate at a state once it is evaluated."""
+        """Cache the rate at a state once it is evaluated."""
         if self._anchor and self._anchor[1] is y and self._anchor[0] == t:
             return
         last = self._last
@@ -41,7 +42,7 @@ class Equations:
         self._anchored = last[2] if last is not None and known else None
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
-        """Return the rate of a state, of its shape."""
+        """Return the time derivative of a state, in its shape."""
         anchor = self._anchor
         if anchor is not None and anchor[1] is y and anchor[0] == t:
             if self._anchored is None:
@@ -59,30 +60,30 @@ class Equations:
         return np.array((v, self.acceleration(t, x, v)))
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return accelerations ``(N, d)``, 0 for particles that are fixed."""
+        """Return accelerations ``(N, d)``, 0 for fixed particles."""
         assert self.second is not None
         self.evaluations += 1
         accelerations = self.second.acceleration(t, x, v)
         return (
             accelerations
-            if self._held is None
-            else np.where(self._held, 0.0, accelerations)
+            if self._fixed is None
+            else np.where(self._fixed, 0.0, accelerations)
         )
 
     def jacobian(self, t: float, y: FloatArray) -> Matrix | None:
-        """Return the derivative of a first-order rate, None where it is not known."""
+        """Return the Jacobian of a first-order rate; None if unknown."""
         assert self.first is not None
         return self.first.jacobian(t, y)
 
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return derivatives of accelerations, 0 for particles that are fixed."""
+        """Return Jacobians of the accelerations, 0 for fixed particles."""
         assert self.second is not None
         matrices = self.second.jacobians(t, x, v)
-        if matrices is None or self._held is None:
+        if matrices is None or self._fixed is None:
             return matrices
-        free = np.broadcast_to(~self._held, x.shape).ravel().astype(np.float64)
+        free = np.broadcast_to(~self._fixed, x.shape).ravel().astype(np.float64)
         by_x, by_v = (_scaled_rows(matrix, free) for matrix in matrices)
         return by_x, by_v
 

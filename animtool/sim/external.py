@@ -1,4 +1,4 @@
-"""Motion by solvers of scipy's, whose values between steps are their own."""
+"""SciPy's ODE solvers, sampled by their dense output."""
 
 from __future__ import annotations
 
@@ -17,50 +17,50 @@ from animtool.sim.run import Run
 from animtool.sim.system import Matrix
 from animtool.sim.trajectory import Status
 
-# They take no sparse derivatives, and go by differences in their place.
+# These take no sparse Jacobian and use finite differences instead.
 DENSE_ONLY = {"scipy.integrate:LSODA"}
 
 
 @dataclass(slots=True)
 class _Solver:
-    """A solver under way, and its curve over the last step once it was asked for."""
+    """A running solver, and its dense output over the last step."""
 
     solver: Any
     curve: Any = None
 
 
 def advance(run: Run, target: float) -> Status:
-    """Bring a motion to a later time, between steps where none ends there."""
-    held = run.memory if isinstance(run.memory, _Solver) else _begun(run)
-    solver, shape = held.solver, run.state.shape
+    """Integrate up to a time, which may lie between two steps."""
+    memory = run.memory if isinstance(run.memory, _Solver) else _begun(run)
+    solver, shape = memory.solver, run.state.shape
     while solver.t < target:
-        before, held.curve = solver.t, None
+        before, memory.curve = solver.t, None
         failure = _stepped(solver)
         if failure:
             run.time = before
             return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, failure))
         h = float(solver.t - before)
-        run.memory, run.state = held, solver.y.reshape(shape)
+        run.memory, run.state = memory, solver.y.reshape(shape)
         go = run.count(float(solver.t), h, 1)
         if go is not Status.OK:
             return go
         if h < run.options.floor and solver.t < run.end:
             failure = f"the tolerance needs a step of {plain(h)} s"
             return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, failure))
-    run.time, run.state = target, _value(held, target).reshape(shape)
+    run.time, run.state = target, _value(memory, target).reshape(shape)
     return Status.OK
 
 
-def _value(held: _Solver, t: float) -> FloatArray:
-    if t == held.solver.t:
-        return np.array(held.solver.y)
-    if held.curve is None:
-        held.curve = held.solver.dense_output()
-    return np.array(held.curve(t))
+def _value(memory: _Solver, t: float) -> FloatArray:
+    if t == memory.solver.t:
+        return np.array(memory.solver.y)
+    if memory.curve is None:
+        memory.curve = memory.solver.dense_output()
+    return np.array(memory.curve(t))
 
 
 def _stepped(solver: Any) -> str:
-    """Take a step and return why that was not possible, empty where it was."""
+    """Take a step; return why it failed, empty on success."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         message = solver.step()
@@ -90,13 +90,13 @@ def _begun(run: Run) -> _Solver:
     if slope is not None:
         settings["jac"] = slope
     kind: Any = load_object(run.integrator.solver)
-    held = _Solver(kind(rate, run.time, run.state.ravel(), run.end, **settings))
-    run.memory = held
-    return held
+    memory = _Solver(kind(rate, run.time, run.state.ravel(), run.end, **settings))
+    run.memory = memory
+    return memory
 
 
 def _slope(run: Run) -> Callable[[float, FloatArray], Matrix] | None:
-    """Return the derivative of the flat rate, None where none can be taken."""
+    """Return the Jacobian of the flattened rate; None if unavailable."""
     equations, shape = run.equations, run.state.shape
 
     def of_rates(t: float, flat: FloatArray) -> Matrix:
@@ -119,7 +119,7 @@ def _slope(run: Run) -> Callable[[float, FloatArray], Matrix] | None:
 
 
 def _block(by_x: Matrix, by_v: Matrix) -> Matrix:
-    """Return the derivative of velocities and accelerations by the whole state."""
+    """Return the Jacobian of velocities and accelerations by the full state."""
     if isinstance(by_x, np.ndarray):
         zero = np.zeros_like(by_x)
         return np.block([[zero, np.eye(len(by_x))], [by_x, by_v]])

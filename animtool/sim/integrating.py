@@ -1,4 +1,4 @@
-"""From a system and times to its states at these times."""
+"""Integration of a system over sample times."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _ADVANCE = {
 
 
 def advance(run: Run, target: float) -> Status:
-    """Bring a motion to a time [s], and look for signs of a blow-up there."""
+    """Integrate up to a time [s], then check for divergence."""
     if not target > run.time:
         return Status.OK
     status = _ADVANCE[run.integrator.control](run, target)
@@ -43,9 +43,9 @@ def advance(run: Run, target: float) -> Status:
 def checkpoint_of(
     run: Run, status: Status, time: float, state: FloatArray
 ) -> Checkpoint:
-    """Return where a motion can be gone on from.
+    """Return a checkpoint to resume the integration from.
 
-    scipy's solvers are bound to the end that they were begun with, and begin anew.
+    SciPy's solvers are bound to their end time, and are built again.
     """
     if status is not Status.OK or run.integrator.control is Control.SCIPY:
         return Checkpoint(time, state)
@@ -53,12 +53,12 @@ def checkpoint_of(
 
 
 def stats_of(
-    run: Run, status: Status, places: Sequence[tuple[float, FloatArray]]
+    run: Run, status: Status, samples: Sequence[tuple[float, FloatArray]]
 ) -> Stats:
-    """Return what a motion took; times and states tell which steps are stable."""
+    """Return statistics of a run; the samples give its stable step."""
     integrator, stable = run.integrator, None
     if status is Status.UNSTABLE and integrator.limit is not None:
-        stable = _stable_step(run, places)
+        stable = _stable_step(run, samples)
     return Stats(
         status,
         run.time,
@@ -73,9 +73,9 @@ def stats_of(
     )
 
 
-def _stable_step(run: Run, places: Sequence[tuple[float, FloatArray]]) -> float | None:
-    """Return the largest step that is stable at each of some states."""
-    modes = (modes_at(run.equations, t, state) for t, state in places)
+def _stable_step(run: Run, samples: Sequence[tuple[float, FloatArray]]) -> float | None:
+    """Return the largest step that is stable at all of the samples."""
+    modes = (modes_at(run.equations, t, state) for t, state in samples)
     steps = [
         allowed_step(run.integrator, rates) for rates in modes if rates is not None
     ]
@@ -88,7 +88,7 @@ def integrate(
     options: IntegrateOptions | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Trajectory:
-    """Return the states of a system at times.
+    """Return the states of a system at sample times.
 
     Methods of animtool's own end a step at each time; solvers of scipy's take their
     own curve between two steps. A motion that cannot be gone on with is no error: what
@@ -96,8 +96,8 @@ def integrate(
 
     Args:
         system: Where it starts, and how it changes.
-        times: Ascending ``(F,)`` [s]; the first is that of the start. Where a time
-            stands twice, so does the state, bit for bit.
+        times: Ascending ``(F,)`` [s]; the first is that of the start. Duplicate
+            times return equal states, bit for bit.
         options: Method, step or tolerance, bounds.
         checkpoint: Where to begin in place of the system's start: what an earlier
             trajectory carried; its time is the first one then. With fixed steps at
@@ -118,33 +118,33 @@ def integrate(
     """
     options = options or IntegrateOptions()
     integrator = check_options(options)
-    moments = check_times(times, checkpoint)
+    checked = check_times(times, checkpoint)
     equations = Equations(system)
     check_fit(equations, integrator)
-    begin = checkpoint or Checkpoint(float(moments[0]), system.state)
+    begin = checkpoint or Checkpoint(float(checked[0]), system.state)
     with np.errstate(all="ignore"):
         check_start(equations, begin.time, begin.state)
         notices = [] if checkpoint else system.notices()
-        notices += step_notices(equations, integrator, options, moments, begin.state)
-        run = _begun(equations, integrator, options, moments, begin)
-        states, status = _states(run, moments)
+        notices += step_notices(equations, integrator, options, checked, begin.state)
+        run = _begun(equations, integrator, options, checked, begin)
+        states, status = _states(run, checked)
         ends = sorted({0, len(states) - 1})
-        stats = stats_of(run, status, [(float(moments[i]), states[i]) for i in ends])
-        energies = _energies(system, moments, states)
+        stats = stats_of(run, status, [(float(checked[i]), states[i]) for i in ends])
+        energies = _energies(system, checked, states)
     if status is not Status.OK:
         notices.append(ending(integrator, options, stats))
     elif options.estimate:
         refined = integrate(
-            system, moments, finer(options), replace(begin, memory=None, trial=None)
+            system, checked, finer(options), replace(begin, memory=None, trial=None)
         )
         stats = replace(stats, error=_difference(refined, states))
     return Trajectory(
-        moments[: len(states)],
+        checked[: len(states)],
         np.array(states),
         energies,
         stats,
         tuple(notices),
-        checkpoint_of(run, status, float(moments[len(states) - 1]), states[-1]),
+        checkpoint_of(run, status, float(checked[len(states) - 1]), states[-1]),
         equations.second is not None,
     )
 
@@ -153,7 +153,7 @@ def _begun(
     equations: Equations,
     integrator: Integrator,
     options: IntegrateOptions,
-    moments: FloatArray,
+    times: FloatArray,
     begin: Checkpoint,
 ) -> Run:
     watch = Watch(equations.system, options)
@@ -163,7 +163,7 @@ def _begun(
         equations,
         options,
         watch,
-        float(moments[-1]),
+        float(times[-1]),
         begin.time,
         begin.state,
         begin.memory,
@@ -171,10 +171,10 @@ def _begun(
     )
 
 
-def _states(run: Run, moments: FloatArray) -> tuple[list[FloatArray], Status]:
-    """Return the states at the times that were reached, and how that ended."""
+def _states(run: Run, times: FloatArray) -> tuple[list[FloatArray], Status]:
+    """Return the states at the times that were reached, and the final status."""
     states, status = [run.state], Status.OK
-    for target in moments[1:].tolist():
+    for target in times[1:].tolist():
         status = advance(run, target)
         if status is not Status.OK:
             break
@@ -183,18 +183,18 @@ def _states(run: Run, moments: FloatArray) -> tuple[list[FloatArray], Status]:
 
 
 def _energies(
-    system: FirstOrder | SecondOrder, moments: FloatArray, states: list[FloatArray]
+    system: FirstOrder | SecondOrder, times: FloatArray, states: list[FloatArray]
 ) -> FloatArray | None:
     energies = [
         system.energy(t, state)
-        for t, state in zip(moments.tolist(), states, strict=False)
+        for t, state in zip(times.tolist(), states, strict=False)
     ]
     totals = [energy.total for energy in energies if energy is not None]
     return np.array(totals) if len(totals) == len(energies) else None
 
 
 def _difference(refined: Trajectory, states: list[FloatArray]) -> float | None:
-    """Return how far states are from finer ones, None where these stop early."""
+    """Return the distance to a finer run; None if that stops early."""
     if refined.stats.status is not Status.OK:
         return None
     return float(np.abs(refined.states - np.array(states)).max(initial=0.0))

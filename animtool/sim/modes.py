@@ -1,4 +1,4 @@
-"""The motions of a system whose steps must be short, and the steps that they allow."""
+"""Fastest modes of a system, and the step sizes they allow."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator
 from animtool.sim.newton import differences
 
-# Components of the largest state whose derivative is taken by differences.
+# The largest number of state components for finite-difference Jacobians.
 MAX_COMPONENTS = 240
 
 
 def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
-    """Return the largest step that is stable for all of some motions [s].
+    """Return the largest step that is stable for all of some modes [s].
 
     They are angular frequencies [rad/s] and damping ratios [1] ``(M, 2)``.
 
@@ -37,7 +37,7 @@ def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
 
 
 def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | None:
-    """Return the fastest motions of a state ``(M, 2)``, None where they are not known.
+    """Return the fastest modes at a state ``(M, 2)``; None if unknown.
 
     Those that the system names; else those of its derivative by differences, where the
     state is small. What grows by itself, and is no method's fault, is left out.
@@ -57,7 +57,7 @@ def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | 
         return None
     values = np.linalg.eigvals(slope)
     sizes = np.abs(values)
-    # Differences leave a rounding of the largest.
+    # Finite differences leave rounding of the largest value.
     kept = (sizes > 1e-6 * sizes.max(initial=0.0)) & (values.real <= 1e-6 * sizes)
     damping = np.maximum(-values.real / np.where(sizes > 0, sizes, 1.0), 0.0)
     damping = np.where(damping < 1e-6, 0.0, damping)

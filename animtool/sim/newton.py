@@ -1,4 +1,4 @@
-"""Equations of implicit steps, solved by Newton's method."""
+"""Newton's method for the equations of implicit steps."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from animtool.sim.system import Matrix
 
 Residual: TypeAlias = Callable[[FloatArray], FloatArray]
 
-# The last correction, over the size of the unknowns. Newton's method squares what is
-# left, so what remains then is rounding.
+# Tolerance of the last correction over the unknowns: convergence is quadratic, so what
+# remains is rounding.
 SOLVED = 1e-10
-# A velocity that moves no particle by this share of its position is as good as 0: what
-# comes to rest has none to compare with.
+# Velocities that move a particle by less than this fraction of its position count as 0:
+# a body coming to rest has no velocity to compare with.
 AT_REST = 1e-3
 MAX_CORRECTIONS, MAX_HALVINGS = 30, 10
-# Of differences: the square root of a rounding.
+# Finite-difference step: the square root of machine epsilon.
 NUDGE = 1.5e-8
 
 
 def solve_stage(
     equations: Equations, t: float, base: FloatArray, guess: FloatArray, scale: float
 ) -> FloatArray | None:
-    """Return the y with ``y = base + scale · rate(t, y)``, None where none is found.
+    """Solve ``y = base + scale · rate(t, y)``; None if it does not converge.
 
     Of a system of second order only the velocities are unknowns. Where the system does
     not say its derivatives, they are taken by differences, one evaluation an unknown.
@@ -85,7 +85,7 @@ def _second_order(
 
 
 def differences(function: Residual, point: FloatArray, value: FloatArray) -> FloatArray:
-    """Return a function's derivative ``(n, n)`` where it has a value ``(n,)``."""
+    """Return the Jacobian ``(n, n)`` of a function by finite differences."""
     size = max(float(np.abs(point).max(initial=0.0)), 1e-3)
     columns = np.zeros((len(value), len(point)))
     for i in range(len(point)):
@@ -101,7 +101,7 @@ def _newton(
     start: FloatArray,
     least: float,
 ) -> FloatArray | None:
-    """Return where a residual ``(n,)`` is 0; its matrix is the derivative's negative.
+    """Return the root of a residual ``(n,)``; the matrix is its negative Jacobian.
 
     Unknowns below the least size are as good as 0.
     """
@@ -122,7 +122,7 @@ def _newton(
 def _corrected(
     residual: Residual, point: FloatArray, left: FloatArray, correction: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the next point and its residual, less far along where it grew twofold."""
+    """Return the next iterate and residual, with a shorter step where it doubled."""
     size = float(np.linalg.norm(left))
     moved, after = point, left
     for halving in range(MAX_HALVINGS):
@@ -134,7 +134,7 @@ def _corrected(
 
 
 def _less(matrix: Matrix) -> Matrix:
-    """Return the unit matrix less another."""
+    """Return the identity minus a matrix."""
     if isinstance(matrix, np.ndarray):
         return np.eye(len(matrix)) - matrix
     from scipy.sparse import eye_array
@@ -158,6 +158,6 @@ def _solved_sparse(matrix: Matrix, right: FloatArray) -> FloatArray | None:
     try:
         solution: FloatArray = splu(matrix.tocsc()).solve(right)
     except RuntimeError:
-        # It is singular.
+        # The matrix is singular.
         return None
     return solution if np.isfinite(solution).all() else None

@@ -1,4 +1,4 @@
-"""How to integrate."""
+"""Integration options."""
 
 from __future__ import annotations
 
@@ -12,28 +12,27 @@ from animtool.sim.integrators.adaptive import doubled
 from animtool.sim.integrators.integrator import Control, Integrator
 from animtool.sim.integrators.table import find_integrator
 
-# Of methods that choose their steps, where nothing else is said.
+# Default tolerance of adaptive methods.
 TOLERANCE = 1e-6
-# scipy's solvers take none below.
+# SciPy's solvers accept no smaller tolerance.
 MIN_TOLERANCE = 3e-14
-# Of a finer motion to compare with: over the step, and over the tolerance.
+# Factors of a finer run for comparison: of the step, and of the tolerance.
 FINER_STEP, FINER_TOLERANCE = 0.5, 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class IntegrateOptions:
-    """How to integrate.
+    """Options of an integration.
 
     Attributes:
         method: A name of `INTEGRATORS`.
-        step: Of methods with a fixed step, the longest [s]: steps divide the time
-            between two values evenly. Of those that choose theirs, a bound; None is
-            no bound.
-        tolerance: Of methods that choose their steps: most error of a step in any
-            component, as a share of it [1]; None is 1e-6.
+        step: Longest step [s]: fixed-step methods divide the time between two
+            samples equally; for adaptive methods it is a bound, None for no bound.
+        tolerance: Largest relative error of an adaptive step in any component [1];
+            None is 1e-6.
         absolute: The same, in the state's own units, added; None is `tolerance`.
         base: Method that ``adaptive_doubling`` takes its steps with.
-        floor: Of methods that choose their steps, the shortest they may take [s].
+        floor: Shortest step of adaptive methods [s].
         budget: Most evaluations of rates or accelerations.
         growth: Energy gained, in those of the start and what may be supplied, from
             which on a motion has blown up. Just below their limits, steps that are
@@ -58,17 +57,17 @@ class IntegrateOptions:
 
     @property
     def relative(self) -> float:
-        """Tolerance of methods that choose their steps [1]."""
+        """Relative tolerance of adaptive methods [1]."""
         return TOLERANCE if self.tolerance is None else self.tolerance
 
     @property
     def least(self) -> float:
-        """The tolerance in the state's own units."""
+        """Absolute tolerance, in units of the state."""
         return self.relative if self.absolute is None else self.absolute
 
 
 def check_options(options: IntegrateOptions) -> Integrator:
-    """Return the integrator that options name, and raise where they make no sense.
+    """Return the integrator that options name; raise if they are invalid.
 
     Raises:
         OptionError: All that is wrong (SIM001, SIM004, SIM005, SIM006).
@@ -81,7 +80,7 @@ def check_options(options: IntegrateOptions) -> Integrator:
 
 
 def finer(options: IntegrateOptions) -> IntegrateOptions:
-    """Return options of a motion that is nearer to the truth.
+    """Return options of a more accurate run, to compare with.
 
     >>> finer(IntegrateOptions("rk4", step=0.1)).step
     0.05
@@ -111,19 +110,21 @@ def _chosen(options: IntegrateOptions) -> Integrator:
 
 
 def _faults(options: IntegrateOptions, control: Control) -> list[Fault]:
-    """Return what of options makes no sense, for a method of a kind."""
+    """Return faults of options, for a kind of method."""
     return range_faults(options) + _unfit(options, fixed=control is Control.FIXED)
 
 
 def _unfit(options: IntegrateOptions, *, fixed: bool) -> list[Fault]:
-    """Return what a method needs and has not, and what it has and does not heed."""
+    """Return faults of options that a method requires or ignores."""
     faults = []
     if fixed and options.step is None:
         message = f"{options.method} needs a step"
         hint = "set one in seconds, or use an adaptive method, such as rk45"
         faults.append(Fault("SIM005", message, where="step", hint=hint))
-    given = {"tolerance": options.tolerance, "absolute": options.absolute}
-    for name in [name for name, value in given.items() if fixed and value is not None]:
+    tolerances = {"tolerance": options.tolerance, "absolute": options.absolute}
+    for name in [
+        name for name, value in tolerances.items() if fixed and value is not None
+    ]:
         message = f"{options.method} has a fixed step and ignores {name}"
         hint = f"remove {name}, or use an adaptive method, such as rk45"
         faults.append(Fault("SIM005", message, where=name, hint=hint))

@@ -1,4 +1,4 @@
-"""A motion under way: where it stands, what it took, and its even steps."""
+"""A running integration: its state, its statistics, and its fixed steps."""
 
 from __future__ import annotations
 
@@ -16,49 +16,49 @@ from animtool.sim.options import IntegrateOptions
 from animtool.sim.system import Native
 from animtool.sim.trajectory import Status
 
-# A time within this share of a step is on a multiple of it.
+# Times within this fraction of a step count as a multiple of it.
 ON_GRID = 1e-9
-# Steps between two looks for signs of a blow-up.
+# Steps between two divergence checks.
 LOOK_EVERY = 32
 
 
 class Signs(Protocol):
-    """What looks for signs of a blow-up."""
+    """Checks states for divergence."""
 
     def sign(self, t: float, state: FloatArray) -> str:
-        """Return why a state is beyond bounds, empty where it is not."""
+        """Return why a state has diverged; empty if it has not."""
         ...
 
 
 @dataclass(slots=True)
 class Run:
-    """A motion under way."""
+    """A running integration."""
 
     integrator: Integrator
     equations: Equations
     options: IntegrateOptions  # how to integrate
-    watch: Signs  # looks for signs that it has blown up
+    watch: Signs  # checks for divergence
     end: float  # the last time [s]
-    time: float  # where it stands [s]
+    time: float  # current time [s]
     state: FloatArray
-    memory: object = None  # what the method takes along
-    # The step to try next, of methods that choose theirs [s].
+    memory: object = None  # the method's memory
+    # The next trial step of adaptive methods [s].
     trial: float | None = None
-    steps: int = 0  # kept
-    rejected: int = 0  # not kept
+    steps: int = 0  # accepted
+    rejected: int = 0  # rejected
     smallest: float = math.inf  # step [s]
     largest: float = 0.0  # step [s]
-    local_error: float = 0.0  # sum of the steps' own estimates
+    local_error: float = 0.0  # sum of the error estimates
     reason: str = ""  # why it stopped
-    looked: int = field(default=0)  # steps kept when signs were last looked for
+    looked: int = field(default=0)  # accepted steps at the last divergence check
 
     def keep(self, step: Step, t: float, h: float) -> Status:
-        """Go on to where a step leads, at time t, and return whether to go further."""
+        """Accept a step that ends at time t; return whether to continue."""
         system = self.equations.system
         state, memory = step.state, step.memory
         if system.settles:
             state = system.settle(t, h, self.state, step.state)
-            # What a method took along is of the state that it made itself.
+            # The method's memory belongs to the state it produced.
             memory = memory if state is step.state else None
         self.state, self.memory = state, memory
         if step.error is not None:
@@ -66,7 +66,7 @@ class Run:
         return self.count(t, h, 1)
 
     def count(self, t: float, h: float, steps: int) -> Status:
-        """Count steps that led to time t, and return whether to go further."""
+        """Count steps up to time t; return whether to continue."""
         self.time = t
         self.steps += steps
         self.smallest, self.largest = min(self.smallest, h), max(self.largest, h)
@@ -75,7 +75,7 @@ class Run:
         return self.within_budget()
 
     def look(self) -> Status:
-        """Return whether the state shows a sign of a blow-up."""
+        """Return whether the state has diverged."""
         self.looked = self.steps
         sign = self.watch.sign(self.time, self.state)
         if sign:
@@ -83,39 +83,38 @@ class Run:
         return self.within_budget()
 
     def within_budget(self) -> Status:
-        """Return whether there are evaluations left."""
+        """Return whether evaluations remain."""
         if self.equations.evaluations < self.options.budget:
             return Status.OK
         took = f"it took {self.equations.evaluations} evaluations"
         return self.stop(Status.OUT_OF_BUDGET, took)
 
     def stop(self, status: Status, reason: str) -> Status:
-        """Say why to go no further."""
+        """Stop, and record the reason."""
         self.reason = reason
         return status
 
 
 @dataclass(frozen=True, slots=True)
 class Division:
-    """Even steps from a time to another."""
+    """Equal steps between two times."""
 
     start: float  # [s]
     end: float  # [s]
     count: int  # of steps
     h: float  # each step [s]
-    # Where the times are multiples of the step, which multiple the start is; None where
-    # they are not.
+    # The start as a multiple of the step, if times are multiples; else None.
     first: int | None
 
     def time(self, i: int) -> float:
-        """Return when step i begins [s]; i may be the count."""
+        """Return the start time of step i [s]; i may be the count."""
         if self.first is not None:
             return (self.first + i) * self.h
         return self.end if i == self.count else self.start + i * self.h
 
 
 def divide(start: float, end: float, step: float) -> Division:
-    """Return the even steps, none longer than a step, between two times.
+    """Split an interval into equal steps, none longer than a given one.
 
     Where both times are multiples of the step, it is taken as it is, and steps begin
     at multiples of it: so it is the same steps whichever values are asked for between,
@@ -128,7 +127,7 @@ def divide(start: float, end: float, step: float) -> Division:
     """
     first, last = start / step, end / step
     near, far = round(first), round(last)
-    # What rounding of the times alone makes of a multiple.
+    # Rounding of times that are multiples.
     slack = ON_GRID + 4 * math.ulp(max(abs(first), abs(last)))
     on_grid = max(abs(first - near), abs(last - far)) <= slack < 0.5
     if on_grid and far > near:
@@ -138,12 +137,12 @@ def divide(start: float, end: float, step: float) -> Division:
 
 
 def advance_evenly(run: Run, target: float) -> Status:
-    """Bring a motion to a later time, in even steps."""
+    """Integrate up to a time, in equal steps."""
     assert run.options.step is not None
     division = divide(run.time, target, run.options.step)
     native = run.equations.system.native(run.integrator.name)
     go = _stepwise(run, division) if native is None else _blocks(run, division, native)
-    # The last step's end is the time asked for, but for rounding.
+    # The last step ends at the requested time, but for rounding.
     run.time = target if go is Status.OK else run.time
     return go
 
@@ -164,7 +163,7 @@ def _stepwise(run: Run, division: Division) -> Status:
 
 
 def _blocks(run: Run, division: Division, native: Native) -> Status:
-    """Take the steps many at once, as many as may go without a look."""
+    """Take the steps in blocks, as long as no check is due."""
     each = run.integrator.evaluations or 1
     for i in range(0, division.count, LOOK_EVERY):
         count = min(LOOK_EVERY, division.count - i)

@@ -16,22 +16,22 @@ from numpy.polynomial import polynomial as poly
 
 from animtool.core.array_types import FloatArray
 
-# From angular frequency [rad/s] and damping ratio [1] to a step [s].
+# Maps angular frequency [rad/s] and damping ratio [1] to a step [s].
 Limit: TypeAlias = Callable[[float, float], float]
 
-# Coefficients below it, over the largest, are what rounding left.
+# Smaller coefficients, relative to the largest, are rounding.
 ROUNDING = 1e-14
-# A larger damping ratio, whose square leaves no other digit, counts by its inverse [1].
+# Larger damping ratios use the limit for infinite ratios, scaled by 1 / ratio [1].
 MAX_DAMPING = 1e6
 
 
 def unlimited(omega: float, damping_ratio: float) -> float:  # noqa: ARG001
-    """Return the limit of methods that are stable with any step."""
+    """Return the limit of unconditionally stable methods."""
     return math.inf
 
 
 def rate_limit(growth: Sequence[float]) -> Limit:
-    """Return the limit of a method that multiplies ``y' = λ y`` by R(h λ) a step.
+    """Return the limit of a method with growth polynomial R(h λ) for ``y' = λ y``.
 
     R is a polynomial that begins 1 + z.
 
@@ -44,7 +44,7 @@ def rate_limit(growth: Sequence[float]) -> Limit:
     coefficients = np.asarray(growth, np.float64)
 
     def limit(omega: float, damping_ratio: float) -> float:
-        # Of the slower decay λ h is less, whose difference would be rounding.
+        # λ h of the slower decay is smaller than rounding.
         if damping_ratio >= 1:
             root = math.sqrt(damping_ratio - 1) * math.sqrt(damping_ratio + 1)
             values = {complex(-damping_ratio - root)}
@@ -69,7 +69,7 @@ def jury_limit(
     trace: Callable[[float], Sequence[float]],
     determinant: Callable[[float], Sequence[float]],
 ) -> Limit:
-    """Return the limit of a method that multiplies (x, v/ω) by a matrix a step.
+    """Return the limit of a method that maps (x, v/ω) by a matrix each step.
 
     Both of its eigenvalues are in the unit circle where the determinant D is at most 1
     and the trace T at most 1 + D in size (Jury's conditions). Both are polynomials in s
@@ -86,14 +86,14 @@ def jury_limit(
         above = poly.polysub(d, [1.0])
         beyond = [poly.polysub(side, poly.polyadd(d, [1.0])) for side in (t, -t)]
         least = min(map(_first_positive, [above, *beyond])) / omega
-        # The limit goes with one over the ratio there.
+        # The limit is proportional to 1 / ratio there.
         return least * (ratio / damping_ratio) if damping_ratio > ratio else least
 
     return limit
 
 
 def _first_positive(polynomial: FloatArray) -> float:
-    """Return from which argument above 0 on a polynomial is first positive."""
+    """Return the smallest argument above 0 at which a polynomial is positive."""
     small = np.abs(polynomial) <= ROUNDING * max(np.abs(polynomial).max(), 1.0)
     kept = np.where(small, 0.0, polynomial)
     (used,) = kept.nonzero()

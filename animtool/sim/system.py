@@ -16,9 +16,9 @@ from animtool.core.array_types import ArrayLike, BoolArray, FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 
-# Of derivatives: a dense array, or one of scipy.sparse.
+# A Jacobian: dense, or from scipy.sparse.
 Matrix: TypeAlias = Any
-# From time [s], state, step [s] and a number of steps to the state after them.
+# Maps time [s], state, step [s] and step count to the state after them.
 Native: TypeAlias = Callable[[float, FloatArray, float, int], FloatArray]
 
 
@@ -45,7 +45,7 @@ class Energy:
 
 
 class System(Protocol):
-    """What has a state over time.
+    """A system with a state that changes over time.
 
     In all methods ``t`` is a time [s] and ``state`` has the shape of the one that it
     starts with: any of `FirstOrder`, ``(2, N, d)`` of `SecondOrder`.
@@ -58,31 +58,31 @@ class System(Protocol):
 
     @property
     def state(self) -> FloatArray:
-        """Where it starts."""
+        """The initial state."""
         ...
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:
-        """Return the energy of a state, None where it has none that is of use."""
+        """Return the energy of a state; None if it has no useful one."""
         return None
 
     def stretch(self, t: float, state: FloatArray) -> float | None:
-        """Return the largest length of a spring over its rest length [1]."""
+        """Return the largest spring length over its rest length [1]."""
         return None
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:
-        """Return the fastest motions: angular frequency [rad/s] and damping ratio.
+        """Return the fastest modes: angular frequency [rad/s], damping ratio.
 
-        Of ``x'' + 2 ζ ω x' + ω² x = 0`` one row (ω, ζ) a motion ``(M, 2)``; a rate
-        ``y' = -k y`` is (k, 1), a turning ``y' = i ω y`` is (ω, 0). Those whose steps
-        must be the shortest are enough: the stiffest, and of methods that damping
-        steadies also the least damped.
+        One row (ω, ζ) of ``x'' + 2 ζ ω x' + ω² x = 0`` a mode ``(M, 2)``; a decay
+        ``y' = -k y`` is (k, 1), a rotation ``y' = i ω y`` is (ω, 0). Only modes that
+        limit the step are needed: the stiffest, and for methods stabilised by damping
+        also the least damped.
         """
         return None
 
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return the state to go on with after a step: contacts, constraints, pins.
+        """Return the state after a step's contacts, constraints and pins.
 
         Called after every step that is kept, of a system that `settles`.
 
@@ -95,30 +95,30 @@ class System(Protocol):
         return after
 
     def native(self, method: str) -> Native | None:
-        """Return what takes many steps of a method at once, None where nothing does.
+        """Return a compiled loop that takes many steps; None if there is none.
 
         It does what the method of that name does, and `settle` too.
         """
         return None
 
     def notices(self) -> list[Fault]:
-        """Return what is odd about its start, and about what is to come."""
+        """Return warnings about the initial state and the inputs."""
         return []
 
     def suspect(self, t: float, state: FloatArray) -> str:
-        """Return what makes a state hard to go on from, for a message; may be empty."""
+        """Return the likely cause of a failure, for messages; may be empty."""
         return ""
 
 
 class FirstOrder(System, Protocol):
-    """A system whose state has a rate, ``y' = rate(t, y)``; the state has any shape."""
+    """A system ``y' = rate(t, y)`` with a state of any shape."""
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
-        """Return the rate of change of a state, of its shape [1/s]."""
+        """Return the time derivative of a state, in its shape [1/s]."""
         ...
 
     def jacobian(self, t: float, y: FloatArray) -> Matrix | None:
-        """Return the derivative of the rate, flat, by the state ``(n, n)``.
+        """Return the Jacobian of the flattened rate ``(n, n)``.
 
         Dense or sparse; None where implicit methods are to take differences.
         """
@@ -153,7 +153,7 @@ class SecondOrder(System, Protocol):
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return the derivatives of accelerations by positions and by velocities.
+        """Return Jacobians of accelerations by positions and by velocities.
 
         Both ``(N d, N d)``, dense or sparse; None where implicit methods are to take
         differences.
@@ -169,7 +169,7 @@ Jacobians: TypeAlias = Callable[[float, FloatArray, FloatArray], tuple[Matrix, M
 
 
 class _StateFunctions:
-    """What of a system is given as functions and values."""
+    """The optional parts of a system made of functions."""
 
     def __init__(
         self, state: FloatArray, energy: EnergyOf | None, frequencies: ArrayLike | None
@@ -184,7 +184,7 @@ class _StateFunctions:
 
     @property
     def state(self) -> FloatArray:
-        """Where it starts."""
+        """The initial state."""
         return self._state
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:
@@ -192,12 +192,12 @@ class _StateFunctions:
         return None if self._energy is None else self._energy(t, state)
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:
-        """Return the fastest motions ``(M, 2)``."""
+        """Return the fastest modes ``(M, 2)``."""
         return self._frequencies
 
 
 class RateSystem(_StateFunctions, FirstOrder):
-    """A function of time and state to the state's rate; a velocity field, say.
+    """A first-order system from a function, such as a velocity field.
 
     Args:
         rate: From time [s] and state to its rate of change.
@@ -225,16 +225,16 @@ class RateSystem(_StateFunctions, FirstOrder):
         self._jacobian = jacobian
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
-        """Return the rate of change of a state."""
+        """Return the time derivative of a state."""
         return self._rate(t, y)
 
     def jacobian(self, t: float, y: FloatArray) -> Matrix | None:
-        """Return the derivative of the rate by the state."""
+        """Return the Jacobian of the rate."""
         return None if self._jacobian is None else self._jacobian(t, y)
 
 
 class ForceSystem(_StateFunctions, SecondOrder):
-    """A function of time, positions and velocities to accelerations.
+    """A second-order system from a function to accelerations.
 
     Args:
         acceleration: From time [s], positions and velocities ``(N, d)`` to
@@ -264,10 +264,10 @@ class ForceSystem(_StateFunctions, SecondOrder):
         fixed: BoolArray | None = None,
         velocity_dependent: bool = True,
     ) -> None:
-        places = np.asarray(positions, np.float64)
-        speeds = np.zeros_like(places) if velocities is None else velocities
+        starts = np.asarray(positions, np.float64)
+        speeds = np.zeros_like(starts) if velocities is None else velocities
         super().__init__(
-            np.stack([places, np.asarray(speeds, np.float64)]), energy, frequencies
+            np.stack([starts, np.asarray(speeds, np.float64)]), energy, frequencies
         )
         self._acceleration = acceleration
         self._jacobians = jacobians
@@ -281,10 +281,10 @@ class ForceSystem(_StateFunctions, SecondOrder):
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return the derivatives of accelerations by positions and by velocities."""
+        """Return Jacobians of accelerations by positions and by velocities."""
         return None if self._jacobians is None else self._jacobians(t, x, v)
 
     def suspect(self, t: float, state: FloatArray) -> str:
-        """Return which particle is accelerated most."""
+        """Return the particle with the largest acceleration."""
         pulls = np.linalg.norm(self._acceleration(t, *state), axis=1)
         return f"particle {int(np.argmax(pulls))} has the largest acceleration"

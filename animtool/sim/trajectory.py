@@ -1,4 +1,4 @@
-"""What integrating comes to."""
+"""Results of an integration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from animtool.core.record import dataclass
 
 
 class Status(StrEnum):
-    """How integrating ended.
+    """How an integration ended.
 
     Attributes:
         OK: All times were reached.
@@ -29,7 +29,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """Where a motion stands, so that it can be gone on with.
+    """A state to resume the integration from.
 
     Attributes:
         time: [s]
@@ -46,7 +46,7 @@ class Checkpoint:
 
 @dataclass(frozen=True, slots=True)
 class Stats:
-    """What a motion took, and how it ended.
+    """Statistics of an integration, and how it ended.
 
     Attributes:
         status: How it ended.
@@ -104,7 +104,7 @@ class Trajectory:
 
     @property
     def positions(self) -> FloatArray:
-        """Positions ``(F, N, d)`` [m], or the states of a system of rates."""
+        """Positions ``(F, N, d)`` [m], or the states of a first-order system."""
         return self.states[:, 0] if self.second_order else self.states
 
     @property
@@ -112,7 +112,7 @@ class Trajectory:
         """Velocities ``(F, N, d)`` [m/s].
 
         Raises:
-            AttributeError: The system is one of rates, whose states have none.
+            AttributeError: The system is of first order.
         """
         if not self.second_order:
             raise AttributeError("states of a system of rates have no velocities")

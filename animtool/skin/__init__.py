@@ -1,1 +1,1 @@
-"""How meshes follow a rig: blend shapes, linear blend and dual quaternion skinning."""
+"""Mesh deformation: blend shapes, linear blend and dual quaternion skinning."""

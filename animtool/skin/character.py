@@ -1,4 +1,4 @@
-"""The meshes of a rig, ready to follow its motion."""
+"""Prepares the meshes of a rig for deformation."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CharacterMesh:
-    """A mesh or strands of a rig, and which shape weights of the rig are its own."""
+    """A mesh or strands of a rig, with the rig's shapes that it uses."""
 
     name: str  # as the rig names it
     mesh: DeformedMesh  # what deforms, in [m]
-    # ``(S,)`` for each of its shapes, the rig's shape whose weight it has; -1 for one
-    # without, which stays off.
+    # Index of the rig's shape for each of its shapes ``(S,)``; -1 for one that stays
+    # off.
     columns: IntArray
 
     def weights(self, of_rig: FloatArray | None) -> FloatArray | None:
-        """Return the weights of its own shapes ``(F, S)``; None where all are off.
+        """Return the weights of its shapes ``(F, S)``; None if all are off.
 
         Args:
             of_rig: Weights of the rig's shapes in its order ``(F, shapes)`` [1].
         """
         if of_rig is None or not (self.columns >= 0).any():
             return None
-        own = of_rig[:, self.columns]
-        own[:, self.columns < 0] = 0.0
-        return own
+        mesh_weights = of_rig[:, self.columns]
+        mesh_weights[:, self.columns < 0] = 0.0
+        return mesh_weights
 
 
 def character_meshes(
@@ -45,30 +45,32 @@ def character_meshes(
     bind: FloatArray,
     shapes: Sequence[str],
 ) -> list[CharacterMesh]:
-    """Return meshes ready to follow joints and shape weights.
+    """Return meshes prepared for joints and shape weights.
 
     Args:
         surfaces: The meshes.
-        joints: Names of the J joints that carry them.
+        joints: Names of the J joints of the skeleton.
         bind: Their world transforms at bind time ``(J, 4, 4)`` [m].
-        shapes: Names of the shapes whose weights there will be.
+        shapes: Names of the weighted shapes.
 
     Raises:
-        FormatError: All that does not fit: lengths, numbers of joints or vertices,
-            values that are not finite, weights (SKIN001 to SKIN006).
+        FormatError: Every fault: lengths, indices of joints or vertices, values that
+            are not finite, weights (SKIN001 to SKIN006).
 
     """
-    places = {name: i for i, name in enumerate(joints)}
+    joint_indices = {name: i for i, name in enumerate(joints)}
     columns = {name: i for i, name in enumerate(shapes)}
     meshes, faults = [], []
     for surface in surfaces:
         try:
-            mesh = _mesh(surface, places, bind)
+            mesh = _mesh(surface, joint_indices, bind)
         except FormatError as error:
             faults += [_named(fault, surface.name) for fault in error.faults]
             continue
-        own = [_column(surface, shape, columns) for shape in surface.shapes]
-        meshes.append(CharacterMesh(surface.name, mesh, np.array(own, np.int64)))
+        shape_columns = [_column(surface, shape, columns) for shape in surface.shapes]
+        meshes.append(
+            CharacterMesh(surface.name, mesh, np.array(shape_columns, np.int64))
+        )
     if faults:
         raise FormatError(faults)
     return meshes
@@ -77,7 +79,7 @@ def character_meshes(
 def character_strands(
     strands: Sequence[Strands], joints: Sequence[str], bind: FloatArray
 ) -> list[CharacterMesh]:
-    """Return strands ready to follow the joint that carries each as a whole.
+    """Return strands prepared to follow their joint rigidly.
 
     Args:
         strands: ``(S, K, 3)`` points each, which become one row of vertices.
@@ -114,12 +116,14 @@ def _named(fault: Fault, mesh: str) -> Fault:
 
 
 def _column(surface: Surface, shape: SurfaceShape, columns: dict[str, int]) -> int:
-    """Return the weight of a shape; one that two meshes have bears its mesh's name."""
-    whole = shape.name.removeprefix(f"{surface.name}_")
-    return columns.get(shape.name, columns.get(whole, -1))
+    """Return the column of a shape, which may have its mesh's name as prefix."""
+    short_name = shape.name.removeprefix(f"{surface.name}_")
+    return columns.get(shape.name, columns.get(short_name, -1))
 
 
-def _mesh(surface: Surface, places: dict[str, int], bind: FloatArray) -> DeformedMesh:
+def _mesh(
+    surface: Surface, joint_indices: dict[str, int], bind: FloatArray
+) -> DeformedMesh:
     shapes = skin = None
     if surface.shapes:
         deltas = [_deltas(shape) for shape in surface.shapes]
@@ -129,7 +133,7 @@ def _mesh(surface: Surface, places: dict[str, int], bind: FloatArray) -> Deforme
             surface.skin.indices,
             surface.skin.weights,
             bind,
-            np.array([places[name] for name in surface.skin.joints], np.int64),
+            np.array([joint_indices[name] for name in surface.skin.joints], np.int64),
             surface.geom_bind,
             SkinMethod(surface.skin.method),
         )

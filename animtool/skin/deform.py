@@ -1,4 +1,4 @@
-"""A mesh over frames: its shapes, then its skin, with extents and velocities."""
+"""Deforms meshes over frames: shapes, then skin, with extents and velocities."""
 
 from __future__ import annotations
 
@@ -18,33 +18,32 @@ from animtool.rig.surfaces import Surface
 from animtool.skin.shapes import PreparedShapes, blend_normals, blend_points
 from animtool.skin.skinning import PreparedSkin, skin_normals, skin_points
 
-# Points of a block of frames [bytes]: small enough for the processor's caches to pass
-# it from step to step, and to a thread that writes; of large meshes, as many frames as
-# products of matrices need to run near full speed.
+# Size of a block of frames [bytes]: small enough to stay in cache between steps and for
+# a writing thread; for large meshes, enough frames for fast matrix products.
 BLOCK_BYTES = 2**22
 MIN_FRAMES = 4
 
 
 @dataclass(frozen=True, slots=True)
 class DeformedMesh:
-    """A mesh and what deforms it.
+    """A mesh with its shapes and skin.
 
     Raises:
-        FormatError: Shapes, skin or normals of another number of vertices (SKIN001),
-            or points that are not finite (SKIN003).
+        FormatError: Shapes, skin or normals have another number of vertices (SKIN001),
+            or points are not finite (SKIN003).
     """
 
-    points: FloatArray  # ``(V, 3)`` at rest, in its own space
+    points: FloatArray  # ``(V, 3)`` at rest, mesh space
     # Prepared on the same points (and normals); None for none.
     shapes: PreparedShapes | None = None
     skin: PreparedSkin | None = None  # prepared for as many vertices; None for none
-    normals: FloatArray | None = None  # ``(N, 3)`` at rest; None where it has none
-    # The vertex of each normal ``(N,)``, for normals of face corners; None is one a
-    # vertex. Shapes change normals of vertices only.
+    normals: FloatArray | None = None  # ``(N, 3)`` at rest; None without normals
+    # The vertex of each normal ``(N,)``, for normals of face corners; None is one per
+    # vertex. Shapes change vertex normals only.
     normal_vertices: IntArray | None = None
 
     def __post_init__(self) -> None:
-        """Check that the parts fit."""
+        """Check that shapes, skin and normals match the points."""
         points = as_floats(self.points, ("V", 3), "points")
         object.__setattr__(self, "points", points)
         faults = [
@@ -81,12 +80,12 @@ class DeformedMesh:
 
 @dataclass(frozen=True, slots=True)
 class Deformed:
-    """A mesh in F frames."""
+    """A deformed mesh in F frames."""
 
-    # ``(F, V, 3)``; the skeleton's space under a skin, else the mesh's own.
+    # ``(F, V, 3)``; skeleton space if skinned, else mesh space.
     points: FloatArray
     extents: FloatArray  # least and largest coordinates ``(F, 2, 3)``
-    # Unit, ``(F, N, 3)``; None where they were not asked for.
+    # Unit, ``(F, N, 3)``; None unless requested.
     normals: FloatArray | None = None
     # ``(F, V, 3)`` [unit of the points / s]; None likewise.
     velocities: FloatArray | None = None
@@ -109,20 +108,21 @@ def deform(
     normals: bool = False,
     times: ArrayLike | None = None,
 ) -> Deformed:
-    """Return a mesh in every frame: shapes first, then the skin.
+    """Return a mesh deformed in every frame: shapes first, then the skin.
 
     Args:
         mesh: V vertices.
-        weights: Of its shapes ``(F, S)`` [1], products of combined shapes included;
+        weights: Shape weights ``(F, S)`` [1], products of combined shapes included;
             None is all zero.
-        world: Of the skeleton's joints, in F frames; None is the bind pose.
+        world: World transforms of the skeleton's joints in F frames; None is the bind
+            pose.
         normals: Deform the normals too.
-        times: Of the frames ``(F,)`` [s], ascending; velocities are wanted, by
-            central differences of second order, from one side at either end.
+        times: Times of the frames ``(F,)`` [s], ascending, for velocities by central
+            differences of second order, one-sided at the ends; None for none.
 
     Raises:
-        ValueError: Neither weights nor joints, another number of frames in one than
-            in the other, or normals of a mesh that has none.
+        ValueError: Neither weights nor joints, different numbers of frames, or normals
+            of a mesh without any.
 
     >>> mesh = DeformedMesh(np.eye(3))
     >>> deform(mesh, np.zeros((2, 0))).extents[1].tolist()
@@ -140,7 +140,7 @@ def _deform(
     times: FloatArray | None,
     space: _Space | None,
 ) -> Deformed:
-    """Return what `deform` does, in the space if there is one."""
+    """Return the deformed mesh as `deform`, in reused memory if there is a space."""
     frames = _frames(values, world)
     points = _points(mesh, values, world, frames, space)
     return Deformed(
@@ -153,9 +153,9 @@ def _deform(
 
 @dataclass(frozen=True, slots=True)
 class _Space:
-    """Memory that one block of frames after the other is worked out in."""
+    """Memory reused from block to block."""
 
-    shaped: FloatArray  # points or normals that the skin is yet to move ``(F, V, 3)``
+    shaped: FloatArray  # points or normals before skinning ``(F, V, 3)``
     points: FloatArray  # ``(F, V, 3)``
     normals: FloatArray  # ``(F, N, 3)``
 
@@ -175,7 +175,7 @@ def deform_blocks(
     times: ArrayLike | None = None,
     block: int | None = None,
 ) -> Iterator[Deformed]:
-    """Yield a mesh in blocks of consecutive frames, as `deform` has them at once.
+    """Yield a deformed mesh in blocks of consecutive frames; see `deform`.
 
     Args:
         mesh: V vertices.
@@ -183,10 +183,10 @@ def deform_blocks(
         world: As for `deform`.
         normals: As for `deform`.
         times: As for `deform`.
-        block: Frames a block; None is as many as fit 4 MB.
+        block: Frames per block; None is as many as fit 4 MB.
 
     Returns:
-        Blocks that share their memory: each is to be used before the next is made.
+        Blocks that share memory: each must be used before the next is requested.
 
     Raises:
         ValueError: As for `deform`.
@@ -215,7 +215,7 @@ def deform_blocks(
 
 
 def block_frames(vertices: int) -> int:
-    """Return how many frames of a mesh fit 4 MB: a multiple of 4, and 4 at least.
+    """Return the number of frames of a mesh that fit 4 MB: a multiple of 4, at least 4.
 
     >>> block_frames(10_000)
     16
@@ -225,7 +225,7 @@ def block_frames(vertices: int) -> int:
 
 
 def extents(points: ArrayLike) -> FloatArray:
-    """Return the least and the largest coordinates ``(F, 2, 3)`` of ``(F, V, 3)``.
+    """Return the smallest and largest coordinates ``(F, 2, 3)`` of ``(F, V, 3)``.
 
     >>> extents([[[0, 5, 1], [2, 3, 4]]]).tolist()
     [[[0.0, 3.0, 1.0], [2.0, 5.0, 4.0]]]
@@ -305,17 +305,16 @@ def displaced_points(
     surface: Surface | None,
     times: FloatArray | None,
 ) -> Deformed:
-    """Return frames of a mesh at other points than those that its joints give.
+    """Return frames of a mesh with its points replaced, such as simulated ones.
 
-    Normals stay in frames whose points are those that they were made for, and are
-    those of the faces elsewhere.
+    Normals are kept in frames with unchanged points, and computed from faces elsewhere.
 
     Args:
-        deformed: The frames as joints have them.
-        points: Where the points are, in more frames ``(F, V, 3)`` [m].
-        frames: Which of those these are.
-        surface: Its faces; None of strands.
-        times: Of all frames ``(F,)`` [s]; None for no velocities.
+        deformed: The frames deformed by joints.
+        points: Points of all frames ``(F, V, 3)`` [m].
+        frames: The frames among these.
+        surface: Its faces; None for strands.
+        times: Times of all frames ``(F,)`` [s]; None for no velocities.
 
     >>> still = Deformed(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)))
     >>> up = Channel(np.zeros((2, 3)), np.arange(2), np.ones((3, 2, 3)))
@@ -325,14 +324,14 @@ def displaced_points(
     margin = 0 if times is None else 1
     low = max(frames.start - margin, 0)
     high = min(frames.stop + margin, len(points.values))
-    whole = points.select(slice(low, high)).dense()
-    own = slice(frames.start - low, frames.stop - low)
-    values = np.ascontiguousarray(whole[own])
+    with_margin = points.select(slice(low, high)).dense()
+    inner = slice(frames.start - low, frames.stop - low)
+    values = np.ascontiguousarray(with_margin[inner])
     velocities = deformed.velocities
     if times is not None:
         velocities = np.zeros_like(values)
-        if len(whole) > 1:
-            velocities = np.gradient(whole, times[low:high], axis=0)[own]
+        if len(with_margin) > 1:
+            velocities = np.gradient(with_margin, times[low:high], axis=0)[inner]
     normals = deformed.normals
     if normals is not None and surface is not None:
         differ = (values != deformed.points).any(axis=(1, 2))
@@ -348,7 +347,7 @@ def displaced_points(
 
 
 def vertex_normals(surface: Surface, points: FloatArray) -> FloatArray:
-    """Return unit normals of the faces about each point ``(F, V, 3)``, by area.
+    """Return unit vertex normals ``(F, V, 3)``, faces weighted by area.
 
     ``points`` ``(F, V, 3)``.
     """

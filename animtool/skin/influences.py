@@ -1,4 +1,4 @@
-"""Which joints each vertex follows: checked, pruned, normalised."""
+"""Joint influences of vertices: checked, pruned and normalised."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, listed
 from animtool.core.record import dataclass
 
-# Sums of float32 weights are off by as much without anybody having meant it.
+# Rounding error of sums of float32 weights.
 SUM_TOLERANCE = 1e-6
 
 
@@ -28,10 +28,10 @@ class Influences:
         return len(self.first) - 1
 
     def rows(self, vertices: IntArray) -> Influences:
-        """Return the influences of some vertices, in the order given.
+        """Return the influences of some vertices, in their order.
 
         Args:
-            vertices: ``(N,)``; one may stand more than once.
+            vertices: ``(N,)``, possibly repeated.
         """
         counts = np.diff(self.first)[vertices]
         first = np.concatenate([[0], np.cumsum(counts)])
@@ -43,13 +43,13 @@ class Influences:
 
 @dataclass(frozen=True, slots=True)
 class InfluenceReport:
-    """What was done to influences as they were read."""
+    """Corrections applied to influences on reading."""
 
-    normalized: int  # vertices whose weights did not add up to 1, by more than 1e-6
-    pruned: int  # vertices that lost weights to keep within the number asked for
-    zeros: int  # influences without weight that were left out
-    merged: int  # influences that named a joint of their vertex again
-    sum_error: float  # largest difference of a vertex's sum from 1, as it was read
+    normalized: int  # vertices whose weights differ from the sum 1 by more than 1e-6
+    pruned: int  # vertices that lost weights to the limit of influences
+    zeros: int  # influences of zero weight, removed
+    merged: int  # duplicate influences of a joint, merged
+    sum_error: float  # largest difference of a vertex's weight sum from 1, as read
     sum_vertex: int  # the vertex it is at
 
 
@@ -61,22 +61,22 @@ def read_influences(
     vertices: int | None = None,
     most: int | None = None,
 ) -> tuple[Influences, InfluenceReport]:
-    """Return the influences of a mesh, and what was done to them.
+    """Return the influences of a mesh, and the corrections applied.
 
-    Influences without weight are left out, a joint that a vertex names twice counts
-    once with both weights, and the weights of each vertex are brought to the sum 1.
+    Influences of zero weight are removed, duplicate joints of a vertex are merged, and
+    the weights of each vertex are normalised to the sum 1.
 
     Args:
         indices: ``(V, I)`` numbers of joints, or ``(1, I)`` for all vertices.
         weights: The same shape [1].
-        joints: How many joints there are to count.
-        vertices: How many vertices there should be; None is as many as rows.
-        most: Keep so many of the strongest influences of a vertex; None keeps all.
+        joints: Number of joints.
+        vertices: Expected number of vertices; None is the number of rows.
+        most: Number of the strongest influences to keep per vertex; None keeps all.
 
     Raises:
-        FormatError: All that is wrong: arrays that do not fit each other or the
-            vertices (SKIN001), a number that is no joint (SKIN002), a weight that is
-            not finite (SKIN003), a vertex without weight (SKIN004).
+        FormatError: Every fault: arrays that do not match each other or the vertices
+            (SKIN001), an invalid joint index (SKIN002), a weight that is not finite
+            (SKIN003), a vertex without weight (SKIN004).
 
     >>> found, report = read_influences([[0, 1]], [[3.0, 1.0]], joints=2)
     >>> found.weights.tolist(), report.normalized, report.sum_error
@@ -117,7 +117,7 @@ def read_influences(
 def _merged(
     numbers: IntArray, values: FloatArray, joints: int
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return vertex, joint and weight of every influence, each pair once.
+    """Return vertex, joint and weight of every influence, without duplicates.
 
     By vertex, the strongest first; ties in the order read, as UsdSkel's pivot.
     """
@@ -137,25 +137,25 @@ def _merged(
 
 
 def _repeats(numbers: IntArray, values: FloatArray) -> bool:
-    """Return whether a vertex names a joint twice, with weight."""
-    # Those without weight differ from all others.
-    apart = -1 - np.arange(numbers.shape[1])
-    ordered = np.sort(np.where(values != 0, numbers, apart), axis=1)
+    """Return whether a vertex has a joint twice with weight."""
+    # Placeholders of zero weights differ from all joints.
+    placeholders = -1 - np.arange(numbers.shape[1])
+    ordered = np.sort(np.where(values != 0, numbers, placeholders), axis=1)
     return bool((ordered[:, 1:] == ordered[:, :-1]).any())
 
 
 def _firsts(rows: IntArray, count: int) -> IntArray:
-    """Return where each row begins, and the end ``(count + 1,)``."""
+    """Return the first entry of each row, and the end ``(count + 1,)``."""
     counts = np.bincount(rows, minlength=count)
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 def _strongest(rows: IntArray, count: int, most: int | None) -> BoolArray:
-    """Return which entries are among the first of their row."""
+    """Return a mask of the first ``most`` entries of each row."""
     if most is None:
         return np.ones(len(rows), np.bool_)
-    places = np.arange(len(rows)) - _firsts(rows, count)[rows]
-    return np.asarray(places < most, np.bool_)
+    ranks = np.arange(len(rows)) - _firsts(rows, count)[rows]
+    return np.asarray(ranks < most, np.bool_)
 
 
 def _check_shapes(
@@ -182,8 +182,8 @@ def _check_shapes(
 def _check_values(
     numbers: npt.NDArray[np.generic], values: FloatArray, joints: int
 ) -> None:
-    whole = numbers.astype(np.int64)
-    outside = (whole < 0) | (whole >= joints)
+    integers = numbers.astype(np.int64)
+    outside = (integers < 0) | (integers >= joints)
     infinite = ~np.isfinite(values)
     faults = [
         *_faults("SKIN002", _any(outside), f"a joint index outside 0…{joints - 1}"),
@@ -205,7 +205,7 @@ def _check_sums(sums: FloatArray, kept: FloatArray) -> None:
 
 
 def _faults(code: str, wrong: BoolArray, what: str) -> list[Fault]:
-    """Return the fault that some vertices have, if any has."""
+    """Return a fault that lists the vertices of a mask, if any."""
     at = np.flatnonzero(wrong).tolist()
     if not at:
         return []

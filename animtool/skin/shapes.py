@@ -1,4 +1,4 @@
-"""Blend shapes over frames: built once, then points from weights.
+"""Blend shapes: prepared once, then evaluated over frames of weights.
 
 A shape is offsets at weight 1, and at any inbetween weights. Points are linear in the
 columns, one for each of these, so that frames are a product of column weights and
@@ -30,22 +30,22 @@ from animtool.skin.skinning import result
 # Inbetweens nearer than this to weight 0, 1 or another are refused: UsdSkel skips them.
 NEAREST_INBETWEEN = 1e-6
 
-# What the two products cost beside each other, measured a frame over 10 000 vertices on
-# one thread (tests/bench/deform.py): a column of the dense product 1.75 us, however
-# many offsets it has; a full column of the sparse one 4.3 us, in proportion to its
-# offsets; going over the points once more, where both are used, 11.6 us. So sparse is
-# cheaper while fewer than 40 % of the vertices move.
+# Relative cost of the two products, measured per frame over 10 000 vertices on one
+# thread (tests/bench/deform.py): a column of the dense product 1.75 us for any number
+# of offsets; a full column of the sparse one 4.3 us, in proportion to its offsets;
+# another pass over the points, where both are used, 11.6 us. So sparse is cheaper while
+# fewer than 40 % of the vertices move.
 SPARSE_COST = 2.5
 PASS_COLUMNS = 6.6
 
-# Rows of the dense table are copied to leave out columns that do not show. A copy
-# costs as much as the product of a column over so many frames (measured: 6.7).
+# Rows of the dense table are copied to leave out inactive columns. A copy costs as much
+# as the product of a column over this many frames (measured: 6.7).
 COPY_FRAMES = 7
 
 
 @dataclass(frozen=True, slots=True)
 class InbetweenDeltas:
-    """The offsets of a shape at a weight of its own."""
+    """The offsets of a shape at an inbetween weight."""
 
     at: float  # weight [1], any but 0 and 1
     # ``(D, 3)`` at the vertices of the shape; None moves none of them.
@@ -55,11 +55,11 @@ class InbetweenDeltas:
 
 @dataclass(frozen=True, slots=True)
 class ShapeDeltas:
-    """A blend shape as files have it."""
+    """A blend shape as stored in files."""
 
     name: str  # for messages
-    # ``(D, 3)`` added at weight 1, in the space and unit of the points; None moves no
-    # point, as where a shape turns normals alone.
+    # ``(D, 3)`` added at weight 1, in the space and unit of the points; None for a
+    # shape of normals only.
     offsets: ArrayLike | None
     # ``(D,)`` vertices they are added to; None is every vertex.
     indices: ArrayLike | None = None
@@ -86,10 +86,10 @@ class PreparedShapes:
     """The shapes of a mesh, ready to be evaluated."""
 
     names: tuple[str, ...]  # of the S shapes, in the order of the weights
-    # For each shape, the weights at which it is given, 0 and 1 included, ascending.
+    # For each shape, its weights with offsets, 0 and 1 included, ascending.
     knots: tuple[FloatArray, ...]
     points: _Columns  # columns of the points: for each shape its knots but 0
-    normals: _Columns | None  # columns of the normals; None where no normals were given
+    normals: _Columns | None  # columns of the normals; None without normals
 
     @property
     def vertices(self) -> int:
@@ -100,13 +100,13 @@ class PreparedShapes:
 def prepare_shapes(
     shapes: Sequence[ShapeDeltas], points: ArrayLike, normals: ArrayLike | None = None
 ) -> PreparedShapes:
-    """Return shapes ready to be evaluated on a mesh.
+    """Return shapes prepared for evaluation on a mesh.
 
     ``points`` ``(V, 3)``, ``normals`` ``(V, 3)``.
 
     >>> smile = ShapeDeltas("smile", [[0.0, 2.0, 0.0]], indices=[1])
-    >>> made = prepare_shapes([smile], np.zeros((2, 3)))
-    >>> blend_points(made, [[0.5]])[0].tolist()
+    >>> shapes = prepare_shapes([smile], np.zeros((2, 3)))
+    >>> blend_points(shapes, [[0.5]])[0].tolist()
     [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     """
     rest = as_floats(points, ("V", 3), "points")
@@ -117,7 +117,7 @@ def prepare_shapes(
     knots = tuple(np.array([part.at for part in parts]) for parts in sorted_shapes)
     return PreparedShapes(
         tuple(shape.name for shape in shapes),
-        tuple(np.sort(np.append(own, 0.0)) for own in knots),
+        tuple(np.sort(np.append(weights, 0.0)) for weights in knots),
         _columns(shapes, [[p.offsets for p in parts] for parts in sorted_shapes], rest),
         None
         if normals is None
@@ -130,7 +130,7 @@ def prepare_shapes(
 
 
 def column_weights(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
-    """Return what each column of offsets counts ``(F, C)``.
+    """Return the weight of each column of offsets ``(F, C)``.
 
     A shape is piecewise linear through nothing at 0, its offsets at 1 and its
     inbetweens; the first and the last piece go on beyond, as in UsdSkel.
@@ -148,9 +148,9 @@ def column_weights(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
 def blend_points(
     shapes: PreparedShapes, weights: ArrayLike, *, out: FloatArray | None = None
 ) -> FloatArray:
-    """Return the points of a mesh under its shapes ``(F, V, 3)``.
+    """Return the points of a mesh blended with its shapes ``(F, V, 3)``.
 
-    Shapes that do not show in any of the frames cost nothing.
+    Shapes with zero weight in all frames are skipped.
 
     ``weights`` ``(F, S)`` [1], ``out`` ``(F, V, 3)``.
     """
@@ -160,7 +160,7 @@ def blend_points(
 def blend_normals(
     shapes: PreparedShapes, weights: ArrayLike, *, out: FloatArray | None = None
 ) -> FloatArray:
-    """Return the normals of a mesh under its shapes ``(F, V, 3)``, not normalised.
+    """Return the normals of a mesh blended with its shapes ``(F, V, 3)``, unnormalised.
 
     ``weights`` ``(F, S)`` [1], ``out`` ``(F, V, 3)``.
     """
@@ -192,19 +192,19 @@ def _product(
     columns: _Columns, weights: FloatArray, shows: BoolArray, out: FloatArray
 ) -> None:
     """Fill in the rest and the dense columns times their weights ``(F, 3·V)``."""
-    own, used = weights[:, columns.dense], shows[columns.dense]
+    dense_weights, used = weights[:, columns.dense], shows[columns.dense]
     table = columns.table
     hidden = len(used) - int(used.sum())
     if hidden * len(weights) > COPY_FRAMES * (len(used) - hidden + 1):
-        table, own = table[np.append(True, used)], own[:, used]
-    factors = np.concatenate([np.ones((len(own), 1)), own], axis=1)
+        table, dense_weights = table[np.append(True, used)], dense_weights[:, used]
+    factors = np.concatenate([np.ones((len(dense_weights), 1)), dense_weights], axis=1)
     np.matmul(factors, table, out=out)
 
 
 def _showing(
     columns: _Columns, shows: BoolArray
 ) -> tuple[IntArray, npt.NDArray[np.int32], FloatArray]:
-    """Return the sparse offsets of the columns that show."""
+    """Return the sparse offsets of the active columns."""
     kept = shows[columns.columns]
     if kept.all():
         return columns.first, columns.columns, columns.offsets
@@ -213,21 +213,21 @@ def _showing(
 
 
 def _hats(knots: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return how much of the offsets at each knot but 0 there is ``(F, knots - 1)``."""
+    """Return the piecewise linear weights of all knots but 0 ``(F, knots - 1)``."""
     last = len(knots) - 2
     at = np.clip(np.searchsorted(knots, weights, "right") - 1, 0, last)
-    share = (weights - knots[at]) / (knots[at + 1] - knots[at])
+    fraction = (weights - knots[at]) / (knots[at + 1] - knots[at])
     hats = np.zeros((len(weights), len(knots)))
     frames = np.arange(len(weights))
-    hats[frames, at] = 1.0 - share
-    hats[frames, at + 1] = share
+    hats[frames, at] = 1.0 - fraction
+    hats[frames, at + 1] = fraction
     return hats[:, knots != 0]
 
 
 def _parts(shape: ShapeDeltas) -> list[InbetweenDeltas]:
     """Return the offsets of a shape, its full ones included, by weight.
 
-    Empty ones beside normal offsets are none: the shape turns normals alone.
+    Empty offsets with normal offsets mean a shape of normals only.
     """
     full = InbetweenDeltas(1.0, shape.offsets, shape.normal_offsets)
     parts = [
@@ -275,7 +275,7 @@ def _columns(
 
 
 def _dense(density: FloatArray) -> BoolArray:
-    """Return which columns the dense product is quicker for."""
+    """Return a mask of the columns that are faster in the dense product."""
     cost = density * SPARSE_COST
     dense = np.asarray(cost >= 1.0)
     saved = float((1.0 - cost[~dense]).sum())
@@ -287,7 +287,7 @@ def _dense(density: FloatArray) -> BoolArray:
 def _moved(
     shape: ShapeDeltas, values: ArrayLike | None, count: int
 ) -> tuple[IntArray, FloatArray]:
-    """Return the vertices that offsets move, and by how much."""
+    """Return the vertices that offsets move, and their nonzero offsets."""
     if values is None:
         return np.zeros(0, np.int64), np.zeros((0, 3))
     offsets = np.asarray(values, np.float64)

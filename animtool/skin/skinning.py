@@ -18,12 +18,12 @@ from animtool.skin.influences import InfluenceReport, Influences, read_influence
 
 
 def result(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
-    """Return the caller's array if it gave one, else a new one of zeros.
+    """Return the caller's output array, or a new one of zeros.
 
-    Of many frames, fresh memory takes about as long as the arithmetic.
+    For many frames, allocating memory takes about as long as the arithmetic.
 
     Raises:
-        ValueError: It is of another shape or type, or not in one piece.
+        ValueError: It has another shape or type, or is not contiguous.
 
     >>> result(None, (1, 2)).tolist()
     [[0.0, 0.0]]
@@ -35,16 +35,16 @@ def result(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
     return out
 
 
-# A bind matrix whose linear part has a smaller determinant, as a share of the cube of
-# its largest number, has no inverse worth the name.
+# A bind matrix whose linear part has a smaller determinant, relative to the cube of its
+# largest number, is singular.
 SINGULAR = 1e-12
 
-# Stretches within this of none are rounding, and left out, as in UsdSkel.
+# Stretches within this of identity are rounding and ignored, as in UsdSkel.
 STRETCH_TOLERANCE = 1e-6
 
 
 class SkinMethod(StrEnum):
-    """How the transforms of several joints make one."""
+    """How the transforms of joints are blended."""
 
     LINEAR = "linear"
     DUAL_QUATERNION = "dual_quaternion"
@@ -52,15 +52,14 @@ class SkinMethod(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Binding:
-    """How a mesh is bound to joints, as files have it."""
+    """The binding of a mesh to joints, as stored in files."""
 
-    # ``(V, I)`` numbers of joints, or ``(1, I)`` for all vertices alike.
+    # Joint indices ``(V, I)``, or ``(1, I)`` for all vertices.
     indices: ArrayLike
     weights: ArrayLike  # the same shape [1]
     # World transforms of the skeleton's J joints at bind time ``(J, 4, 4)``.
     bind: ArrayLike
-    # ``(U,)``, the skeleton's joint that each number means; None where numbers count
-    # the skeleton's own.
+    # Skeleton joint of each index ``(U,)``; None if indices are skeleton joints.
     joints: ArrayLike | None = None
     # World transform of the points at bind time ``(4, 4)``; None is identity.
     geom_bind: ArrayLike | None = None
@@ -69,12 +68,12 @@ class Binding:
 
 @dataclass(frozen=True, slots=True)
 class PreparedSkin:
-    """A binding ready to be evaluated."""
+    """A binding prepared for evaluation."""
 
     method: SkinMethod  # linear blend or dual quaternions
-    influences: Influences  # of every vertex; numbers count ``joints``
-    report: InfluenceReport  # what was done to the influences
-    joints: IntArray  # ``(U,)``, the skeleton's joints that the mesh follows
+    influences: Influences  # of every vertex; indices into ``joints``
+    report: InfluenceReport  # corrections of the influences
+    joints: IntArray  # skeleton joints that the mesh uses ``(U,)``
     joint_from_world: FloatArray  # inverse bind transforms of these ``(U, 4, 4)``
     world_from_points: FloatArray  # the points at bind time ``(4, 4)``
 
@@ -85,7 +84,7 @@ class PreparedSkin:
 
 
 def prepare_skin(binding: Binding, vertices: int) -> PreparedSkin:
-    """Return a binding ready to be evaluated, with the joints that it needs only."""
+    """Return a binding prepared for evaluation, with only the joints it uses."""
     bind = np.asarray(binding.bind, np.float64)
     geom = np.eye(4) if binding.geom_bind is None else np.asarray(binding.geom_bind)
     geom = geom.astype(np.float64)
@@ -112,7 +111,7 @@ def skin_points(
     *,
     out: FloatArray | None = None,
 ) -> FloatArray:
-    """Return points where their joints carry them ``(F, V, 3)``.
+    """Return skinned points ``(F, V, 3)``.
 
     Linear blend: ``p' = Σ w · world_from_joint · joint_from_world · geom_bind · p``.
     Dual quaternions: each joint's transform from the bind pose is a rotation after a
@@ -120,10 +119,11 @@ def skin_points(
     blended linearly and move the point first; the rigid parts are blended as dual
     quaternions, signs those nearest to the strongest joint's.
 
-    Where it fails: linear blend loses volume at bends and collapses at half turns.
-    Under dual quaternions, as in UsdSkel, a joint whose transform has a determinant
-    below 1e-10 leaves the blend, so that a point which follows no other stays at its
-    bind place.
+    Limits of the method: linear blend loses volume at bends and collapses at rotations
+        of
+    180 degrees. With dual quaternions, as in UsdSkel, a joint whose transform has a
+    determinant below 1e-10 is dropped from the blend, so that a point without other
+    joints stays at its bind position.
 
     ``points``: ``(F, V, 3)``, or ``(1, V, 3)`` where they are the same in all frames;
     ``out`` ``(F, V, 3)``.
@@ -140,10 +140,10 @@ def skin_normals(
     vertices: IntArray | None = None,
     out: FloatArray | None = None,
 ) -> FloatArray:
-    """Return unit normals as their joints turn them ``(F, N, 3)``.
+    """Return skinned unit normals ``(F, N, 3)``.
 
-    Linear blend sums the inverse transposes of the joints' transforms, as UsdSkel;
-    dual quaternions turn by the blended rotation, after the inverse stretch. One that
+    Linear blend sums the inverse transposes of the joints' transforms, as UsdSkel; dual
+    quaternions rotate by the blended rotation, after the inverse stretch. A normal that
     a joint of zero scale leaves without direction is zero.
 
     ``normals``: ``(F, N, 3)``, or ``(1, N, 3)`` where they are the same in all frames;
@@ -186,8 +186,8 @@ def _skin(
     )
     translations = np.ascontiguousarray(transforms[..., 3])
     if normals:
-        turn = _inverse_transposes(skin.world_from_points[:3, :3])
-        source = source @ turn.T
+        normal_transform = _inverse_transposes(skin.world_from_points[:3, :3])
+        source = source @ normal_transform.T
         stretches = _inverse_transposes(stretches)
         translations[:] = 0.0
     else:
@@ -215,7 +215,7 @@ def _placed(points: FloatArray, world_from_points: FloatArray) -> FloatArray:
 def _transforms(
     skin: PreparedSkin, offsets: FloatArray, world: WorldTransforms
 ) -> FloatArray:
-    """Return world from joint times offsets ``(U, 3, 4)``, ``(F, U, 3, 4)``."""
+    """Return joint world transforms times offsets ``(U, 3, 4)`` as ``(F, U, 3, 4)``."""
     linear, origins = world.linear[:, skin.joints], world.positions[:, skin.joints]
     _check_finite(skin, linear, origins)
     transforms: FloatArray = np.matmul(linear, offsets)
@@ -224,7 +224,7 @@ def _transforms(
 
 
 def _without_rounding(stretches: FloatArray) -> FloatArray | None:
-    """Return stretches, none in frames where no joint has any; None where no frame."""
+    """Return stretches with rounding removed; None if no frame is stretched."""
     off = np.abs(stretches - np.eye(3)).max(axis=(1, 2, 3), initial=0.0)
     stretched = off > STRETCH_TOLERANCE
     if not stretched.any():
@@ -234,7 +234,7 @@ def _without_rounding(stretches: FloatArray) -> FloatArray | None:
 
 
 def _inverse_transposes(linear: FloatArray) -> FloatArray:
-    """Return inverse transposes ``(…, 3, 3)``; of singular ones, their direction."""
+    """Return inverse transposes ``(…, 3, 3)``; the direction of singular ones."""
     a, b, c = np.moveaxis(linear, -2, 0)
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-2)
     determinant = (a * cofactors[..., 0, :]).sum(axis=-1)[..., None, None]

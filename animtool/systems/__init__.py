@@ -1,1 +1,1 @@
-"""Simulations of scenes: what a kind is, what takes it through time, and the kinds."""
+"""Simulated systems of scenes: the framework, and one package per kind."""

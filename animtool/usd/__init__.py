@@ -39,11 +39,11 @@ class _PxrFinder:
             return None
         spec = PathFinder.find_spec(name, path, target)
         if spec is not None and spec.loader is not None:
-            spec.loader = cast(Any, _WholeLoader(spec.loader))
+            spec.loader = cast(Any, _UninterruptedLoader(spec.loader))
         return spec
 
 
-class _WholeLoader:
+class _UninterruptedLoader:
     """Runs a module to its end before a signal is obeyed.
 
     It has what `importlib.abc` asks of a loader, which loads 40 modules.

@@ -1,1 +1,1 @@
-"""Rules on rigs, clips, scenes and captures, and what they find."""
+"""Rules on rigs, clips, scenes and captures, and their findings."""

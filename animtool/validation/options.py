@@ -1,4 +1,4 @@
-"""Which codes count, and how much: for a call, a project and a file."""
+"""Options of validation: selected codes and severities."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from animtool.validation.profiles import PROFILES, load_profile
 @described
 @dataclass(frozen=True, slots=True)
 class ValidateOptions:
-    """What to look for. Codes may be given by their beginning: ``RIG``, ``RIG2``.
+    """Which codes to report. Codes may be prefixes: ``RIG``, ``RIG2``.
 
     Attributes:
         levels: Severities of the profile, below all others; None leaves a code out.
@@ -59,7 +59,7 @@ class ValidateOptions:
     levels: Mapping[str, Severity | None] = field(default_factory=dict)
 
     def counts(self, code: str) -> bool:
-        """Return whether a code is looked for.
+        """Return whether a code is selected.
 
         >>> ValidateOptions(select=("RIG",), ignore=("RIG2",)).counts("RIG201")
         False
@@ -74,7 +74,7 @@ class ValidateOptions:
         return max(chosen, _longest(code, self.severity)) >= _length(level)
 
     def of(self, fault: Fault) -> Fault:
-        """Return a finding with the severity that is asked for."""
+        """Return a finding with its configured severity."""
         best = _best(fault.code, self.severity)
         if best is not None:
             return replace(fault, severity=self.severity[best])
@@ -83,7 +83,7 @@ class ValidateOptions:
         return fault if level is None else replace(fault, severity=level)
 
     def resolved(self) -> ValidateOptions:
-        """Return these options with the levels of the profile that they name.
+        """Return these options with the levels of the named profile.
 
         Raises:
             OptionError: The profile is missing or malformed (VAL005, VAL008, VAL009).
@@ -92,14 +92,14 @@ class ValidateOptions:
             return self
         return replace(self, levels=load_profile(self.profile))
 
-    def with_profile(self, own: str | None) -> ValidateOptions:
-        """Return these options with the levels of the profile that a file asks for."""
-        if self.profile or own is None:
+    def with_profile(self, profile: str | None) -> ValidateOptions:
+        """Return these options with the levels of a file's profile."""
+        if self.profile or profile is None:
             return self
-        return replace(self, levels=PROFILES[own].levels)
+        return replace(self, levels=PROFILES[profile].levels)
 
     def within(self, project: ValidateOptions) -> ValidateOptions:
-        """Return these options where a project has some: what is given here wins."""
+        """Return these options merged with a project's; these win."""
         return replace(
             self,
             select=self.select or project.select,
@@ -120,7 +120,7 @@ _NO_REPORT = (
 @described
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
-    """What to do about findings: fix or show them, where, and the exit code."""
+    """How findings are fixed, printed, and turned into an exit code."""
 
     strict: bool = option(False, "switch", help="Exit with 1 if there are warnings.")
     exit_zero: bool = option(False, "switch", help="Exit with 0 whatever is found.")
@@ -174,33 +174,35 @@ class ReportOptions:
 
 
 def _best(code: str, beginnings: Iterable[str]) -> str | None:
-    """Return the longest of the beginnings of a code, in its own or an old spelling."""
+    """Return the longest matching prefix of a code, in current or old spelling."""
     matching = [b for b in beginnings if code.startswith(current_codes(b))]
     return max(matching, key=_length, default=None)
 
 
 def _length(beginning: str) -> int:
-    """Return the length of a beginning, in the current spelling."""
+    """Return the length of a prefix in current spelling."""
     return len(current_codes(beginning)[0])
 
 
 def _longest(code: str, beginnings: Iterable[str]) -> int:
-    """Return the length of the longest beginning of a code, -1 for none."""
+    """Return the length of the longest matching prefix of a code, -1 for none."""
     best = _best(code, beginnings)
     return -1 if best is None else _length(best)
 
 
 def check_codes(options: ValidateOptions, path: str | None = None) -> None:
-    """Refuse codes that none begins with."""
+    """Refuse prefixes that match no code."""
     faults = []
-    for given in (*options.select, *options.ignore, *options.severity):
-        if given and any(code.startswith(current_codes(given)) for code in own_rules()):
+    for prefix in (*options.select, *options.ignore, *options.severity):
+        if prefix and any(
+            code.startswith(current_codes(prefix)) for code in own_rules()
+        ):
             continue
         rules, _ = all_rules()
-        if given and any(code.startswith(given) for code in rules):
+        if prefix and any(code.startswith(prefix) for code in rules):
             continue
-        message = f"no code matches {given!r}"
-        hint = nearest(given, list(rules))
+        message = f"no code matches {prefix!r}"
+        hint = nearest(prefix, list(rules))
         if hint.startswith("allowed"):
             hint = "animtool explain lists them"
         faults.append(Fault("VAL005", message, path, (), hint))
@@ -214,7 +216,7 @@ _SETTINGS = tuple(name for name in options_of(ValidateOptions) if name != "jobs"
 
 
 def settings_of(path: Path) -> ValidateOptions:
-    """Return what the project of a file sets."""
+    """Return the project settings of a file."""
     config = find_config(path)
     return _options(config.validate, str(config.path))
 
@@ -232,12 +234,12 @@ def _options(table: Any, path: str) -> ValidateOptions:
             message = f"validate.{name} is {codes!r}, not a list of codes"
             raise OptionError(Fault("CFG003", message, path))
         lists[name] = tuple(codes)
-    given = table.get("severity", {})
-    if not isinstance(given, dict):
-        message = f"validate.severity is {given!r}, not a table of codes"
+    levels_by_code = table.get("severity", {})
+    if not isinstance(levels_by_code, dict):
+        message = f"validate.severity is {levels_by_code!r}, not a table of codes"
         raise OptionError(Fault("CFG003", message, path))
     severities = {}
-    for code, name in given.items():
+    for code, name in levels_by_code.items():
         if name not in list(Severity):
             message = f"validate.severity.{code} is {name!r}"
             hint = f"allowed: {', '.join(Severity)}"

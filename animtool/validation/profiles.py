@@ -1,4 +1,4 @@
-"""Severity profiles: how much each code counts for what a file is delivered as."""
+"""Severity profiles: severities of codes by purpose of a file."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _ERROR, _WARNING, _NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
-    """What codes count for."""
+class SeverityProfile:
+    """Severities of codes."""
 
     about: str  # what it is for, a line
     levels: Levels  # severities that replace those of the rules
 
 
-PROFILES: dict[str, Profile] = {
-    "default": Profile("each code's own severity, also for layers", {}),
-    "asset": Profile(
+PROFILES: dict[str, SeverityProfile] = {
+    "default": SeverityProfile("each code's own severity, also for layers", {}),
+    "asset": SeverityProfile(
         "a published rig or asset: metadata needed to open it must be present",
         dict.fromkeys(
             (
@@ -43,7 +43,7 @@ PROFILES: dict[str, Profile] = {
             _ERROR,
         ),
     ),
-    "layer": Profile(
+    "layer": SeverityProfile(
         "an animation layer over a rig elsewhere: the stage metadata comes from the "
         "shot",
         {
@@ -56,7 +56,7 @@ PROFILES: dict[str, Profile] = {
             "USD259": None,
         },
     ),
-    "shot": Profile(
+    "shot": SeverityProfile(
         "the stage of a shot: its time must be right; its assets belong to others",
         {
             "MOT215": _NOTE,
@@ -74,7 +74,7 @@ PROFILES: dict[str, Profile] = {
             "USD259": _NOTE,
         },
     ),
-    "vendor": Profile(
+    "vendor": SeverityProfile(
         "a file delivered by others: losses are warnings, the rest are notes",
         {
             "USD2": _NOTE,
@@ -100,7 +100,7 @@ PROFILES: dict[str, Profile] = {
 
 
 def load_profile(name: str, folder: Path | None = None) -> Levels:
-    """Return the levels of a profile by its name, or of a file."""
+    """Return the levels of a profile, by name or of a file."""
     if name in PROFILES:
         return PROFILES[name].levels
     path = Path(name) if folder is None else folder / name
@@ -121,16 +121,16 @@ def _document(path: Path) -> Mapping[str, Any]:
 
 
 def _toml(path: Path) -> Mapping[str, Any]:
-    """Return a TOML file, or of project settings the part on severities."""
+    """Return a TOML profile, or the severity part of project settings."""
     try:
         table = parse_toml(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
     except FormatError as error:
         raise _malformed(error.faults[0].message, str(path)) from error
     except ValueError as error:
         raise _malformed(f"cannot be read: {error}", str(path)) from error
-    own = table.get("validate")
-    if isinstance(own, dict):
-        return {"severity": own.get("severity", {})}
+    table_of_tool = table.get("validate")
+    if isinstance(table_of_tool, dict):
+        return {"severity": table_of_tool.get("severity", {})}
     return table
 
 
@@ -147,21 +147,24 @@ def _levels(table: Mapping[str, Any], path: str) -> Levels:
     if not isinstance(base, str) or base not in PROFILES:
         hint = f"allowed: {', '.join(PROFILES)}"
         raise _malformed(f"extends is {base!r}", path, hint)
-    given = table.get("severity", {})
-    if not isinstance(given, dict):
+    severities = table.get("severity", {})
+    if not isinstance(severities, dict):
         hint = "write codes and severities, such as USD25: note"
-        raise _malformed(f"severity is {given!r}, not a table of codes", path, hint)
-    own = {
-        str(code).upper(): _level(code, value, path) for code, value in given.items()
+        raise _malformed(
+            f"severity is {severities!r}, not a table of codes", path, hint
+        )
+    levels = {
+        str(code).upper(): _level(code, value, path)
+        for code, value in severities.items()
     }
-    _check_codes(own, path)
+    _check_codes(levels, path)
     # A beginning of the file's own replaces all of the base that it covers.
     kept = {
         code: level
         for code, level in PROFILES[base].levels.items()
-        if not any(code.startswith(current_codes(mine)) for mine in own)
+        if not any(code.startswith(current_codes(mine)) for mine in levels)
     }
-    return {**kept, **own}
+    return {**kept, **levels}
 
 
 def _level(code: object, value: object, path: str) -> Severity | None:

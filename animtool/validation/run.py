@@ -1,4 +1,4 @@
-"""Checking files: which are meant, what is found in each, what is ignored."""
+"""Validates files: matching paths, running rules, ignoring findings."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def find_files(paths: Iterable[Path | str]) -> list[Path]:
-    """Return the files that paths mean, each once, in the order of the paths.
+    """Return the files that paths match, each once, in path order.
 
     See `animtool.core.files.reading.files_meant`; folders are searched for all files
     that animtool knows by name.
@@ -46,13 +46,13 @@ def find_files(paths: Iterable[Path | str]) -> list[Path]:
 def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
     """Return the files of `find_files`, and a warning for each path without any."""
     # Of a variable of a shell that is not set; the folder that it is run in is ".".
-    given = [text for path in paths if (text := str(path))]
-    for text in given:
+    texts = [text for path in paths if (text := str(path))]
+    for text in texts:
         if "\0" in text:
             raise unreadable(Path(text), "embedded null byte")
     files: dict[Path, None] = {}
     unmatched = []
-    for text in given:
+    for text in texts:
         meant = [file.path for file in files_meant(text, SUFFIXES)]
         files.update(dict.fromkeys(meant))
         if not meant:
@@ -60,7 +60,7 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
             fault = Fault("VAL010", message, hint=hint, severity=Severity.WARNING)
             unmatched.append(fault)
     if not files:
-        shown = ", ".join(given) or "nothing"
+        shown = ", ".join(texts) or "nothing"
         message = f"no file to check in {shown}"
         hint = f"folders are searched for {', '.join(SUFFIXES)}"
         raise NothingFoundError(Fault("VAL006", message, hint=hint))
@@ -74,22 +74,22 @@ _NAMES = ("name", "target", "joint", "effector")
 
 @dataclass(slots=True)
 class Ignores:
-    """The entries of ``ignore`` in a file, and how often each hid something."""
+    """The ``ignore`` entries of a file, and how often each matched."""
 
     document: Document  # the file
     used: list[int]  # how many findings each entry hid
 
     @classmethod
     def of(cls, document: Document) -> Ignores:
-        """Return those of a document; malformed ones are its reader's to refuse."""
+        """Return the entries of a document; its reader refuses malformed ones."""
         return cls(document, [0] * len(_entries(document)))
 
     def hide(self, faults: list[Fault]) -> list[Fault]:
-        """Return the findings that no entry names."""
+        """Return the findings that no entry matches."""
         return [fault for fault in faults if not self._hides(fault)]
 
     def remarks(self) -> Iterator[Fault]:
-        """Yield what is wrong with the entries once everything was looked at."""
+        """Yield faults of the entries after all findings were matched."""
         rules, _ = all_rules()
         for i, entry in enumerate(_entries(self.document)):
             code = entry["code"]
@@ -109,19 +109,19 @@ class Ignores:
     def _hides(self, fault: Fault) -> bool:
         if fault.path != str(self.document.path):
             return False
-        places = self._spellings(fault.where or "")
+        spellings = self._spellings(fault.where or "")
         hidden = False
         for i, entry in enumerate(_entries(self.document)):
             pattern = entry.get("where")
             if fault.code in current_codes(entry["code"]) and (
-                not pattern or any(_covers(pattern, place) for place in places)
+                not pattern or any(_covers(pattern, spelling) for spelling in spellings)
             ):
                 self.used[i] += 1
                 hidden = True
         return hidden
 
     def _spellings(self, where: str) -> list[str]:
-        """Return a place with entries of lists by number, and by name."""
+        """Return a location with list entries by number, and by name."""
         node: Any = self.document.value
         text = ""
         for key, index in _STEP.findall(where):
@@ -145,14 +145,14 @@ def _is_map(node: Any) -> bool:
     return isinstance(node, dict)
 
 
-def _covers(pattern: str, place: str) -> bool:
-    """Return whether a pattern is a place, or one around it.
+def _covers(pattern: str, location: str) -> bool:
+    """Return whether a pattern equals a location, or contains it.
 
     >>> _covers("joints[*_l]", "joints[knee_l].limits"), _covers("joint", "joints[2]")
     (True, False)
     """
     words = ".*".join(map(re.escape, pattern.split("*")))
-    return re.fullmatch(rf"{words}(?:[.\[].*)?", place) is not None
+    return re.fullmatch(rf"{words}(?:[.\[].*)?", location) is not None
 
 
 Finding = Fault
@@ -165,7 +165,7 @@ CHUNK = 10
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A finding as reports list it."""
+    """A finding as listed in reports."""
 
     fault: Fault
     fixable: bool = False  # whether `--fix` can mend it
@@ -174,7 +174,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was found."""
+    """Result of validation."""
 
     files: tuple[Path, ...]  # that were looked at, in order
     findings: tuple[Fault, ...]  # by file, line and column
@@ -190,21 +190,21 @@ class Report:
 
     @property
     def entries(self) -> list[Entry]:
-        """The findings, and which can be mended."""
+        """The findings, marked if fixable."""
         return [Entry(fault, fault in self.fixable) for fault in self.findings]
 
     @property
     def repairs(self) -> list[Entry]:
-        """Findings that were mended, and how."""
+        """Fixed findings, and how."""
         return [Entry(fault, done=done) for fault, done in self.mended]
 
     @property
     def summary(self) -> dict[str, int]:
-        """How many findings are of each severity."""
+        """Number of findings by severity."""
         return {str(kind): self.count(kind) for kind in Severity}
 
     def worded(self, calling: Calling) -> Report:
-        """Return it with arguments called as an interface calls them."""
+        """Return the report with arguments spelled for an interface."""
         return replace(
             self,
             findings=tuple(fault.worded(calling) for fault in self.findings),
@@ -213,7 +213,7 @@ class Report:
         )
 
     def count(self, severity: Severity) -> int:
-        """Return how many findings are of a severity."""
+        """Return the number of findings of a severity."""
         return sum(fault.severity is severity for fault in self.findings)
 
     def unreadable(self) -> frozenset[str]:
@@ -226,7 +226,7 @@ class Report:
         )
 
     def exit_code(self, *, strict: bool = False, exit_zero: bool = False) -> ExitCode:
-        """Return the code of a process: strict counts warnings, exit_zero nothing."""
+        """Return the process exit code: strict counts warnings, exit_zero gives 0."""
         if self.unreadable():
             return ExitCode.MALFORMED
         wrong = self.count(Severity.ERROR)
@@ -237,7 +237,7 @@ class Report:
 def validate(
     paths: Path | str | Iterable[Path | str], options: ValidateOptions | None = None
 ) -> list[Fault]:
-    """Return what is wrong or odd in rigs, clips, scenes, BVH and USD files.
+    """Return the findings in rigs, clips, scenes, BVH and USD files.
 
     Args:
         paths: Files, folders, and globs in which ``**`` is any folders.
@@ -245,18 +245,18 @@ def validate(
 
     Raises:
         FormatError: A path has a null byte (IO001).
-        NothingFoundError: There is no file to look at (VAL006).
+        NothingFoundError: No file to check (VAL006).
         OptionError: A code that there is none of (VAL005), a file of a kind that is
             not checked (IO002), or settings of a project that are malformed.
     """
-    given = [paths] if isinstance(paths, Path | str) else list(paths)
-    return list(validate_files(find_files(given), options).findings)
+    requested = [paths] if isinstance(paths, Path | str) else list(paths)
+    return list(validate_files(find_files(requested), options).findings)
 
 
 def validate_files(
     files: Sequence[Path], options: ValidateOptions | None = None
 ) -> Report:
-    """Return what is wrong or odd in files; see `validate`.
+    """Return the findings in files; see `validate`.
 
     The same whatever the number of processes.
     """
@@ -267,9 +267,11 @@ def validate_files(
     projects = {folder: settings_of(path) for folder, path in folders.items()}
     settings = [options.within(projects[path.parent]) for path in files]
     _, broken = all_rules()
-    given = values_of_batches(files)
+    by_scene = values_of_batches(files)
     values = (
-        [given.get(path.resolve()) for path in files] if given else [None] * len(files)
+        [by_scene.get(path.resolve()) for path in files]
+        if by_scene
+        else [None] * len(files)
     )
     by_file = _all(files, settings, values, _processes(options.jobs, len(files)))
     names = {path.resolve(): str(path) for path in files}
@@ -302,7 +304,7 @@ def _shared(
     values: Sequence[SceneValues | None],
     processes: int,
 ) -> list[list[Fault]] | None:
-    """Return what counts in each file, found by several processes.
+    """Return the reported findings of each file, from several processes.
 
     None where one of them ended: done again here, it is known over which file.
     """
@@ -323,7 +325,7 @@ def _shared(
 def _check(
     path: Path, options: ValidateOptions, values: SceneValues | None
 ) -> list[Fault]:
-    """Return what counts in one file, of a scene with values of its variables."""
+    """Return the reported findings of one file, with values of scene variables."""
     try:
         checked = open_file(path, values)
     except AnimtoolError as error:
@@ -341,12 +343,12 @@ def _check(
 
 
 def _unreadable(fault: Fault, path: str) -> bool:
-    """Return whether a finding is that the file cannot be read, which always counts."""
+    """Return whether a finding is an unreadable file, which always counts."""
     return fault.code == "IO001" and fault.path == path
 
 
 def findings_in(checked: CheckedFile) -> list[Fault]:
-    """Return what is wrong or odd in a file that was checked, whatever counts."""
+    """Return all findings in a checked file, whatever counts."""
     faults = list(checked.faults)
     rules, _ = all_rules()
     for rule in rules.values():
@@ -361,7 +363,7 @@ def findings_in(checked: CheckedFile) -> list[Fault]:
 
 
 def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
-    """Return what one rule finds in a file, its own errors not caught."""
+    """Return the findings of one rule in a file; its errors are raised."""
     checked = open_file(path)
     if checked.kind not in rule.kinds:
         kinds = ", ".join(sorted(rule.kinds))
@@ -370,27 +372,27 @@ def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
     subjects = _subjects(rule, checked)
     if not subjects:
         raise FormatError(checked.faults)
-    return [fault for subject in subjects for fault in _found(rule, subject)]
+    return [fault for subject in subjects for fault in _faults_of(rule, subject)]
 
 
 def _subjects(rule: Rule, checked: CheckedFile) -> Sequence[object]:
-    """Return what a rule looks at in a file; nothing where its reader refused it."""
+    """Return a rule's subjects in a file; none if its reader refused it."""
     if rule.takes:
         return checked.takes
     return () if checked.subject is None else (checked.subject,)
 
 
-def _found(rule: Rule, subject: object) -> Iterator[Fault]:
-    """Yield what a rule finds; what it reports as a note stays one."""
+def _faults_of(rule: Rule, subject: object) -> Iterator[Fault]:
+    """Yield the findings of a rule; notes stay notes."""
     for fault in rule.load()(subject):
         is_note = fault.severity is Severity.NOTE
         yield fault if is_note else replace(fault, severity=rule.severity)
 
 
 def _run(rule: Rule, checked: CheckedFile) -> list[Fault]:
-    """Return what a rule finds; that it failed is a finding too."""
+    """Return the findings of a rule; a crash is a finding, too."""
     try:
-        return [f for s in _subjects(rule, checked) for f in _found(rule, s)]
+        return [f for s in _subjects(rule, checked) for f in _faults_of(rule, s)]
     except Exception as error:
         path = None if checked.document is None else str(checked.document.path)
         kind = type(error).__name__
@@ -400,7 +402,7 @@ def _run(rule: Rule, checked: CheckedFile) -> list[Fault]:
 
 
 def _named(fault: Fault, names: dict[Path, str]) -> Fault:
-    """Return a finding whose file is called as the user did, or as seen from here."""
+    """Return a finding with its file spelled as the user did, or relative."""
     if fault.path is None or fault.path in names.values():
         return fault
     try:

@@ -1,4 +1,4 @@
-"""What every rule must do, for the tests of those who write some."""
+"""Test helper for authors of rules."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from animtool.validation.run import Finding, findings_of_rule
 
 
 def check_rule(rule: Rule, wrong: Path | str, right: Path | str) -> list[Finding]:
-    """Check that a rule finds what is wrong in one file, and nothing in another.
+    """Check that a rule finds a fault in one file, and none in another.
 
     Args:
         rule: To be tested.

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Colliders, Poses
-from animtool.systems.flocks.flock import Flock
+from animtool.systems.flocks.flock import Flock, build
 from animtool.systems.flocks.spec import FlocksModel
 from animtool.systems.particles import Point
 
@@ -61,7 +61,7 @@ class Boids:
                 }
             ]
         }
-        return Flock(FlocksModel.model_validate(spec), _Context(parts))
+        return build(FlocksModel.model_validate(spec), _Context(parts))
 
 
 class _Context:

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Box, Collider, Colliders, Poses
-from animtool.systems.fluid.fluid import Fluid
+from animtool.systems.fluid.fluid import Fluid, build
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.particles.forces.table import find_force
 
@@ -53,7 +53,7 @@ class Dam:
             name="tank",
             container=True,
         )
-        return Fluid(
+        return build(
             FluidModel.model_validate(spec), _Context(Colliders([tank]), parts)
         )
 

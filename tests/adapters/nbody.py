@@ -12,7 +12,7 @@ from adapters.boids import splitmix
 
 from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Colliders
-from animtool.systems.nbody.nbody import Nbody
+from animtool.systems.nbody.nbody import Nbody, build
 from animtool.systems.nbody.spec import NbodyModel
 
 
@@ -75,7 +75,7 @@ def nbody(
         **keys,
     }
     parts = {"bodies": [{"points": x, "velocities": v, "masses": masses}]}
-    return Nbody(NbodyModel.model_validate(spec), _Context(parts))
+    return build(NbodyModel.model_validate(spec), _Context(parts))
 
 
 def read_discs(path: Path) -> list[Disc]:

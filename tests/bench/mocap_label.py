@@ -27,7 +27,7 @@ from support.named import scores_of
 
 from animtool.capture.markers.fill import fill
 from animtool.capture.markers.label import label
-from animtool.capture.markers.skeleton import Subject
+from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.formats.marker_files import open_markers
 
 RESULTS = Path(__file__).parent / "results" / "mocap_label.csv"
@@ -47,7 +47,9 @@ def main() -> None:
         )
         labelling = best(lambda c=points, s=static: label(c, s))
         filling = best(lambda m=named: fill(m))
-        subject = Subject(rig_of(generic, "generic"), template_of(generic), static)
+        subject = MarkerSubject(
+            rig_of(generic, "generic"), template_of(generic), static
+        )
         solved = best(lambda m=named, s=subject: fill(m, subject=s))
         rows.append(
             {
@@ -81,7 +83,7 @@ def distribution(first: int, last: int) -> None:
         row = {"names": min(scores_of(named, points, made.truth["perm"]))}
         row |= {"doubts": len(doubts.doubts), "names_s": time.process_time() - start}
         rig = rig_of(made.template, "generic")
-        subject = Subject(rig, template_of(made.template), static)
+        subject = MarkerSubject(rig, template_of(made.template), static)
         markers = made.markers()
         start = time.process_time()
         whole, report = fill(markers, subject=subject)

@@ -16,7 +16,7 @@ from measuring import begin, on_one_thread, parser
 
 from animtool import _kernels
 from animtool.sim.colliders import Colliders
-from animtool.systems.fluid.fluid import Fluid
+from animtool.systems.fluid.fluid import build
 from animtool.systems.fluid.spec import FluidModel
 
 TENSION, DENSITY, STEPS, SWINGS = 0.072, 1000.0, 24, 2
@@ -89,7 +89,7 @@ class Drop:
         step, states, pressures = 2 * math.pi / self.pulse / STEPS, [], []
 
         def work() -> None:
-            fluid = Fluid(spec, context)
+            fluid = build(spec, context)
             state = fluid.initial()
             for k in range(SWINGS * STEPS + 1):
                 states.append(state.motion)

@@ -19,7 +19,12 @@ from measuring import begin, in_process, in_turn, on_one_thread, parser
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.maths import so3
-from animtool.preview.work_precision import Curve, Panel, Point, draw_panels
+from animtool.preview.work_precision import (
+    Panel,
+    PrecisionCurve,
+    PrecisionPoint,
+    draw_panels,
+)
 from animtool.sim.colliders import Colliders
 from animtool.systems.rigid.spec import RigidModel
 
@@ -83,7 +88,7 @@ class Wingnut:
 def measure(nut: Wingnut, runs: int) -> tuple[list[Row], list[Panel]]:
     """Time each method with each step in turn; return figures, and what is drawn."""
     rows: list[Row] = []
-    points: dict[tuple[str, str], list[Point]] = {}
+    points: dict[tuple[str, str], list[PrecisionPoint]] = {}
     for steps in STEPS:
         section = f"{RATE * steps} small steps a second"
         work = {
@@ -104,7 +109,7 @@ def measure(nut: Wingnut, runs: int) -> tuple[list[Row], list[Panel]]:
                     Row(section, name, measure, [error], bound if claims else None)
                 )
                 if 0 < error < np.inf:
-                    point = Point(times_row.median / 1e3, error)
+                    point = PrecisionPoint(times_row.median / 1e3, error)
                     points.setdefault((measure, name), []).append(point)
     title = f"A wingnut turns freely for {nut.times[-1]:g} s"
     panels = [
@@ -112,7 +117,7 @@ def measure(nut: Wingnut, runs: int) -> tuple[list[Row], list[Panel]]:
             title,
             measure,
             tuple(
-                Curve(name, tuple(points[measure, name]))
+                PrecisionCurve(name, tuple(points[measure, name]))
                 for name in RigidModel.methods
                 if (measure, name) in points
             ),

@@ -107,7 +107,7 @@ def test_what_was_filtered_is_told_from_the_lowest_cut_off_on() -> None:
     motion = replace(
         take.motion,
         translations=Channel.from_dense(shifts),
-        rotations=Channel.still(take.motion.rotations.rest, count),
+        rotations=Channel.static(take.motion.rotations.rest, count),
     )
     clock = replace(take.clock, fps=Fraction(60))
     dirty = replace(take, motion=motion, clock=clock)
@@ -133,7 +133,7 @@ def test_a_take_without_noise_stays() -> None:
     motion = replace(
         take.motion,
         rotations=Channel.from_dense(so3.exp(turns)),
-        translations=Channel.still(take.motion.translations.rest, count),
+        translations=Channel.static(take.motion.translations.rest, count),
     )
     take = replace(take, motion=motion)
     assert content(clean(take)) == content(take)

@@ -23,16 +23,16 @@ from animtool.capture.clean import CleanOptions, clean, cleaned_take, scores_of
 from animtool.capture.face import fit_face, transfer_weights
 from animtool.capture.face.model import BentShapes, FaceModel
 from animtool.capture.markers import spikes, swaps
-from animtool.capture.markers.chains import alike_of, chained, evidence
+from animtool.capture.markers.chains import chained, evidence, likelihoods
 from animtool.capture.markers.fill import fill
-from animtool.capture.markers.geometry import Distances, distances
-from animtool.capture.markers.naming import Naming, said_of, searched
+from animtool.capture.markers.geometry import MarkerDistances, distances
+from animtool.capture.markers.naming import Naming, pair_evidence, searched
 from animtool.capture.markers.predict import follow as by_skeleton
-from animtool.capture.markers.predict import predict, turned
+from animtool.capture.markers.predict import predict, predict_in_parent
 from animtool.capture.markers.runs import RunLabels
-from animtool.capture.markers.skeleton import Subject
+from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.capture.markers.tracklets import follow
-from animtool.capture.markers.twins import told_apart
+from animtool.capture.markers.twins import distinguish_twins
 from animtool.capture.options import FillOptions
 from animtool.capture.solve import solve_markers
 from animtool.maths import so3
@@ -74,7 +74,7 @@ def test_points_of_pixels(count: int) -> None:
             "views": found.markers.cameras,
             "deviations": found.deviations,
             "error": found.error_px,
-            "found": [found.found, found.seen],
+            "found": [found.triangulated, found.visible],
             "cameras": found.cameras,
             "notices": texts(found.notices),
         },
@@ -119,7 +119,7 @@ def test_gaps_by_a_skeleton_and_a_solve() -> None:
     a, b = column("RWRA"), column("RWRB")
     positions[60:75, [a, b]] = positions[60:75, [b, a]]
     given = replace(truth.markers, positions=positions)
-    whole, report = fill(given, subject=Subject(FIGURE, TEMPLATE))
+    whole, report = fill(given, subject=MarkerSubject(FIGURE, TEMPLATE))
     keys = asdict(report)
     keys["notices"] = texts(report.notices)
     check_figures(__file__, "skeleton", {"at": whole.positions, "report": keys})
@@ -148,8 +148,10 @@ def test_weights_of_landmarks() -> None:
     )
     actor = model.of_actor(seen[2])
     camera = np.array([900.0, 880.0, 640.0, 360.0])
-    turned = so3.rotate(np.array([1.0, 0, 0, 0]), model.points(made_weights(14)))
-    away = turned + np.array([0.01, 0.02, 0.35])
+    predict_in_parent = so3.rotate(
+        np.array([1.0, 0, 0, 0]), model.points(made_weights(14))
+    )
+    away = predict_in_parent + np.array([0.01, 0.02, 0.35])
     pixels = away[..., :2] / away[..., 2:] * camera[:2] + camera[2:]
     flat = fit_face(model, pixels, 60, camera=camera)
     check_figures(
@@ -209,7 +211,7 @@ SHAPE = np.random.default_rng(6).uniform(-0.15, 0.15, (9, 3))
 REST = np.linalg.norm(SHAPE[:, None] - SHAPE, axis=-1)
 
 
-def blurred(seed: int) -> Distances:
+def blurred(seed: int) -> MarkerDistances:
     """Return distances of runs that are these markers, some loose, some not seen."""
     rng = np.random.default_rng(seed)
     spread = np.exp(rng.uniform(-9, -3, REST.shape))
@@ -219,7 +221,7 @@ def blurred(seed: int) -> Distances:
     lost = rng.random(REST.shape) < 0.1
     mean[lost | lost.T] = spread[lost | lost.T] = np.nan
     np.fill_diagonal(mean, np.nan)
-    return Distances(mean, spread)
+    return MarkerDistances(mean, spread)
 
 
 def test_what_distances_say_of_names() -> None:
@@ -229,23 +231,23 @@ def test_what_distances_say_of_names() -> None:
     own = Naming(moving, seen, REST)
     found: list[Any] = [own.total()]
     for point in range(6):
-        own.put(point, [1, 0, 2, 4, 3, 5][point])
+        own.assign(point, [1, 0, 2, 4, 3, 5][point])
         found.append(own.total())
     grown = own.copy()
     grown.grow()
-    found += [grown.given, grown.total(), grown.lacking()]
+    found += [grown.names_of, grown.total(), grown.lacking()]
     grown.improve()
-    found += [grown.given, grown.total(), grown.doubt(set()) or ()]
+    found += [grown.names_of, grown.total(), grown.doubt(set()) or ()]
     grown.eject(2, 5, np.arange(9) % 2 == 0)
-    found += [grown.given, grown.total()]
+    found += [grown.names_of, grown.total()]
     best = searched(grown, REST, [{0: 0, 1: 1, 2: 2}, {3: 4, 4: 3, 7: 7}])
-    found += [best.given, best.total()]
+    found += [best.names_of, best.total()]
     a, b = np.array([0.3, 0.2, np.nan]), np.array([0.001, 0.02, 0.01])
     found += [
         evidence(a, b, REST[0, 1:5]),
-        alike_of(moving, seen),
+        likelihoods(moving, seen),
         chained(moving, np.where(REST > 0.2, 0.0, seen)),
-        said_of(moving, np.minimum(seen / 60, 1.0), REST),
+        pair_evidence(moving, np.minimum(seen / 60, 1.0), REST),
     ]
     check_figures(__file__, "names", found)
 
@@ -258,7 +260,7 @@ def test_what_shapes_say_of_twins() -> None:
     seen = so3.rotate(turns[:, None], shape[[0, 1, 3, 2, 4, 5, 6, 7, 8]])
     seen = seen + rng.normal(0, 8e-4, seen.shape)
     seen[10:25, 4] = np.nan
-    names, doubts, gains = told_apart(seen, shape)
+    names, doubts, gains = distinguish_twins(seen, shape)
     check_figures(
         __file__, "twins", [names, [asdict(doubt) for doubt in doubts], gains]
     )
@@ -283,12 +285,12 @@ def test_runs_of_points_and_their_costs() -> None:
     labels._relearn()
     some = range(0, len(runs.first), 3)
     costs = [labels._costs(run) for run in some]
-    jumps = [labels._jumps(*_path(labels, run)) for run in some]
-    labels.settle()
+    jumps = [labels._step_costs(*_path(labels, run)) for run in some]
+    labels.name_runs()
     check_figures(
         __file__,
         "runs",
-        [runs.ids, runs.first, runs.last, costs, jumps, labels.given,
+        [runs.ids, runs.first, runs.last, costs, jumps, labels.names_of,
          labels.by_marker()],
     )  # fmt: skip
 
@@ -359,9 +361,9 @@ def test_where_markers_are_in_gaps_by_what_moves_with_them() -> None:
     found = [predict(positions, seen, 0, gap, spread, 100.0)]
     for mates in ([], [1], [1, 3]):
         bones: Any = SimpleNamespace(**known, mates=lambda *_, m=mates: m)
-        found.append(turned(bones, positions, seen, 0, gap, spread, 100.0))
+        found.append(predict_in_parent(bones, positions, seen, 0, gap, spread, 100.0))
         far = np.where(np.arange(count) < 4, np.nan, spread)
-        found.append(turned(bones, positions, seen, 0, gap, far, 100.0))
+        found.append(predict_in_parent(bones, positions, seen, 0, gap, far, 100.0))
     found.append(by_skeleton(bones, positions, seen, 0, gap, 100.0))
     check_figures(__file__, "predicted", found)
 
@@ -412,7 +414,7 @@ def test_what_says_that_frames_are_spikes() -> None:
         for length in (1, 3, 4):
             starts, *rest = spikes._deviation(path, seen, length, rough)
             found += [starts, *rest, spikes._one_sided(seen, starts, length)]
-            found += [spikes._usual(starts, rest[1] * 1e6, len(path))]
+            found += [spikes._local_level(starts, rest[1] * 1e6, len(path))]
         found += [
             spikes._is_upset(path, seen, first, length, rough, noise[0] ** 2)
             for first in range(52, 80, 3)

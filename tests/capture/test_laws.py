@@ -20,7 +20,7 @@ from animtool.capture.cameras.camera import (
     rays,
 )
 from animtool.capture.cameras.noise import (
-    _own,
+    _camera_noise,
     _pooled,
     first_noise,
     measured_noise,
@@ -30,29 +30,34 @@ from animtool.capture.cameras.openpose import (
     _continued,
     _gathered,
     _missed,
+    _PersonTrack,
     _rays,
     _size,
     _solved,
-    _Track,
     follow_people,
 )
 from animtool.capture.cameras.stale import (
-    Moved,
     PoseChange,
+    PoseShift,
     _around,
-    _moved,
     _runs,
+    _shifted,
     disagreements,
-    moved_ranges,
     pose_change,
+    shifted_ranges,
     stale_ranges,
     truncated_error,
 )
-from animtool.capture.cameras.triangulate import _check_options, _Run
+from animtool.capture.cameras.triangulate import _check_options, _TriangulationRun
 from animtool.capture.face.model import FaceModel, spread
-from animtool.capture.face.poses import camera_pose, head_poses, held
+from animtool.capture.face.poses import camera_pose, head_poses, last_good_poses
 from animtool.capture.markers.fill import _curve, _gaps, _likeliest, _run
-from animtool.capture.markers.geometry import Distances, _quantiles, distances, joined
+from animtool.capture.markers.geometry import (
+    MarkerDistances,
+    _quantiles,
+    distances,
+    joined,
+)
 from animtool.capture.markers.predict import (
     Prediction,
     _kernel,
@@ -65,9 +70,9 @@ from animtool.capture.markers.predict import (
 from animtool.capture.markers.runs import RunLabels, _learnt
 from animtool.capture.markers.spikes import (
     _deviation,
+    _local_level,
     _model,
     _one_sided,
-    _usual,
 )
 from animtool.capture.markers.tracklets import (
     Tracklets,
@@ -77,7 +82,7 @@ from animtool.capture.markers.tracklets import (
     follow,
 )
 from animtool.capture.options import TriangulateOptions
-from animtool.capture.solve.sampling import sampled_frames, usual_noise
+from animtool.capture.solve.sampling import sampled_frames, typical_noise
 from animtool.capture.templates.match import match_markers
 from animtool.capture.templates.template import (
     MarkerTemplate,
@@ -185,7 +190,7 @@ def test_a_camera_that_moved_is_found_to_the_frame(
     """More than half of what it sees is off, for a quarter of a second at least."""
     judged, rejected = tallies(60, bad, share)
     active = np.ones((60, 3), bool)
-    result = moved_ranges(judged, rejected, active, 30.0)
+    result = shifted_ranges(judged, rejected, active, 30.0)
     if found is None:
         assert result is None
         return
@@ -194,30 +199,34 @@ def test_a_camera_that_moved_is_found_to_the_frame(
     assert (number, one.first, one.end) == (1, *found)
     assert one.outliers == pytest.approx(share)
     # Who would leave fewer than two is not taken.
-    assert moved_ranges(judged, rejected, active & [True, True, False], 30.0) is None
+    assert shifted_ranges(judged, rejected, active & [True, True, False], 30.0) is None
     (stale,) = stale_ranges(judged, rejected, 1, 30.0)
     assert (stale.first, stale.end) == found
     (whole,) = stale_ranges(judged, 0 * rejected, 1, 30.0)
     assert (whole.first, whole.end) == (0, 60)
-    assert moved_ranges(judged / 10, rejected / 10, active, 30.0) is None
+    assert shifted_ranges(judged / 10, rejected / 10, active, 30.0) is None
 
 
 def test_the_worst_camera_goes_first() -> None:
     judged, rejected = tallies(60, slice(20, 40))
     rejected[10:45, 2] = 10
-    result = moved_ranges(judged, rejected, np.ones((60, 3), bool), 30.0)
+    result = shifted_ranges(judged, rejected, np.ones((60, 3), bool), 30.0)
     assert result is not None
     assert (result[0], result[1][0].first, result[1][0].end) == (2, 10, 45)
-    (one,) = _moved(judged, rejected, 2, np.arange(60) > 20, 8)
+    (one,) = _shifted(judged, rejected, 2, np.arange(60) > 20, 8)
     assert (one.first, one.end) == (10, 60) or (one.first, one.end) == (10, 45)
 
 
 def test_a_run_begins_where_a_camera_was_off_from_the_first_frame_on() -> None:
     judged, rejected = tallies(60, slice(0, 40))
-    (one,) = _moved(judged, rejected, 1, (np.arange(60) > 8) & (np.arange(60) < 30), 8)
+    (one,) = _shifted(
+        judged, rejected, 1, (np.arange(60) > 8) & (np.arange(60) < 30), 8
+    )
     assert (one.first, one.end) == (0, 40)
     rejected[3, 1] = 0
-    (one,) = _moved(judged, rejected, 1, (np.arange(60) > 8) & (np.arange(60) < 30), 8)
+    (one,) = _shifted(
+        judged, rejected, 1, (np.arange(60) > 8) & (np.arange(60) < 30), 8
+    )
     assert (one.first, one.end) == (4, 40)
 
 
@@ -292,14 +301,16 @@ def test_each_camera_has_the_noise_of_its_own_median() -> None:
     lengths[:, 1] = 5.0
     states = np.full((20, 3, 1), 1, np.uint8)
     states[:, 1] = 2
-    found = _own(lengths, states)
+    found = _camera_noise(lengths, states)
     # Two are used: of four residuals three are taken; who is rejected keeps all.
     assert_allclose(found[1], 5 / 1.1774100225)
-    assert np.isnan(_own(lengths[:19], states[:19])).all()
+    assert np.isnan(_camera_noise(lengths[:19], states[:19])).all()
     states[:] = 1
     free = 1 - 1.5 / 3
     assert_allclose(
-        _own(lengths, states), np.array([2, 5, 2]) / np.sqrt(free) / 1.17741, rtol=1e-5
+        _camera_noise(lengths, states),
+        np.array([2, 5, 2]) / np.sqrt(free) / 1.17741,
+        rtol=1e-5,
     )
 
 
@@ -331,7 +342,7 @@ def test_ends_of_what_may_be_triangulated(keys: Any, where: str | None) -> None:
 def test_the_condition_is_that_of_two_rays_at_an_angle() -> None:
     for angle, expected in ((np.pi / 3, 8.0), (0.0, 2e12)):
         run: Any = SimpleNamespace(options=TriangulateOptions(min_angle=angle))
-        assert _Run._condition.fget(run) == pytest.approx(expected)  # type: ignore[attr-defined]
+        assert _TriangulationRun._condition.fget(run) == pytest.approx(expected)  # type: ignore[attr-defined]
 
 
 BODY = np.random.default_rng(4).uniform(-0.4, 0.4, (6, 3))
@@ -379,11 +390,11 @@ def test_people_are_told_by_their_rays() -> None:
     assert_allclose(points, BODY, atol=1e-6)
     assert _solved({1: 0}, [[one] for one in person], cameras, 6) is None
     shown = [[one] for one in person]
-    track = _Track(BODY, 0)
+    track = _PersonTrack(BODY, 0)
     free = {(c, 0) for c in range(3)}
     ((again, group),) = _continued([track], shown, cameras, free)
     assert (again, group, free) == (track, {0: 0, 1: 0, 2: 0}, set())
-    away = _Track(BODY + np.array([0.5, 0, 0]), 0)
+    away = _PersonTrack(BODY + np.array([0.5, 0, 0]), 0)
     ((_, group),) = _continued([away], shown, cameras, {(c, 0) for c in range(3)})
     assert 0 not in group
 
@@ -407,8 +418,8 @@ def test_people_are_followed_out_of_sight_and_mistakes_left_out() -> None:
     assert follow_people(frames, cameras, 12.0, 6, None).shape[2] == 12
     one = follow_people(frames, cameras, 12.0, 6, 1)
     assert_allclose(one[:, 0, :, :2], np.stack([frames[0][0][0][:, :2]] * 10))
-    track = _Track(BODY, 0)
-    track.found = {(1, 2): 0}
+    track = _PersonTrack(BODY, 0)
+    track.detections = {(1, 2): 0}
     made = _gathered([track], frames, 3, 6)
     assert np.isnan(made[0, 0, :, :2]).all()
     assert not made[0, 0, :, 2].any()
@@ -432,10 +443,10 @@ def test_quantiles_and_distances_of_what_is_seen() -> None:
     few[11:, 1] = np.nan
     assert np.isnan(distances(few).mean[0, 1])
     nan = np.nan
-    rest = Distances(
+    rest = MarkerDistances(
         np.array([[nan, 1.0], [1, nan]]), np.array([[nan, 0.1], [0.1, nan]])
     )
-    moving = Distances(
+    moving = MarkerDistances(
         np.array([[nan, 3.0], [nan, nan]]), np.array([[nan, 0.5], [7, 7]])
     )
     both = joined(rest, moving)
@@ -506,8 +517,8 @@ def test_a_run_costs_what_it_jumps_and_where_it_is_off() -> None:
     own.marked[:10, 2] = positions[:10, 2]
     path = positions[11:, 2] + [0.006, 0, 0]
     allowed = 0.004 + 0.5 * 60 * 0.02**2 + 0.3 * 0.02
-    assert own._jumps(path, 11, 30)[2] == pytest.approx((0.006 / allowed) ** 2)
-    assert own._jumps(path + np.array([1.0, 0, 0]), 11, 30)[2] == 2
+    assert own._step_costs(path, 11, 30)[2] == pytest.approx((0.006 / allowed) ** 2)
+    assert own._step_costs(path + np.array([1.0, 0, 0]), 11, 30)[2] == 2
 
 
 @pytest.mark.parametrize(
@@ -531,8 +542,8 @@ def test_runs_are_named_by_distances_and_ghosts_are_not(
     rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
     positions = np.concatenate([body, ghost], axis=1)
     own = RunLabels(positions, runs, 100.0, np.array([*given, -1]), rest)
-    own.settle()
-    assert own.given.tolist() == [*wanted, 5]
+    own.name_runs()
+    assert own.names_of.tolist() == [*wanted, 5]
     assert_array_equal(own.by_marker()[:, :6], body)
 
 
@@ -624,7 +635,7 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     path = np.stack([t**2, 3 * t, 0 * t], axis=1) / 1000
     seen = np.ones(40, bool)
     for length in (1, 2):
-        starts, off, gain, rest = _deviation(path, seen, length, 0.01, whole=True)
+        starts, off, gain, rest = _deviation(path, seen, length, 0.01, complete=True)
         assert starts.tolist() == list(range(7, 40 - 7 - length + 1))
         assert np.abs(off).max() < 1e-9
         assert max(gain.max(), rest.max()) < 1e-15
@@ -635,7 +646,7 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     seen[10:20] = False
     found = _one_sided(seen, np.array([0, 5, 20, 22, 33, 39]), 1).tolist()
     assert found == [True, False, True, False, False, True]
-    level = _usual(np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100)
+    level = _local_level(np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100)
     assert (level[0], level[99]) == (1, pytest.approx(10))
     assert level.min() == 1
 
@@ -668,8 +679,13 @@ def test_heads_are_posed_by_weighted_landmarks() -> None:
     assert_array_equal(found[2], found[1])
     assert_array_equal(found[3], found[1])
     rows = np.arange(4.0)[:, None]
-    assert held(rows, np.array([0, 1, 0, 1], bool))[:, 0].tolist() == [1, 1, 1, 3]
-    assert held(rows, np.zeros(4, bool)) is rows
+    assert last_good_poses(rows, np.array([0, 1, 0, 1], bool))[:, 0].tolist() == [
+        1,
+        1,
+        1,
+        3,
+    ]
+    assert last_good_poses(rows, np.zeros(4, bool)) is rows
     placed = so3.rotate(turn, BODY) + np.array([0.1, -0.2, 4.0])
     pixels = placed[:, :2] / placed[:, 2:] * [800, 700] + [320, 240]
     lens = np.array([800.0, 700, 320, 240])
@@ -690,7 +706,7 @@ def test_faces_know_which_shapes_move_and_which_are_alike() -> None:
     deltas[4, 0, 0] = 0.9e-6 * spread(BODY)
     face = FaceModel(tuple("abcdef"), ("A", "B", "C", "D", "E"), BODY, deltas)
     assert face.moving().tolist() == [True, True, True, True, False]
-    assert face.alike() == [(0, 1)]
+    assert face.similar_shapes() == [(0, 1)]
     codes = [notice.code for notice in face.notices()]
     assert codes == ["FAC101", "FAC102"]
     away = BODY - BODY.mean(axis=0)
@@ -739,11 +755,11 @@ def test_frames_that_are_sampled_have_most_markers() -> None:
     misses[:, 1] = 3 * 1.538
     misses[:, 2] = 0.1
     misses[4:, 1] = np.nan
-    assert_allclose(usual_noise(misses, 0.01), [1, 1, 0.5])
+    assert_allclose(typical_noise(misses, 0.01), [1, 1, 0.5])
     misses[4, 1] = 3 * 1.538
-    assert_allclose(usual_noise(misses, 0.01), [1, 3, 0.5])
-    assert_allclose(usual_noise(misses, 2.0), [2, 3, 2])
-    assert_allclose(usual_noise(misses * np.nan, 0.01), 0.01)
+    assert_allclose(typical_noise(misses, 0.01), [1, 3, 0.5])
+    assert_allclose(typical_noise(misses, 2.0), [2, 3, 2])
+    assert_allclose(typical_noise(misses * np.nan, 0.01), 0.01)
 
 
 MARKERS = (
@@ -847,13 +863,13 @@ def test_a_camera_that_turned_is_stale_and_the_others_have_their_noise() -> None
 
 
 @pytest.mark.parametrize("keep", [False, True])
-def test_a_camera_is_kept_where_the_others_are_no_better_without(keep: bool) -> None:
-    ranges = [Moved(0, 5, 0.9), Moved(9, 12, 0.8)]
+def test_a_camera_is_kept_where_the_others_are_no_better_excluded(keep: bool) -> None:
+    ranges = [PoseShift(0, 5, 0.9), PoseShift(9, 12, 0.8)]
     run: Any = SimpleNamespace(
         options=TriangulateOptions(keep_moved=keep),
-        _better_without=lambda camera, moved: (camera, moved.first) == (3, 9),
+        _better_excluded=lambda camera, moved: (camera, moved.first) == (3, 9),
     )
-    found = _Run._left_out(run, 3, ranges)
+    found = _TriangulationRun._left_out(run, 3, ranges)
     assert [one.kept for one in found] == ([False, False] if keep else [True, False])
     assert [(one.first, one.end) for one in found] == [(0, 5), (9, 12)]
 
@@ -863,8 +879,11 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
     keep: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A third one stays, as the others are no better without it."""
-    found = [(1, [Moved(2, 4, 0.9)]), (0, [Moved(0, 3, 0.8), Moved(5, 6, 0.7)])]
-    found += [(2, [replace(Moved(1, 2, 0.6), kept=True)])]
+    found = [
+        (1, [PoseShift(2, 4, 0.9)]),
+        (0, [PoseShift(0, 3, 0.8), PoseShift(5, 6, 0.7)]),
+    ]
+    found += [(2, [replace(PoseShift(1, 2, 0.6), kept=True)])]
     seen: list[Any] = []
 
     def worst(*given: Any) -> Any:
@@ -872,12 +891,14 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
         seen.append((checked.copy(), rate))
         return found.pop(0) if found else None
 
-    monkeypatch.setitem(_Run._leave_out_moved.__globals__, "moved_ranges", worst)
+    monkeypatch.setitem(
+        _TriangulationRun._exclude_shifted.__globals__, "shifted_ranges", worst
+    )
     solved: list[tuple[int, int]] = []
     run: Any = SimpleNamespace(
         observations=SimpleNamespace(clock=SimpleNamespace(rate=Fraction(25))),
         active=np.ones((6, 3), bool),
-        moved=[[], [], [Moved(4, 6, 0.5)]],
+        shifts=[[], [], [PoseShift(4, 6, 0.5)]],
         views=9,
         tallies=SimpleNamespace(judged=0, rejected=0),
         options=TriangulateOptions(keep_moved=keep),
@@ -885,7 +906,7 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
         _explained=lambda _, each: each,
         _solve=lambda first, end: solved.append((first, end)),
     )
-    _Run._leave_out_moved(run)
+    _TriangulationRun._exclude_shifted(run)
     active = np.ones((6, 3), bool)
     if not keep:
         active[2:4, 1] = active[:3, 0] = active[5, 0] = False
@@ -897,4 +918,4 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
     checked[2:4, 1] = checked[:3, 0] = checked[5, 0] = checked[1, 2] = False
     assert_array_equal(seen[-1][0], checked)
     assert {rate for _, rate in seen} == {25.0}
-    assert [len(each) for each in run.moved] == [2, 1, 2]
+    assert [len(each) for each in run.shifts] == [2, 1, 2]

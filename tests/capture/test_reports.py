@@ -25,7 +25,7 @@ from animtool.capture.cameras.report import (
     gap_notices,
     lost_frames,
 )
-from animtool.capture.cameras.stale import Disagreement, Moved, PoseChange
+from animtool.capture.cameras.stale import Disagreement, PoseChange, PoseShift
 from animtool.capture.clean import (
     CleanedSignal,
     CleanOptions,
@@ -90,15 +90,15 @@ def test_tallies_become_errors() -> None:
         ({"no_ray": 1}, ["CAM106"], ["1 pixel"]),
         ({"outside": 2}, ["CAM107"], ["2 pixels of camera 'a'", "image of 640 x 480"]),
         (
-            {"moved": (Moved(2, 5, 0.7),), "outliers": 0.5},
+            {"shifts": (PoseShift(2, 5, 0.7),), "outliers": 0.5},
             ["CAM101"], ["frames 3 to 5", "it is excluded there"],
         ),
         (
-            {"moved": (Moved(0, 10, 0.7, PoseChange(0.1, 0.2, 0.3)),)},
+            {"shifts": (PoseShift(0, 10, 0.7, PoseChange(0.1, 0.2, 0.3)),)},
             ["CAM101"], ["in any frame", "5.73 deg"],
         ),
         (
-            {"moved": (Moved(0, 9, 0.7, None, True),)},
+            {"shifts": (PoseShift(0, 9, 0.7, None, True),)},
             ["CAM101"], ["frames 1 to 9", "it is kept: without it"],
         ),
         (

@@ -97,7 +97,7 @@ def test_a_camera_that_moved_is_reported_with_its_frames(tmp_path: Path) -> None
     pixels = seen.stored.copy()
     pixels[30:60, 4] += [9.0, 6.0]
     moved = changed(seen, pixels)
-    (stretch,) = triangulate(moved, ring(6)).cameras[4].moved
+    (stretch,) = triangulate(moved, ring(6)).cameras[4].shifts
     write_observations(tmp_path / "take.npz", moved)
     (tmp_path / "stage.cameras.yaml").write_text(cameras_text(ring(6)), "utf-8")
     report = json.loads(run(tmp_path, "--format", "json").stdout)

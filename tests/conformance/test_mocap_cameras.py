@@ -57,13 +57,14 @@ def test_points_are_as_near_as_clean_observations(
     worst, p999 = float(np.nanmax(error)), float(np.nanquantile(error, 0.999))
     record_property(
         HEAD,
-        f"{path.stem:24}{found.found:8d}{rms:9.4f}{floor:9.4f}{rms / floor:9.5f}"
-        f"{p999:8.3f}{worst:8.3f}{found.seen - found.found:9d}"
-        f"{found.found / seconds:10.0f}{found.error_px:8.3f}{found.error_mm:8.3f}",
+        f"{path.stem:24}{found.triangulated:8d}{rms:9.4f}{floor:9.4f}{rms / floor:9.5f}"
+        f"{p999:8.3f}{worst:8.3f}{found.visible - found.triangulated:9d}"
+        f"{found.triangulated / seconds:10.0f}"
+        f"{found.error_px:8.3f}{found.error_mm:8.3f}",
     )
     assert rms <= MAX_RATIO * floor
     assert worst <= max(MAX_ERROR, float(np.nanmax(best)))
-    assert found.found == found.seen
+    assert found.triangulated == found.visible
     assert not [f for f in found.notices if f.severity != "note"]
 
 
@@ -89,7 +90,7 @@ def test_a_camera_that_is_stale_is_named(path: Path, tmp_path: Path) -> None:
         assert [bool(report.moved) for report in found.cameras] == [
             i == c for i in range(len(found.cameras))
         ]
-        assert found.found > 0.99 * found.seen
+        assert found.triangulated > 0.99 * found.visible
 
 
 def _without(seen: Observations, wrong: BoolArray) -> Observations:

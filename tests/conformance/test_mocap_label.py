@@ -17,7 +17,7 @@ from support.suite import is_full, some_quick
 
 from animtool.capture.markers.fill import FillReport, fill
 from animtool.capture.markers.label import label
-from animtool.capture.markers.skeleton import Subject
+from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.formats.marker_files import open_markers
 from animtool.motion.markers import Markers
 
@@ -103,7 +103,7 @@ def test_swaps_spikes_and_gaps(
         generic = truth.with_name("template_skeleton.json").read_text("utf-8")
         joints = json.loads(generic)
         static = open_markers(f"{path}#static_mm")
-        subject = Subject(rig_of(joints, "generic"), template_of(joints), static)
+        subject = MarkerSubject(rig_of(joints, "generic"), template_of(joints), static)
         most = TARGETS | ({"short": FAST} if "fast" in path.stem else {})
     whole, report = fill(markers, subject=subject)
     known = json.loads(truth.with_suffix(".json").read_text())

@@ -21,8 +21,8 @@ from animtool.motion.passes import PassContext
 from animtool.retarget import map_joints
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.motion import Retargeted, retarget_take
-from animtool.retarget.person import Person
-from animtool.retarget.take_pass import FeetOptions, held_feet
+from animtool.retarget.roled_skeleton import RoledSkeleton
+from animtool.retarget.take_pass import FeetOptions, lock_feet
 
 # Frames of captures in the default profile.
 LONG = 300
@@ -166,9 +166,9 @@ def test_feet_of_takes_of_any_source_are_held(which: tuple[Path, str]) -> None:
     case = Case(*which)
     for kind, drift in (("source", 1e-3), ("degraded", 2.0)):
         take = open_source(case.folder / f"{case.stem}.{kind}.bvh").collect()
-        held = held_feet(take, FeetOptions(), PassContext(open_source, Path()))
+        held = lock_feet(take, FeetOptions(), PassContext(open_source, Path()))
         places = held.world().positions
-        person = Person.of(take.rig, map_joints(take.rig, take.rig).source.roles)
+        person = RoledSkeleton.of(take.rig, map_joints(take.rig, take.rig).source.roles)
         legs = [person.leg(side) for side in "lr"]
         ankles = [places[:, leg[2]] for leg in legs if leg is not None]
         assert case.drift(ankles).mean() <= drift

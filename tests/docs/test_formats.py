@@ -204,7 +204,7 @@ def test_maps_load(project: Path, text: str) -> None:
     source = replace(source, joints=(*source.joints, Joint("mixamorig:HeadTop_End", 5)))
     target = Rig.load(project / "hero.rig.yaml")
     found = map_joints(source, target, map_file=project / "one.map.yaml")
-    stated = [pair for pair in found.pairs if pair.found == "file"]
+    stated = [pair for pair in found.pairs if pair.evidence == "file"]
     assert [target.names[pair.target] for pair in stated] == [
         *("hips", "spine", "elbow_l"),
     ]

@@ -19,7 +19,7 @@ from animtool.core.shot import FrameRange, Shot
 from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest
 from animtool.ik.file import load_targets
-from animtool.retarget import TwistShare
+from animtool.retarget import TwistFraction
 from animtool.retarget.file import load_map, resolved_map
 from animtool.rig.file import load_rig
 from animtool.rig.remap import ShapeLink, link_shapes, load_remap
@@ -101,7 +101,7 @@ def test_map_1() -> None:
         ((1, 2), (1, 2, 3), "spine"),
         ((3,), (4,), "upper_arm_l"),
     ]
-    assert found.twists == (TwistShare(5, 4, 0.25),)
+    assert found.twists == (TwistFraction(5, 4, 0.25),)
     assert found.ignored == ({4}, {6})
     assert not found.only
 

@@ -22,7 +22,7 @@ from animtool.edit.layers import blend, layer
 from animtool.edit.looping import loop
 from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp, trim
-from animtool.edit.travel import nearby_places
+from animtool.edit.travel import nearby_positions
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext, apply_pass, find_pass
@@ -229,7 +229,7 @@ def test_a_curve_that_the_samples_are_not_of_is_left_alone(tmp_path: Path) -> No
     take = sampled(tmp_path, "ease", "pin")
     shifted = replace(take, clock=replace(take.clock, start=Fraction(3)))
     assert not Between.of(shifted).curved["translations"][0]
-    other = replace(take.motion, translations=Channel.still(np.zeros((2, 3)), 13))
+    other = replace(take.motion, translations=Channel.static(np.zeros((2, 3)), 13))
     strange = replace(take, curve=lambda _: other)
     assert "translations" not in Between.of(strange).curved
 
@@ -281,7 +281,7 @@ def test_curves_between_frames_are_on_the_side_of_their_quaternions() -> None:
     take = Take(rig, clock, motion, curve=curve)
     between = Between.of(take)
     assert between.curved
-    found = between.at(nearby_places(np.arange(9) / 2, 5)).rotations.dense()[:, 0]
+    found = between.at(nearby_positions(np.arange(9) / 2, 5)).rotations.dense()[:, 0]
     assert ((found[1:] * found[:-1]).sum(axis=1) > 0.9).all()
     wanted = so3.from_axis_angle(np.array([0.0, 1, 0]), 0.375 * np.arange(9))
     np.testing.assert_allclose(found, wanted, atol=1e-12)

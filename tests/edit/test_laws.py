@@ -18,7 +18,7 @@ from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp, trim
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
-from animtool.motion.keyed import Interpolation
+from animtool.motion.keyed import KeyInterpolation
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, Rig
@@ -83,9 +83,9 @@ def test_a_difference_from_rest_is_what_the_rig_does(source: Take) -> None:
     assert so3.angle_between(nothing, so3.IDENTITY).max() <= WITHIN
 
 
-@given(pairs(), st.sampled_from(Interpolation))
+@given(pairs(), st.sampled_from(KeyInterpolation))
 def test_a_blend_ends_at_either_take(
-    both: tuple[Take, Take], interpolation: Interpolation
+    both: tuple[Take, Take], interpolation: KeyInterpolation
 ) -> None:
     one, other = both
     assert_like(blend(one, other, weight=0.0), one, 0.0)
@@ -200,9 +200,9 @@ def test_slower_and_back(take: Take, speed: float) -> None:
     assert_same_motion(back, take, WITHIN)
 
 
-@given(takes(whole=True), st.sampled_from(Interpolation), st.data())
+@given(takes(whole=True), st.sampled_from(KeyInterpolation), st.data())
 def test_a_straight_curve_of_time(
-    take: Take, interpolation: Interpolation, data: st.DataObject
+    take: Take, interpolation: KeyInterpolation, data: st.DataObject
 ) -> None:
     first, last = take.clock.times[[0, -1]].tolist()
     inside = data.draw(st.lists(st.floats(first, last), max_size=3))

@@ -31,7 +31,7 @@ from animtool.edit.retiming import (
 )
 from animtool.edit.root_motion import RootMode, RootMotionOptions, extract_root
 from animtool.edit.tree import HangOptions, hang
-from animtool.motion.keyed import Interpolation
+from animtool.motion.keyed import KeyInterpolation
 from animtool.motion.passes import TakePart, find_pass
 
 
@@ -67,7 +67,7 @@ def test_what_is_left_out_is() -> None:
     layered = LayerOptions()
     assert (layered.mode, layered.weight, layered.delay) == (LayerMode.OVERRIDE, 1, 0)
     assert (layered.joints, layered.children, layered.take) == ((), False, None)
-    assert layered.interpolation is Interpolation.LINEAR
+    assert layered.interpolation is KeyInterpolation.LINEAR
     mixed = BlendOptions()
     assert (mixed.take, mixed.weight, mixed.delay) == (None, 0.5, 0)
     less = DifferenceOptions()
@@ -83,7 +83,7 @@ def test_what_is_left_out_is() -> None:
     assert (root.axes, root.yaw, root.keep) == ("", True, False)
     assert (TimeScaleOptions().speed, TimeScaleOptions().pivot) == (1.0, None)
     warped = TimeWarpOptions()
-    assert (warped.curve, warped.interpolation) == ((), Interpolation.LINEAR)
+    assert (warped.curve, warped.interpolation) == ((), KeyInterpolation.LINEAR)
     assert (TrimOptions().first, TrimOptions().last) == (None, None)
     hung = HangOptions()
     assert (hung.joint, hung.system, hung.particle, hung.axis) == ("", "", "end", None)

@@ -13,7 +13,7 @@ from animtool.edit.between import Between
 from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp
 from animtool.edit.straight import straight_errors
-from animtool.edit.travel import even_places
+from animtool.edit.travel import even_positions
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
@@ -34,7 +34,7 @@ def swinging(frames: int = 49, *, still: bool = False) -> Take:
 
 
 def test_the_estimate_is_the_error_of_a_sine() -> None:
-    places = even_places(np.arange(96), 0, Fraction(1, 2), 49)
+    places = even_positions(np.arange(96), 0, Fraction(1, 2), 49)
     errors = {e.channel: e for e in straight_errors(Between.of(swinging()), places)}
     # Halfway between two frames about a peak.
     drop = 1 - np.cos(np.pi / 24)
@@ -71,7 +71,7 @@ def test_it_is_not_said_on_frames_nor_where_nobody_sees_it() -> None:
         motion=replace(
             slow.motion,
             translations=replace(moves, values=moves.values * 1e-3),
-            rotations=Channel.still(RIG.rest_rotations, 2001),
+            rotations=Channel.static(RIG.rest_rotations, 2001),
         ),
     )
     for shown in (resampled(slow, 50), resampled(take, 50, smooth=True)):

@@ -14,8 +14,8 @@ from support.targets import HEAD, legs, tracks_of, write_targets
 
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, OptionError
-from animtool.ik.file import _Reader, load_targets
-from animtool.ik.values import Frames
+from animtool.ik.file import _TargetsReader, load_targets
+from animtool.ik.values import SampleFrames
 
 FAULTS = {
     "TGT001": "- {effector: leg_lft, position: [0, 0, 0]}",
@@ -152,7 +152,7 @@ def test_what_a_chain_holds(folder: Path) -> None:
         "- {effector: leg_l, position: [0, 0, 0], hold: [[1, 2]]}": {"position"},
     }
     for goal, parts in held.items():
-        assert tracks_of(folder, goal).goals[0].held == parts
+        assert tracks_of(folder, goal).goals[0].hold_parts == parts
 
 
 def test_lengths_are_of_the_file_or_else_of_the_rig(folder: Path) -> None:
@@ -167,7 +167,7 @@ def test_lengths_are_of_the_file_or_else_of_the_rig(folder: Path) -> None:
         track = tracks_of(folder, goal, inches, head).goals[0]
         value = track.values["position"]
         assert value is not None
-        found = value.at(Frames(np.ones(1), Fraction(24)))
+        found = value.at(SampleFrames(np.ones(1), Fraction(24)))
         assert_allclose(found, [[0, 50 * unit, 0]])
         assert_allclose(track.goal.offset, [unit, 0, 0])
 
@@ -188,7 +188,7 @@ def test_values(folder: Path, position: str, expected: list[list[float]]) -> Non
     tracks = tracks_of(folder, goal, head=HEAD + "range: [1, 5]\n")
     value = tracks.goals[0].values["position"]
     assert value is not None
-    found = value.at(Frames(np.array([2.0, 2.5]), Fraction(24)))
+    found = value.at(SampleFrames(np.array([2.0, 2.5]), Fraction(24)))
     assert_allclose(found, expected)
 
 
@@ -198,7 +198,7 @@ def test_orientations_are_read_w_first(folder: Path) -> None:
         goal = f"- {{effector: leg_l, orientation: {given}}}"
         value = tracks_of(folder, goal).goals[0].values["orientation"]
         assert value is not None
-        found = value.at(Frames(np.ones(1), Fraction(24)))
+        found = value.at(SampleFrames(np.ones(1), Fraction(24)))
         assert_allclose(found, [[0, 0.6, 0, 0.8]])
 
 
@@ -209,7 +209,7 @@ def test_euler_angles_are_those_of_clips(folder: Path) -> None:
     value = tracks_of(folder, goal).goals[0].values["orientation"]
     assert value is not None
     half = 0.5**0.5
-    found = value.at(Frames(np.ones(1), Fraction(24)))
+    found = value.at(SampleFrames(np.ones(1), Fraction(24)))
     assert_allclose(found, [[0, 0, half, half]], atol=1e-15)
 
 
@@ -284,6 +284,6 @@ def test_units_are_those_of_the_file_or_of_the_rig(
     reader = SimpleNamespace(
         rig=own if has_rig else None, model=SimpleNamespace(units=units)
     )
-    found = _Reader._units(reader)  # type: ignore[arg-type]
+    found = _TargetsReader._units(reader)  # type: ignore[arg-type]
     assert found.length == (length if has_rig or given[0] else 1.0)
     assert found.angle == pytest.approx(angle if has_rig or given[1] else np.pi / 180)

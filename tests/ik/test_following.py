@@ -88,7 +88,7 @@ def test_no_way_is_looked_for_where_no_pose_could_be_on_it(
     far = 0.8 * np.concatenate([np.linspace(0.7, 1.1, 57), np.linspace(1.1, 0.7, 57)])
     points = np.stack([far, 0 * far, 0 * far], axis=1)[:, None]
     searched: list[str] = []
-    for name in ("_searched", "_mended"):
+    for name in ("_searched", "_with_detour"):
         monkeypatch.setattr(
             f"animtool.ik.clip_solver.{name}",
             lambda _, result, *_place, name=name: searched.append(name) or result,

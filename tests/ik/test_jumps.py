@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, IkOptions, build, follow
 from animtool.ik.goals import COLUMNS
 from animtool.ik.jumps import Jump, find_jumps, largest_step
-from animtool.ik.path import Path, goal_moves, path_of, windings
+from animtool.ik.path import FramePath, goal_moves, path_of, windings
 from animtool.maths import so3
 from animtool.rig.joints import LocalTransforms
 from animtool.rig.limits import RangeLimit
@@ -101,7 +101,7 @@ def test_slides_are_lengths_and_count_by_the_chain(length: float, count: int) ->
         assert jump.size == pytest.approx(2.5 * largest_step(24))
 
 
-def standing(frames: int = 6) -> Path:
+def standing(frames: int = 6) -> FramePath:
     problem = build(mixed_rig(), every_goal()[:1])
     rows = np.repeat(random_pose(problem, 1), frames, axis=0)
     return path_of(problem, reached_by(problem, rows), None, IkOptions())

@@ -30,14 +30,14 @@ from animtool.ik.goals import (
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import limb_joints
 from animtool.ik.match_take import _leaving, chains_of, left_out
-from animtool.ik.matching import _directions, _Limb, _poles
+from animtool.ik.matching import _BendingLimb, _directions, _poles
 from animtool.ik.nearest import _corners, _picked, _placed, frames_out_of_reach
 from animtool.ik.report import (
     GoalReport,
     MissedSpan,
     _misses,
     _spans,
-    _stretching,
+    _straightening_goal,
     away_notices,
     jump_notices,
     missed_notices,
@@ -48,14 +48,14 @@ from animtool.ik.result import IkResult
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks, swung
 from animtool.ik.two_bone import bend, misfit, perpendicular
 from animtool.ik.values import (
-    Frames,
-    PrimPlace,
-    PrimTurn,
-    Rows,
-    Still,
+    ArrayRows,
+    Constant,
+    PrimPoint,
+    PrimRotation,
+    SampleFrames,
     between,
-    held,
-    hold_shares,
+    hold_weights,
+    with_holds,
 )
 from animtool.maths import so3
 from animtool.motion.motion import Channel
@@ -98,7 +98,7 @@ def test_a_twist_is_at_its_limit_where_there_is_room_to_be_off_it() -> None:
 def test_spans_hold_and_share_the_gap_between_them() -> None:
     """An ease is five frames; of a gap of four each has two."""
     times = np.arange(0.0, 31)
-    first, second = hold_shares(times, [(6.0, 8.0), (12.0, 20.0)], 5.0)
+    first, second = hold_weights(times, [(6.0, 8.0), (12.0, 20.0)], 5.0)
     step = [0.05792, 0.31744, 0.68256, 0.94208]  # of t³ (10 - 15 t + 6 t²), by fifths
     assert_allclose(first[:13], [0, 0, *step, 1, 1, 1, 0.5, 0, 0, 0], atol=1e-12)
     assert_allclose(second[9:21], [0, 0, 0.5, *[1] * 9], atol=1e-12)
@@ -107,28 +107,30 @@ def test_spans_hold_and_share_the_gap_between_them() -> None:
 
 def test_what_is_held_is_come_to_by_the_shortest_way() -> None:
     shares = np.array([[0.0, 0.25, 1.0]])
-    points = held(np.full((3, 3), 2.0), shares, np.array([[6.0, 2, -2]]))
+    points = with_holds(np.full((3, 3), 2.0), shares, np.array([[6.0, 2, -2]]))
     assert_allclose(points, [[2, 2, 2], [3, 2, 1], [6, 2, -2]])
-    turns = held(np.tile(so3.IDENTITY, (3, 1)), shares, -HALF[None])
+    turns = with_holds(np.tile(so3.IDENTITY, (3, 1)), shares, -HALF[None])
     expected = [so3.IDENTITY, so3.exp(np.array([0, 0, np.pi / 8])), HALF]
     assert so3.angle_between(turns, np.array(expected)).max() < 1e-7
 
 
 def test_rows_stand_at_frames_and_between_them() -> None:
     rows = np.array([[0.0, 0, 0], [4, 0, 8], [8, 2, 8]])
-    own = Rows("a.npz#b", rows, Fraction(10), (7, 3))
-    frames = Frames(np.array([10.0, 10.25, 12.0, 12 + 1e-10]), Fraction(24))
+    own = ArrayRows("a.npz#b", rows, Fraction(10), (7, 3))
+    frames = SampleFrames(np.array([10.0, 10.25, 12.0, 12 + 1e-10]), Fraction(24))
     assert_allclose(own.at(frames), [rows[0], [1, 0, 2], rows[2], rows[2]])
     for beyond in (9.9, 12.1):
         with pytest.raises(
             OptionError, match="3 rows, for the frames 10 to 12"
         ) as error:
-            own.at(Frames(np.array([11.0, beyond]), Fraction(24)))
+            own.at(SampleFrames(np.array([11.0, beyond]), Fraction(24)))
         (fault,) = error.value.faults
         assert (fault.code, fault.lines, fault.column) == ("TGT015", (7,), 3)
         assert f"frame {beyond:g}" in fault.message
     free = replace(own, first=None)
-    assert_allclose(free.at(Frames(np.array([1.0, 3.0]), Fraction(24))), rows[[0, 2]])
+    assert_allclose(
+        free.at(SampleFrames(np.array([1.0, 3.0]), Fraction(24))), rows[[0, 2]]
+    )
     turns = between(np.array([so3.IDENTITY, HALF]), np.array([-1.0, 0.5, 0.9999999999]))
     expected = np.array([so3.IDENTITY, so3.exp(np.array([0, 0, np.pi / 4])), HALF])
     assert so3.angle_between(turns, expected).max() < 1e-7
@@ -142,13 +144,13 @@ def test_what_a_prim_carries_is_asked_for_in_seconds() -> None:
         asked.append(seconds.tolist())
         return np.array([[1.0, 2, 3]] * 2), np.array([HALF, HALF])
 
-    frames = Frames(np.array([12.0, 36.0]), Fraction(24))
-    assert_allclose(PrimPlace(motion, (1.0, 0, 5)).at(frames), [[1, 3, 8]] * 2)
+    frames = SampleFrames(np.array([12.0, 36.0]), Fraction(24))
+    assert_allclose(PrimPoint(motion, (1.0, 0, 5)).at(frames), [[1, 3, 8]] * 2)
     turn = so3.exp(np.array([0.3, 0, 0]))
-    found = PrimTurn(motion, tuple(turn.tolist())).at(frames)
+    found = PrimRotation(motion, tuple(turn.tolist())).at(frames)
     assert_allclose(found, [so3.multiply(HALF, turn)] * 2, atol=1e-12)
     assert asked == [[0.5, 1.5]] * 2
-    assert Still((1.0, 2.0)).at(frames).tolist() == [[1, 2]] * 2
+    assert Constant((1.0, 2.0)).at(frames).tolist() == [[1, 2]] * 2
 
 
 def test_vectors_swing_by_a_share_of_their_angle() -> None:
@@ -178,7 +180,7 @@ def test_a_point_on_the_way_to_its_target_goes_straight_where_the_limb_is_bent()
     None
 ):
     own = effector(offset=(0.0, 0.1, 0.0))
-    assert_allclose(own.place(), [[1.3, 0.5, 0]])
+    assert_allclose(own.position(), [[1.3, 0.5, 0]])
     values = np.array([[1.7, 0.1, 0.4]])
     position, orientation, aim, pole = KINDS
     for share, expected in (
@@ -191,8 +193,10 @@ def test_a_point_on_the_way_to_its_target_goes_straight_where_the_limb_is_bent()
     turned = own.towards(orientation, HALF[None], np.array([0.5]))
     assert so3.angle_between(turned, so3.exp(np.array([0, 0, np.pi / 4]))) < 1e-7
     # From z about the point, as far as its target is.
-    found = own.towards(aim, own.place() + 3 * X, np.array([0.5]))
-    assert_allclose(found - own.place(), [[3 * 0.5**0.5, 0, 3 * 0.5**0.5]], atol=1e-12)
+    found = own.towards(aim, own.position() + 3 * X, np.array([0.5]))
+    assert_allclose(
+        found - own.position(), [[3 * 0.5**0.5, 0, 3 * 0.5**0.5]], atol=1e-12
+    )
     # The middle stands off the line from the root to the tip, which it goes about.
     own = effector()
     root, line = np.array([1.0, 0, 0]), np.array([0.3, 0.4, 0])
@@ -217,17 +221,17 @@ def test_a_straight_limb_goes_about_its_root_as_it_bends_evenly() -> None:
     # What is out of reach is gone to beyond it.
     found = own.towards(KINDS[0], np.array([[0.0, 3.0, 0]]), np.array([0.5]))
     assert np.linalg.norm(found) == pytest.approx(2.0)
-    assert own._is_whole(0)
-    assert not own._is_whole(1)
-    assert FreeEffector(rig, Goal("tip", root="mid"), own.world)._is_whole(1)
+    assert own._is_complete(0)
+    assert not own._is_complete(1)
+    assert FreeEffector(rig, Goal("tip", root="mid"), own.world)._is_complete(1)
 
 
 def track(**keys: Any) -> GoalTrack:
     goal = Goal("tip")
     given: dict[str, Any] = {
         "name": "hand", "goal": goal, "chain": None,
-        "values": dict.fromkeys(PARTS) | {"position": Still((1.0, 2.0, 3.0))},
-        "weights": {}, "spans": (), "ease": 2.0, "held": frozenset(),
+        "values": dict.fromkeys(PARTS) | {"position": Constant((1.0, 2.0, 3.0))},
+        "weights": {}, "spans": (), "ease": 2.0, "hold_parts": frozenset(),
     }  # fmt: skip
     return GoalTrack(**{**given, **keys})
 
@@ -252,7 +256,7 @@ def test_what_is_asked_in_spans_comes_and_goes_with_its_weight() -> None:
     clock = replace(TargetTracks(Path("a"), None, Fraction(1), Fraction(9), ()).clock)
     every = np.repeat(world.positions, 9, 0), np.repeat(world.linear, 9, 0)
     whole = replace(world, positions=every[0], linear=every[1])
-    goal = track(during=((4.0, 6.0),), weights={"position": Still((-0.5,))})
+    goal = track(during=((4.0, 6.0),), weights={"position": Constant((-0.5,))})
     plain = track(goal=Goal("tip", pole=0.0), during=((4.0, 6.0),))
     made = TargetTracks(Path("a"), None, None, None, (goal, plain)).sample(
         rig, clock, whole
@@ -262,7 +266,7 @@ def test_what_is_asked_in_spans_comes_and_goes_with_its_weight() -> None:
     assert weights[:, 1, 0].tolist() == [0, 0, 1, 1, 1, 1, 1, 0, 0]
     found = np.asarray(made.positions)[:, 1]
     assert_allclose(found[3:6], [[1, 2, 3]] * 3)
-    start = effector().place()[0]
+    start = effector().position()[0]
     assert_allclose(found[2], start + 0.5 * (np.array([1, 2, 3]) - start))
     assert_array_equal(np.asarray(made.rotations)[..., 3], 1)
 
@@ -411,7 +415,7 @@ def test_poles_stand_half_a_limb_off_its_line() -> None:
     def poles(middles: Any, usual: Any = Y, hinge: Any = (0, 0, 0)) -> np.ndarray:
         places = np.array([[[0.0, 0, 0], m, [2, 0, 0]] for m in middles])
         linear = np.tile(np.eye(3), (len(places), 3, 1, 1))
-        own = _Limb(0, 1, 2, 2.4, np.array(usual, float), np.array(hinge, float))
+        own = _BendingLimb(0, 1, 2, 2.4, np.array(usual, float), np.array(hinge, float))
         world: Any = SimpleNamespace(positions=places, linear=linear)
         return _poles(own, world)
 
@@ -677,7 +681,7 @@ def test_a_pin_that_snaps_where_its_goal_comes_out_of_reach_may_be_eased(
     own.tracks.goals = (track(name="hand", goal=goal),)
     names = own.problem.rig.names
     jump = Jump(2, joint if joint in names else names[0], 0.9)
-    assert _stretching(own, jump) == ("hand" if snaps else None)
+    assert _straightening_goal(own, jump) == ("hand" if snaps else None)
     hint = jump_notices(SimpleNamespace(**{**vars(own), "jumps": (jump,)}))[0].hint
     assert ("'hand' eases it" in str(hint)) is snaps
 

@@ -22,7 +22,7 @@ from animtool.ik import (
     solve,
 )
 from animtool.ik.goals import WEIGHT, WEIGHTS
-from animtool.ik.limbs import Limb, extend
+from animtool.ik.limbs import GoalLimb, extend
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward
@@ -63,7 +63,7 @@ def soft_distance(distances: FloatArray, reach: float, soft: float) -> FloatArra
 
 def test_soft_extension_never_snaps_straight() -> None:
     distances = np.linspace(0.0, 2.0, 2001)
-    own = Limb(0, (1, 2), np.zeros(3), 1.0, 1.0, soft=0.1, stretch=0.0)
+    own = GoalLimb(0, (1, 2), np.zeros(3), 1.0, 1.0, soft=0.1, stretch=0.0)
     targets = np.zeros((len(distances), 1, WEIGHTS.stop))
     targets[:, 0, 0], targets[:, 0, WEIGHTS] = distances, 1.0
     eased = extend((own,), targets).sought[:, 0, 0]
@@ -210,7 +210,7 @@ def test_a_limb_that_limits_keep_bent_stretches_from_there(
 def test_bones_that_are_a_part_of_the_reach_grow_by_more_of_their_own() -> None:
     """Of a reach of 0.8 bones are 0.6: half of these makes 0.3, and 1.1 in all."""
     origin = np.array([0.1, 0.2, 0.3])
-    own = Limb(0, (1, 2), origin, 0.8, 0.6, soft=0.0, stretch=0.5)
+    own = GoalLimb(0, (1, 2), origin, 0.8, 0.6, soft=0.0, stretch=0.5)
     targets = np.zeros((4, 1, WEIGHTS.stop))
     targets[:, 0, :3] = origin + np.array([0.5, 1.0, 1.2, 1.2])[:, None] * [0, 1, 0]
     targets[:3, 0, WEIGHT["position"]] = 1.0

@@ -19,7 +19,7 @@ from animtool.clip.reduction.points import SHELL
 from animtool.core.errors import OptionError, Severity
 from animtool.ik import TakeOptions, Targets, TargetTracks, load_targets, solve_take
 from animtool.ik.match_take import AT_REST, _leaving, chains_of, left_out, match_take
-from animtool.ik.values import Keyed, Rows, Still
+from animtool.ik.values import ArrayRows, Constant, Keyed
 from animtool.ik.write import targets_text
 from animtool.maths import so3
 from animtool.motion.motion import Channel
@@ -63,7 +63,7 @@ def test_frames_that_are_no_whole_ones_are_keyed(step: Fraction, count: int) -> 
     take = walk_of(legs(), count, step)
     tracks = match_take(take, take.rig.chains, OUT)
     kinds = {type(v) for goal in tracks.goals for v in goal.values.values() if v}
-    assert kinds == ({Still} if count == 1 else {Keyed})
+    assert kinds == ({Constant} if count == 1 else {Keyed})
     exact = sampled(take, tracks)
     world = take.world()
     for e, chain in enumerate(take.rig.chains):
@@ -76,7 +76,7 @@ def test_frames_that_are_no_whole_ones_are_keyed(step: Fraction, count: int) -> 
 def test_many_frames_are_arrays_and_few_are_keys() -> None:
     rig = legs()
     many = match_take(walk_of(rig, 40), rig.chains, OUT).goals[0].values["position"]
-    assert isinstance(many, Rows)
+    assert isinstance(many, ArrayRows)
     assert (many.name, len(many.values)) == ("walk.targets.npz#leg_l_position", 40)
     few = match_take(walk_of(rig, 12), rig.chains, OUT).goals[0].values
     assert isinstance(few["orientation"], Keyed)
@@ -103,7 +103,7 @@ def test_what_does_not_move_is_a_constant() -> None:
         motion=replace(held.motion, translations=_still(held.motion.translations)),
     )
     values = match_take(held, held.rig.chains, OUT).goals[1].values
-    assert {type(v) for v in values.values() if v} == {Still}
+    assert {type(v) for v in values.values() if v} == {Constant}
 
 
 def _still(channel: Channel) -> Channel:

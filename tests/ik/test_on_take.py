@@ -16,7 +16,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, OptionError, Severity
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import TakeOptions
-from animtool.ik.report import apart_notices, goal_reports
+from animtool.ik.report import goal_reports, single_frame_notices
 from animtool.ik.result import IkStatus
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_run import TakeIk
@@ -231,13 +231,13 @@ def test_frames_on_their_own_are_counted(tmp_path: Path) -> None:
     goal = "- {effector: ankle_l, position: [0.2, 0.3, 0.2]}"
     options = TakeOptions(joints=("hip_l", "hips"))
     found = solve_take(take, tracks_of(tmp_path, goal, take.rig), options)
-    (note,) = apart_notices(found)
+    (note,) = single_frame_notices(found)
     assert (note.code, note.severity) == ("TGT105", Severity.NOTE)
     assert "40 frames" in note.message
     assert "'knee_l'" in note.message
-    (warning,) = apart_notices(found, smooth=True)
+    (warning,) = single_frame_notices(found, smooth=True)
     assert warning.severity is Severity.WARNING
-    assert apart_notices(held(tmp_path, take, goal)) == []
+    assert single_frame_notices(held(tmp_path, take, goal)) == []
 
 
 def test_a_joint_that_turns_about_its_goal_leaves_frames_together(
@@ -313,7 +313,7 @@ def test_chains_bend_towards_their_pole_from_rest(tmp_path: Path) -> None:
     for way in (1.0, -1.0):
         loose = loose_legs(way)
         tracks = tracks_of(tmp_path, goal, loose)
-        found = solve_take(resting(loose, 1), tracks, still=True)
+        found = solve_take(resting(loose, 1), tracks, static=True)
         assert found.misses[..., 0].max() < 2e-6
         assert way * point_of(found.take, "knee_l")[0, 2] > 0.1
 
@@ -325,7 +325,7 @@ def test_a_preference_is_for_the_rest_pose(tmp_path: Path, count: int) -> None:
         tmp_path, "- {effector: leg_l, position: [0.1, 0.3, 0.0]}", loose
     )
     still = resting(loose, count)
-    found = solve_take(still, tracks, TakeOptions(rest_weight=1e3), still=True)
+    found = solve_take(still, tracks, TakeOptions(rest_weight=1e3), static=True)
     knee = point_of(found.take, "knee_l")
     assert_allclose(knee, point_of(still, "knee_l"), atol=0.005)
 
@@ -334,7 +334,9 @@ def test_a_chain_goes_on_from_the_side_that_it_bends_to(tmp_path: Path) -> None:
     goal = "- {effector: leg_l, position: {keys: [{t: 1, v: [0.1, 0.3, 0]}, "
     goal += "{t: 24, v: [0.3, 0.5, 0.2]}]}}"
     loose = loose_legs(1.0)
-    found = solve_take(resting(loose, 24), tracks_of(tmp_path, goal, loose), still=True)
+    found = solve_take(
+        resting(loose, 24), tracks_of(tmp_path, goal, loose), static=True
+    )
     assert found.misses[..., 0].max() < 2e-6
     knee = point_of(found.take, "knee_l")
     assert knee[:, 2].min() > 0.1
@@ -379,7 +381,7 @@ def test_joints_that_follow_are_taken_along(tmp_path: Path) -> None:
     take = Take(rig, Clock(Fraction(24), Fraction(1), Fraction(1), 1), rest)
     end = [np.cos(0.4) + np.cos(0.6), np.sin(0.4) + np.sin(0.6), 0]
     goal = f"- {{effector: end, position: {[float(x) for x in end]}}}"
-    found = solve_take(take, tracks_of(tmp_path, goal, rig), still=True)
+    found = solve_take(take, tracks_of(tmp_path, goal, rig), static=True)
     assert_allclose(point_of(found.take, "end")[0], end, atol=3e-6)
     dial = so3.log(found.take.motion.rotations.dense()[0, 3])
     assert_allclose(dial, [0, 0, -0.8], atol=1e-5)

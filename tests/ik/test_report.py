@@ -66,7 +66,7 @@ def test_notices_name_goal_frames_and_distance(solved: TakeIk) -> None:
     (notice,) = missed_notices(solved, goal_reports(solved, 1e-4, 1e-3))
     assert (notice.code, notice.severity) == ("IK101", Severity.WARNING)
     assert (notice.path, notice.where) == (str(solved.tracks.path), "goals[0]")
-    assert (notice.lines[0], notice.column) == solved.tracks.goals[0].place
+    assert (notice.lines[0], notice.column) == solved.tracks.goals[0].location
     assert "'leg_l' is not reached at frames 11 to 21: 2." in notice.message
 
 

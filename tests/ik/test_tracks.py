@@ -83,7 +83,7 @@ def test_targets_join_the_free_motion_and_the_track_smoothly(tmp_path: Path) -> 
     always, timed = sampled(tmp_path, ALWAYS, step), sampled(tmp_path, TIMED, step)
     goal = tracks_of(tmp_path, TIMED).goals[0].goal
     free = FreeEffector(take.rig, goal, take.world())
-    for i, loose in enumerate((free.place(), free.turn())):
+    for i, loose in enumerate((free.position(), free.orientation())):
         track, ours = parts_of(always)[i], parts_of(timed)[i]
         for frame, like in ((FIRST - EASE, loose), (FIRST, track)):
             at = int((frame - 1) / step)
@@ -132,7 +132,7 @@ def test_a_straight_limb_starts_and_stops_softly(
     rig = straight_arm(elbow)
     goal = f"- {{effector: wrist, position: {place}, during: [[20, 24]], ease: 8}}\n"
     tracks = tracks_of(tmp_path, goal, rig, f"{HEAD}range: [1, 40]\n")
-    found = solve_take(rest_take(rig, tracks.clock), tracks, still=True)
+    found = solve_take(rest_take(rig, tracks.clock), tracks, static=True)
     assert set(found.statuses) == {IkStatus.CONVERGED}
     turns = found.take.motion.rotations.dense()
     steps = so3.angle_between(turns[1:, 1], turns[:-1, 1])
@@ -151,7 +151,7 @@ def test_limbs_that_bend_and_those_that_hang_from_others_go_straight() -> None:
     for root in ("hip_l", None):
         free = FreeEffector(take.rig, Goal("ankle_l", root=root), take.world())
         found = free.towards(POSITION, there, share)
-        assert_allclose(found, (free.place() + there) / 2, atol=1e-12)
+        assert_allclose(found, (free.position() + there) / 2, atol=1e-12)
 
 
 def test_a_pole_begins_where_the_limb_bends() -> None:
@@ -181,7 +181,7 @@ def test_an_effector_comes_and_goes_without_a_pop(tmp_path: Path, still: bool) -
             for channel in (take.motion.translations, take.motion.rotations)
         ]
         take = replace(take, motion=Motion(*kept))
-    found = solve_take(take, tracks_of(tmp_path, HAND), still=still)
+    found = solve_take(take, tracks_of(tmp_path, HAND), static=still)
     assert set(found.statuses) == {IkStatus.CONVERGED}
     assert not found.jumps
     ankle = point_of(found.take, "ankle_l")
@@ -248,7 +248,7 @@ def test_limbs_go_straight_from_20_degrees_and_evenly_up_to_5(
 ) -> None:
     """Half of the way to a quarter turn: as far off as half of the bend between."""
     free, far = bent_arm(bend), 0.4
-    here = free.place()[0]
+    here = free.position()[0]
     wanted = np.arccos((far**2 - 0.3**2 - 0.25**2) / (2 * 0.3 * 0.25))
     middle = (np.radians(bend) + wanted) / 2
     away = np.sqrt(0.3**2 + 0.25**2 + 2 * 0.3 * 0.25 * np.cos(middle))

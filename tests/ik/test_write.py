@@ -13,7 +13,7 @@ from support.targets import HEAD, legs, tracks_of
 from animtool.clip.channels import ClipUnits
 from animtool.ik.file import load_targets
 from animtool.ik.tracks import TargetTracks
-from animtool.ik.values import Keyed, Rows, Still, Value
+from animtool.ik.values import ArrayRows, Constant, Keyed, Value
 from animtool.ik.write import TargetsText, targets_text
 from animtool.rig.skeleton import Rig
 
@@ -62,12 +62,12 @@ def read_back(folder: Path, made: TargetsText, rig: Rig) -> TargetTracks:
 
 def check_same(a: Value | None, b: Value | None, tolerance: float) -> None:
     match a, b:
-        case Still(first), Still(second):
+        case Constant(first), Constant(second):
             assert_allclose(first, second, atol=tolerance, rtol=0)
-        case Rows(values=first), Rows(values=second):
+        case ArrayRows(values=first), ArrayRows(values=second):
             assert_allclose(first, second, atol=tolerance, rtol=0)
-            assert isinstance(a, Rows)
-            assert isinstance(b, Rows)
+            assert isinstance(a, ArrayRows)
+            assert isinstance(b, ArrayRows)
             assert a.first == b.first
         case Keyed(first), Keyed(second):
             assert_array_equal(first.times, second.times)
@@ -95,7 +95,7 @@ def test_tracks_come_back(tmp_path: Path, units: ClipUnits, tolerance: float) ->
     goals = list(tracks.goals)
     values = dict(goals[1].values)
     turns = values["orientation"]
-    assert isinstance(turns, Rows)
+    assert isinstance(turns, ArrayRows)
     values["orientation"] = replace(turns, name="rows.npz#orientation")
     goals[1] = replace(goals[1], values=values)
     tracks = replace(tracks, goals=tuple(goals))
@@ -103,7 +103,7 @@ def test_tracks_come_back(tmp_path: Path, units: ClipUnits, tolerance: float) ->
     assert (back.fps, back.first, back.last) == (tracks.fps, tracks.first, tracks.last)
     assert len(back.goals) == len(tracks.goals)
     for ours, theirs in zip(back.goals, tracks.goals, strict=True):
-        for name in ("name", "chain", "spans", "ease", "held"):
+        for name in ("name", "chain", "spans", "ease", "hold_parts"):
             assert getattr(ours, name) == getattr(theirs, name)
         plain = replace(ours.goal, offset=theirs.goal.offset)
         assert plain == theirs.goal

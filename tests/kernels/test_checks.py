@@ -358,6 +358,6 @@ def test_units_and_lengths_are_finite() -> None:
         with pytest.raises(ValueError, match=r"^unit: "):
             _kernels.round_points(np.ones((1, 1, 3)), unit)
         with pytest.raises(ValueError, match=r"^length: "):
-            _kernels.place_ik_targets(
+            _kernels.to_chain_targets(
                 np.ones((1, 1, 17)), rotations(np.random.default_rng(0), 1), unit
             )

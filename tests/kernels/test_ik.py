@@ -67,7 +67,7 @@ def test_targets_are_shares_of_the_length_and_seen_from_their_nodes() -> None:
     targets[1, 0, 3:7] = np.multiply(1e-200, about_x)
     targets[1, 1, 3:7] = 0
     frames = np.array([[0, 0, HALF, HALF], [0, 0, 0, 1.0]])
-    _kernels.place_ik_targets(targets, frames, 4.0)
+    _kernels.to_chain_targets(targets, frames, 4.0)
     plain = [0, 1, 2, 7, 8, 9, 10, 11, 12]
     assert_allclose(targets[..., plain], np.tile(np.divide(plain, 4), (2, 2, 1)))
     shares = np.arange(WEIGHTS.stop)[WEIGHTS]

@@ -11,11 +11,11 @@ from numpy.testing import assert_allclose
 from animtool.maths import so3
 from animtool.maths.filters import (
     best_cutoff,
+    fill_gaps,
     lowpass,
-    lowpass_turns,
+    lowpass_rotations,
     noise_level,
-    noise_of_turns,
-    put_between,
+    rotation_noise,
 )
 
 RATE = 120.0
@@ -48,8 +48,8 @@ def test_turns_turn_with_the_frame_that_they_are_seen_from() -> None:
     turns = so3.exp(0.1 * rng.standard_normal((80, 2, 3)))
     seen = so3.exp(np.array([0.3, 2.0, -1.0]))
     np.testing.assert_allclose(
-        lowpass_turns(so3.multiply(seen, turns), 5, 60),
-        so3.multiply(seen, lowpass_turns(turns, 5, 60)),
+        lowpass_rotations(so3.multiply(seen, turns), 5, 60),
+        so3.multiply(seen, lowpass_rotations(turns, 5, 60)),
         atol=1e-12,
     )
 
@@ -89,10 +89,10 @@ def test_noise_of_rotations_is_that_about_each_axis(
     shake[:, :axes] = 0.02 * rng.standard_normal((4000, axes))
     turns = so3.multiply(so3.exp(np.array(frame)), so3.multiply(swing, so3.exp(shake)))
     turns = so3.align_signs(turns)
-    assert noise_of_turns(turns) == pytest.approx(0.02, rel=0.05)
+    assert rotation_noise(turns) == pytest.approx(0.02, rel=0.05)
     # What is left of the noise at the best cut-off is that of so many axes.
     assert best_cutoff(turns, RATE, rotation=True) is not None
-    assert noise_of_turns(turns[:1]) == 0.0
+    assert rotation_noise(turns[:1]) == 0.0
 
 
 def test_what_has_no_noise_is_left_alone() -> None:
@@ -103,7 +103,7 @@ def test_what_has_no_noise_is_left_alone() -> None:
 def test_missing_values_are_put_between_their_neighbours() -> None:
     nan = np.nan
     values = np.array([[nan, 1, nan], [2, nan, nan], [nan, nan, nan], [5, 4, nan]])
-    found = put_between(values, np.array([0.0, 1.0, 3.0, 4.0]))
+    found = fill_gaps(values, np.array([0.0, 1.0, 3.0, 4.0]))
     expected = [[2, 1, 0], [2, 1.75, 0], [4, 3.25, 0], [5, 4, 0]]
     assert_allclose(found, expected, rtol=1e-15)
     assert np.isnan(values).sum() == 8

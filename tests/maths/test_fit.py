@@ -117,7 +117,7 @@ def test_components_have_tolerances_of_their_own() -> None:
 def test_a_share_holds_at_its_frames() -> None:
     values, share = wave(), np.ones(400)
     share[100:120] = 0.01
-    off = errors(fit_keys(values, 0.5, share=share), values)
+    off = errors(fit_keys(values, 0.5, tolerance_scale=share), values)
     assert (off <= 0.5 * share * ROOM).all()
 
 
@@ -125,7 +125,7 @@ def test_anchors_are_keys_and_keep_what_is_between_them() -> None:
     values, share = wave(), np.ones(400)
     plain = fit_keys(values, 0.1, anchors=[150, 250])
     share[160:200] = 0.1
-    tight = fit_keys(values, 0.1, share=share, anchors=[150, 250])
+    tight = fit_keys(values, 0.1, tolerance_scale=share, anchors=[150, 250])
     for keys in (plain, tight):
         assert {150, 250} <= set(keys.frames.tolist())
     assert len(tight.frames) > len(plain.frames)
@@ -163,8 +163,8 @@ def test_a_large_offset_costs_no_keys(offset: float) -> None:
         ([[0.0], [1.0]], [1.0, 1.0], {}),
         ([0.0, 1.0], 1.0, {}),
         (np.zeros((0, 1)), 1.0, {}),
-        ([[0.0], [1.0]], 1.0, {"share": [1.0, 0.0]}),
-        ([[0.0], [1.0]], 1.0, {"share": [1.0]}),
+        ([[0.0], [1.0]], 1.0, {"tolerance_scale": [1.0, 0.0]}),
+        ([[0.0], [1.0]], 1.0, {"tolerance_scale": [1.0]}),
         ([[0.0], [1.0], [2.0]], 1.0, {"anchors": [2]}),
         ([[0.0], [1.0], [2.0]], 1.0, {"anchors": [0]}),
         ([[0.0]] * 5, 1.0, {"anchors": [2, 2]}),

@@ -16,7 +16,7 @@ from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.motion.reorient import reorient
 from animtool.preview.build import make_page, write_page
-from animtool.preview.opened import resting
+from animtool.preview.open_file import resting
 from animtool.preview.options import PreviewOptions
 from animtool.preview.show import show
 from animtool.rig.kinematics import forward

@@ -11,9 +11,9 @@ import pytest
 from support.bvh import random_rows, small_bvh
 
 from animtool.core.errors import AnimtoolError
-from animtool.preview.build import Page, make_page
+from animtool.preview.build import PreviewPage, make_page
 from animtool.preview.options import PreviewOptions
-from animtool.preview.serve import ADDRESS, PageServer, Watched, follow
+from animtool.preview.serve import ADDRESS, PageServer, WatchedPage, follow
 
 PLAIN = PreviewOptions(findings=False)
 
@@ -26,7 +26,7 @@ def take(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def served(watched: Watched) -> Iterator[PageServer]:
+def served(watched: WatchedPage) -> Iterator[PageServer]:
     with PageServer(watched) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.01,))
         thread.start()
@@ -50,7 +50,7 @@ def asked(
 
 
 def test_those_who_know_the_address_alone_get_the_page(take: Path) -> None:
-    watched = Watched(lambda: make_page([take], PLAIN))
+    watched = WatchedPage(lambda: make_page([take], PLAIN))
     watched.build()
     with served(watched) as server:
         assert server.server_address[0] == ADDRESS
@@ -74,11 +74,11 @@ def test_those_who_know_the_address_alone_get_the_page(take: Path) -> None:
 
 
 def test_a_page_is_made_again_when_its_file_changes(take: Path) -> None:
-    watched = Watched(lambda: make_page([take], PLAIN))
+    watched = WatchedPage(lambda: make_page([take], PLAIN))
     watched.build()
     assert not watched.changed()
     failures: list[AnimtoolError] = []
-    pages: list[Page] = []
+    pages: list[PreviewPage] = []
     texts = ["HIERARCHY\nnonsense", small_bvh(random_rows(5))]
 
     def wait(_: float) -> bool:
@@ -96,7 +96,7 @@ def test_a_page_is_made_again_when_its_file_changes(take: Path) -> None:
 
 
 def test_an_error_stays_on_the_page_until_it_is_mended(take: Path) -> None:
-    watched = Watched(lambda: make_page([take], PLAIN))
+    watched = WatchedPage(lambda: make_page([take], PLAIN))
     watched.build()
     before = watched.body()
     take.write_text("HIERARCHY\nnonsense")
@@ -117,7 +117,7 @@ def test_files_that_a_file_names_are_followed(tmp_path: Path) -> None:
     clip = tmp_path / "c.clip.yaml"
     head = "clip: animtool/1\nrig: r.rig.yaml\nfps: 24\nrange: [1, 2]\nchannels: []\n"
     clip.write_text(head)
-    watched = Watched(lambda: make_page([clip]))
+    watched = WatchedPage(lambda: make_page([clip]))
     watched.build()
     rig.write_text(rig.read_text() + "- {name: b, parent: a, type: ball}\n")
     assert watched.changed()

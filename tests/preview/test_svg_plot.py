@@ -15,17 +15,23 @@ from animtool.preview.svg_plot import (
     WIDTH,
     plot_svg,
 )
-from animtool.preview.work_precision import Curve, Panel, Point
+from animtool.preview.work_precision import Panel, PrecisionCurve, PrecisionPoint
 
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def panel(*points: Point, floor: float = 0.0) -> Panel:
-    return Panel("a < b & c", "error [m]", (Curve("one & two", points),), floor=floor)
+def panel(*points: PrecisionPoint, floor: float = 0.0) -> Panel:
+    return Panel(
+        "a < b & c", "error [m]", (PrecisionCurve("one & two", points),), floor=floor
+    )
 
 
 def test_points_stand_where_their_logarithms_say() -> None:
-    made = panel(Point(1.0, 1e-1), Point(10.0, 1e-3, best=True), Point(100.0, 1e-5))
+    made = panel(
+        PrecisionPoint(1.0, 1e-1),
+        PrecisionPoint(10.0, 1e-3, best=True),
+        PrecisionPoint(100.0, 1e-5),
+    )
     root = ET.fromstring(plot_svg(made))
     found = [
         (float(c.get("cx", 0)), float(c.get("cy", 0)))
@@ -42,7 +48,10 @@ def test_points_stand_where_their_logarithms_say() -> None:
 
 def test_names_are_escaped_and_points_without_a_logarithm_are_left_out() -> None:
     made = panel(
-        Point(0.0, 1e-1), Point(1.0, 0.0), Point(1.0, math.nan), Point(2.0, 0.1)
+        PrecisionPoint(0.0, 1e-1),
+        PrecisionPoint(1.0, 0.0),
+        PrecisionPoint(1.0, math.nan),
+        PrecisionPoint(2.0, 0.1),
     )
     text = plot_svg(made)
     assert "one &amp; two" in text
@@ -52,15 +61,18 @@ def test_names_are_escaped_and_points_without_a_logarithm_are_left_out() -> None
 
 def test_the_present_one_has_a_ring_and_what_to_take_a_square() -> None:
     text = plot_svg(
-        panel(Point(1.0, 0.1, chosen=True), Point(2.0, 0.01, recommended=True))
+        panel(
+            PrecisionPoint(1.0, 0.1, chosen=True),
+            PrecisionPoint(2.0, 0.01, recommended=True),
+        )
     )
     assert len(re.findall('class="ring"', text)) == 2
     assert text.count("<rect") == 1
 
 
 def test_the_front_joins_what_nothing_beats_in_order() -> None:
-    best = [Point(4.0, 0.01, best=True), Point(1.0, 0.1, best=True)]
-    text = plot_svg(panel(*best, Point(2.0, 0.2)))
+    best = [PrecisionPoint(4.0, 0.01, best=True), PrecisionPoint(1.0, 0.1, best=True)]
+    text = plot_svg(panel(*best, PrecisionPoint(2.0, 0.2)))
     (front,) = re.findall('class="front" d="M([^"]*)"', text)
     xs = [float(part.split()[0]) for part in front.split("L")]
     assert xs == sorted(xs)
@@ -69,4 +81,4 @@ def test_the_front_joins_what_nothing_beats_in_order() -> None:
 
 def test_nothing_to_draw_is_said() -> None:
     assert "nothing to draw" in plot_svg(panel())
-    assert 'class="floor"' in plot_svg(panel(Point(1.0, 0.1), floor=1e-4))
+    assert 'class="floor"' in plot_svg(panel(PrecisionPoint(1.0, 0.1), floor=1e-4))

@@ -14,23 +14,27 @@ from animtool.core.errors import OptionError, OutputError
 from animtool.preview.work_precision import (
     MARKERS,
     SUFFIXES,
-    Curve,
     Panel,
-    Point,
+    PrecisionCurve,
+    PrecisionPoint,
     check_drawable,
     draw_panels,
     panels_of,
 )
 from animtool.sim.trials.measuring import Reference, TrialRow, TrialTable
-from animtool.sim.trials.trial import CostMeasure, Distances, ErrorMeasure, Setting
+from animtool.sim.trials.trial import CostMeasure, ErrorMeasure, PointDistances, Setting
 
 PANEL = Panel(
     "comets, particles",
     "error [m]",
     (
-        Curve("euler", (Point(0.1, 0.1), Point(0.2, 0.05, chosen=True))),
-        Curve("rk4", (Point(0.3, 1e-6, best=True), Point(0.4, 0.0))),
-        Curve("lost", (Point(0.1, math.nan),)),
+        PrecisionCurve(
+            "euler", (PrecisionPoint(0.1, 0.1), PrecisionPoint(0.2, 0.05, chosen=True))
+        ),
+        PrecisionCurve(
+            "rk4", (PrecisionPoint(0.3, 1e-6, best=True), PrecisionPoint(0.4, 0.0))
+        ),
+        PrecisionCurve("lost", (PrecisionPoint(0.1, math.nan),)),
     ),
     floor=1e-7,
     remark="all is well",
@@ -87,7 +91,7 @@ def drawn(panel: Panel, path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_names_are_drawn_as_they_are(tmp_path: Path) -> None:
     """Dollars are no formulas, and signs that the font has not warn of nothing."""
     name = "r$\\frac{$ \N{CJK UNIFIED IDEOGRAPH-6F22}"
-    curve = Curve(name, (Point(1.0, 1e-3), Point(2.0, 1e-4)))
+    curve = PrecisionCurve(name, (PrecisionPoint(1.0, 1e-3), PrecisionPoint(2.0, 1e-4)))
     draw_panels([Panel(name, "error [m]", (curve,))], tmp_path / "p.svg")
     assert (tmp_path / "p.svg").stat().st_size
 
@@ -96,10 +100,16 @@ def test_settings_without_an_error_or_with_none_at_all_have_no_point(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     points = (
-        Point(0.1, 0.0), Point(0.2, math.inf), Point(0.3, math.nan),
-        Point(0.4, 1e-3, best=True), Point(0.5, 2e-3, chosen=True), Point(0.6, -1.0),
-    )  # fmt: skip
-    panel = Panel("one", "error [m]", (Curve("a", points),), floor=1e-5, cost="time")
+        PrecisionPoint(0.1, 0.0),
+        PrecisionPoint(0.2, math.inf),
+        PrecisionPoint(0.3, math.nan),
+        PrecisionPoint(0.4, 1e-3, best=True),
+        PrecisionPoint(0.5, 2e-3, chosen=True),
+        PrecisionPoint(0.6, -1.0),
+    )
+    panel = Panel(
+        "one", "error [m]", (PrecisionCurve("a", points),), floor=1e-5, cost="time"
+    )
     frame = drawn(panel, tmp_path / "a.png", monkeypatch)
     curve, best, ring, floor = frame.lines
     assert [line.get_xydata().tolist() for line in (curve, best, ring)] == [
@@ -119,7 +129,7 @@ def test_curves_have_markers_in_turn_and_the_legend_is_right_of_the_frame(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = [f"method {i}" for i in range(len(MARKERS) + 2)]
-    curves = tuple(Curve(name, (Point(0.1, 0.1),)) for name in names)
+    curves = tuple(PrecisionCurve(name, (PrecisionPoint(0.1, 0.1),)) for name in names)
     frame = drawn(Panel("many", "error [m]", curves), tmp_path / "a.png", monkeypatch)
     found = [line.get_marker() for line in frame.lines[::2]]
     assert found == [*MARKERS, *MARKERS[:2]]
@@ -161,7 +171,9 @@ def test_a_folder_that_is_not_there_is_an_output_error(tmp_path: Path) -> None:
 
 def simulated(reference: Reference | None) -> Panel:
     rows = [
-        TrialRow(Setting(name, ()), seconds, error=error and Distances(9.0, error, 8.0))
+        TrialRow(
+            Setting(name, ()), seconds, error=error and PointDistances(9.0, error, 8.0)
+        )
         for name, seconds, error in (
             ("rk4", 0.1, 1e-3), ("euler", 0.2, 1e-1), ("rk4", 0.3, 1e-5), ("x", 9, None)
         )
@@ -176,13 +188,19 @@ def test_a_simulation_has_a_curve_for_each_method() -> None:
     panel = simulated(None)
     assert (panel.title, panel.floor, panel.remark) == ("rope, springs", 0.0, "")
     assert panel.curves == (
-        Curve("rk4", (Point(0.1, 1e-3), Point(0.3, 1e-5, chosen=True, best=True))),
-        Curve("euler", (Point(0.2, 1e-1),)),
+        PrecisionCurve(
+            "rk4",
+            (
+                PrecisionPoint(0.1, 1e-3),
+                PrecisionPoint(0.3, 1e-5, chosen=True, best=True),
+            ),
+        ),
+        PrecisionCurve("euler", (PrecisionPoint(0.2, 1e-1),)),
     )
 
 
 def test_the_reference_is_the_floor_and_a_sensitive_motion_is_remarked() -> None:
-    finest = Setting("rk4", ()), Distances(1.0, 1e-7, 2.0), 4.0
+    finest = Setting("rk4", ()), PointDistances(1.0, 1e-7, 2.0), 4.0
     calm = simulated(Reference(*finest, sensitive=False))
     assert (calm.floor, calm.remark) == (1e-7, "")
     assert "sensitive" in simulated(Reference(*finest, sensitive=True)).remark
@@ -190,8 +208,12 @@ def test_the_reference_is_the_floor_and_a_sensitive_motion_is_remarked() -> None
 
 def test_what_is_written_is_drawn_by_its_bytes_and_its_largest_error() -> None:
     rows = [
-        TrialRow(Setting("rate", ()), 5.0, 9, error=Distances(0.2, 0.1, 0.1), bytes=70),
-        TrialRow(Setting("rate", ()), 1.0, 8, error=Distances(0.4, 0.1, 0.1), bytes=60),
+        TrialRow(
+            Setting("rate", ()), 5.0, 9, error=PointDistances(0.2, 0.1, 0.1), bytes=70
+        ),
+        TrialRow(
+            Setting("rate", ()), 1.0, 8, error=PointDistances(0.4, 0.1, 0.1), bytes=60
+        ),
     ]
     rows[1] = replace(rows[1], recommended=True)
     part = TrialTable("walk", "samples", 1.0, 3, 4, 1.0, None, rows)
@@ -199,7 +221,10 @@ def test_what_is_written_is_drawn_by_its_bytes_and_its_largest_error() -> None:
     (panel,) = panels_of([part])
     assert (panel.error, panel.cost) == ("error, largest [m]", "bytes")
     points = panel.curves[0].points
-    assert points == (Point(70, 0.2), Point(60, 0.4, recommended=True))
+    assert points == (
+        PrecisionPoint(70, 0.2),
+        PrecisionPoint(60, 0.4, recommended=True),
+    )
     (panel,) = panels_of([replace(part, cost=CostMeasure.STEPS, unit="keys")])
     assert panel.cost == "keys"
     assert [point.cost for point in panel.curves[0].points] == [9, 8]

@@ -78,17 +78,17 @@ def test_a_role_is_as_sure_as_what_it_was_found_by() -> None:
     odd = {"shin_l": "odd"}
     rig, _ = person(lambda role: odd.get(role, names(role)))
     found = anatomy(rig)
-    pairs = zip(found.found, found.confidence, strict=True)
+    pairs = zip(found.evidence, found.confidence, strict=True)
     sure = dict(zip(rig.names, pairs, strict=True))
     assert sure["mixamorig:LeftArm"] == (RoleSource.PRESET, 1.0)
     assert sure["odd"] == (RoleSource.STRUCTURE, 0.7)
     plain, _ = person()
     found = anatomy(plain)
-    by_name = set(zip(found.found, found.confidence, strict=True))
+    by_name = set(zip(found.evidence, found.confidence, strict=True))
     assert by_name == {(RoleSource.PRESET, 1.0), (RoleSource.NAME, 0.9)}
     tail = replace(rig.joints[0], name="prop", parent=0, translation=(0.0, 0.0, -0.3))
     tailed = anatomy(replace(rig, joints=(*rig.joints, tail)))
-    assert (tailed.found[-1], tailed.confidence[-1]) == (RoleSource.NONE, 0.0)
+    assert (tailed.evidence[-1], tailed.confidence[-1]) == (RoleSource.NONE, 0.0)
 
 
 @pytest.mark.parametrize("left_out", ["clavicle", "toe", "neck", "spine_2", "thumb_3"])
@@ -196,7 +196,7 @@ def test_a_rest_pose_that_is_none_needs_a_pose() -> None:
     seen = anatomy(along_x, positions=rest.positions[0])
     assert list(seen.roles) == [roles[name] for name in rig.names]
     assert seen.notices == ()
-    assert set(seen.found) == {RoleSource.STRUCTURE}
+    assert set(seen.evidence) == {RoleSource.STRUCTURE}
 
 
 @pytest.mark.parametrize(

@@ -208,7 +208,7 @@ def test_a_foot_without_toes_ends_as_what_it_is_nearer_to(
     person: Any = SimpleNamespace(
         rig=Rig("leg", joints),
         positions=np.array([[0.0, 0.8, 0], [0, 0.4, 0], [0, 0, 0]]),
-        turns=np.tile([0.0, 0, 0, 1], (3, 1)),
+        rotations=np.tile([0.0, 0, 0, 1], (3, 1)),
         roles=["thigh_l", "shin_l", "foot_l"],
         facing=np.eye(3),
         leg=lambda _: (0, 1, 2, -1),

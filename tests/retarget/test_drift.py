@@ -13,7 +13,7 @@ from animtool import Channel, Motion, Take, open_source
 from animtool.maths import so3
 from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import TakeStream
-from animtool.retarget.drift import DriftOptions, without_drift
+from animtool.retarget.drift import DriftOptions, remove_drift
 
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -37,7 +37,7 @@ def drifted(take: Take, speed: list[float], spin: float = 0.0) -> Take:
 
 def run(take: Take, **options: bool) -> tuple[Take, list[str]]:
     context = PassContext(open_source, Path())
-    made = without_drift(take, DriftOptions(**options), context)  # type: ignore[arg-type]
+    made = remove_drift(take, DriftOptions(**options), context)  # type: ignore[arg-type]
     return made, [notice.code for notice in context.notices]
 
 

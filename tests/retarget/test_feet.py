@@ -78,7 +78,7 @@ def test_soles_are_level_but_where_they_lean_far(lean: float, kept: float) -> No
     heading = so3.from_axis_angle([0.0, 1.0, 0.0], np.radians(40.0))
     leans = so3.from_axis_angle([1.0, 0.0, 0.0], np.radians([lean] * 6))
     turns = so3.multiply(heading, leans)
-    found = _settled(foot(6, turn=turns), 30.0, 1)
+    found = _settled(foot(6, rotation=turns), 30.0, 1)
     expected = so3.from_axis_angle([1.0, 0.0, 0.0], np.radians(kept))
     expected = so3.multiply(heading, expected)
     assert so3.angle_between(found, expected).max() < 1e-9

@@ -23,10 +23,10 @@ from animtool.motion.take import TakeStream
 from animtool.retarget import map_joints, map_text, retarget_take
 from animtool.retarget.anatomy import anatomy
 from animtool.retarget.facts import capture_facts
-from animtool.retarget.fingers import _digits_by_place
+from animtool.retarget.fingers import _digits_by_position
 from animtool.retarget.options import RetargetOptions
-from animtool.retarget.person import Person
 from animtool.retarget.report import scores_of
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.standing import body_axes, stance, stands_along
 from animtool.retarget.take_pass import onto_rig
 from animtool.rig.kinematics import rest_world
@@ -249,7 +249,7 @@ def test_maps_of_conventions(preset: str) -> None:
         f"map {preset}",
         {
             "roles": known.roles,
-            "found": known.found,
+            "found": known.evidence,
             "confidence": known.confidence,
             "text": map_text(found, rig, target),
             "back": map_text(map_joints(target, rig), target, rig),
@@ -295,11 +295,11 @@ def test_bodies_of_all_kinds(kind: str, named_: bool) -> None:
         joints = [replace(one, name=f"j{i}") for i, one in enumerate(rig.joints)]
         rig = replace(rig, joints=tuple(joints))
     known = anatomy(rig)
-    body = Person.of(rig, known.roles)
+    body = RoledSkeleton.of(rig, known.roles)
     facing = body.facing
     shown = {
         "roles": known.roles,
-        "found": known.found,
+        "found": known.evidence,
         "confidence": known.confidence,
         "notices": known.notices,
         "facing": None if facing is None else np.asarray(facing),
@@ -324,7 +324,7 @@ def test_digits_of_hands_that_are_shaped_at_random() -> None:
                 positions.append(at + k * bone)
             ways.append(way)
         body: Any = SimpleNamespace(positions=np.array(positions))
-        found.append(" ".join(_digits_by_place(body, ways, 0)))
+        found.append(" ".join(_digits_by_position(body, ways, 0)))
     check_figures(__file__, "digits", found)
 
 

@@ -101,7 +101,7 @@ def wrists(take: Take) -> tuple[FloatArray, FloatArray]:
 def test_hands_that_hold_each_other(clasp: Take, share: float) -> None:
     rig = longer(clasp.rig, share)
     free, made = (onto(clasp, rig, hands=hands) for hands in (False, True))
-    held = made.standing.hands[0].held
+    held = made.standing.hands[0].active
     assert held[30:60].all()
     assert not held[[0, -1]].any()
     source = np.subtract(*wrists(clasp))
@@ -238,7 +238,7 @@ def test_arms_are_as_long_as_their_bones_and_bend_across_them() -> None:
         positions=places,
         bone=lambda _: np.array([0.3, 0.0, 0.0]),
         facing=np.eye(3)[[2, 1, 0]],
-        turns=np.array([so3.IDENTITY, turn, so3.IDENTITY]),
+        rotations=np.array([so3.IDENTITY, turn, so3.IDENTITY]),
     )
     person: Any = arm
     assert arm_of(person, "l") == [0, 1, 2]

@@ -204,7 +204,7 @@ def test_twist_joints_share_the_turn_of_the_hand(walk: Take) -> None:
     assert steps.max() < 1.5 * steps.mean()
     turned = np.unwrap(swing_twist(own, tuple(axis.tolist()))[1])
     assert turned[-1] - turned[0] == pytest.approx(
-        found.twists[0].share * (angles[-1] - angles[0]), rel=1e-6
+        found.twists[0].fraction * (angles[-1] - angles[0]), rel=1e-6
     )
 
 

@@ -11,7 +11,7 @@ from support.people import named, person
 
 from animtool.core.errors import FormatError, OptionError
 from animtool.retarget import JointMap, map_joints, map_text
-from animtool.retarget.pairing import _bone, _distance, _nearest, _places
+from animtool.retarget.pairing import _bone, _chain_fractions, _distance, _nearest
 from animtool.retarget.roles import Anatomy, RoleSource
 from animtool.rig.skeleton import Joint, Rig
 
@@ -102,7 +102,7 @@ def test_twist_joints_take_their_share() -> None:
     target = replace(target, joints=(*target.joints, *extra))
     source, _ = person()
     found = map_joints(source, target)
-    shares = [(target.names[t.joint], t.bone, t.share) for t in found.twists]
+    shares = [(target.names[t.joint], t.bone, t.fraction) for t in found.twists]
     assert shares == [
         ("upperarm_twist_01_l", arm, pytest.approx(0.25)),
         ("upperarm_twist_02_l", arm, pytest.approx(0.75)),
@@ -123,7 +123,7 @@ def test_twist_joints_of_other_bones_have_no_share() -> None:
     target = replace(target, joints=(*target.joints, *extra))
     source, _ = person()
     found = map_joints(source, target)
-    shares = [(target.names[t.joint], t.bone, t.share) for t in found.twists]
+    shares = [(target.names[t.joint], t.bone, t.fraction) for t in found.twists]
     assert shares == [
         ("lowerarm_twist_01_r", arm, pytest.approx(0.2)),
         ("lowerarm_twist_02_r", arm, 1.0),
@@ -166,7 +166,7 @@ def test_renaming_pairs_joints_without_a_role_by_their_names() -> None:
     last = len(rigs[0].joints) - 1
     found = {pair.target: pair for pair in map_joints(*rigs[:2], mode="rename").pairs}
     pair = found[last]
-    assert (pair.source, pair.role, pair.found) == (last, "", RoleSource.NAME)
+    assert (pair.source, pair.role, pair.evidence) == (last, "", RoleSource.NAME)
     assert pair.confidence == 1.0
     other = map_joints(rigs[0], rigs[2], mode="rename")
     assert last in other.unmapped_target
@@ -181,7 +181,7 @@ def test_names_alone_leave_out_what_structure_knows() -> None:
     whole = map_joints(source, target)
     pair = whole.by_role("shin_l")
     assert pair is not None
-    assert (pair.found, pair.confidence) == (RoleSource.STRUCTURE, 0.7)
+    assert (pair.evidence, pair.confidence) == (RoleSource.STRUCTURE, 0.7)
 
 
 def test_a_hand_in_a_mitten_moves_all_fingers() -> None:
@@ -228,7 +228,7 @@ def test_a_written_map_reads_back(tmp_path: Path, preset: str) -> None:
     assert [(pair.source, pair.target, pair.role) for pair in again.pairs] == bare
     assert sorted(again.chains, key=str) == sorted(found.chains, key=str)
     assert again.unmapped_target == found.unmapped_target
-    assert {pair.found for pair in again.pairs} == {RoleSource.FILE}
+    assert {pair.evidence for pair in again.pairs} == {RoleSource.FILE}
 
 
 def test_a_map_goes_before_names(tmp_path: Path) -> None:
@@ -305,9 +305,9 @@ def test_places_along_a_chain_are_shares_of_its_length() -> None:
     known = Anatomy(("spine", "spine", "", "spine", ""), none, (1.0,) * 5)
     assert _bone(rig, known, 3) == pytest.approx(3)
     assert _bone(rig, known, 4) == 0
-    assert _places(rig, known, [0, 1, 3]) == pytest.approx([0, 0.5, 0.7])
+    assert _chain_fractions(rig, known, [0, 1, 3]) == pytest.approx([0, 0.5, 0.7])
     headed = Anatomy(("spine", "spine", "", "neck", "head"), none, (1.0,) * 5)
     assert _bone(rig, headed, 1) == pytest.approx(2)
-    assert _places(rig, known, [4]) == [0]
+    assert _chain_fractions(rig, known, [4]) == [0]
     assert _nearest([0.0, 0.5, 0.7], 0.59) == 1
     assert _nearest([0.0, 0.5, 0.7], 0.61) == 2

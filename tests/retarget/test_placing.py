@@ -27,7 +27,7 @@ from animtool.retarget.feet import (
     _smoothest,
     bend_limb,
     between,
-    place_feet,
+    plant_feet,
     shortest,
     upper,
 )
@@ -45,12 +45,12 @@ from animtool.retarget.legs import (
     _standing,
     ball_of_foot,
     leg_of,
-    put_end,
+    limb_rotations,
     swivelled,
     up_index,
 )
-from animtool.retarget.person import Ball, Person
 from animtool.retarget.props import PropMotion
+from animtool.retarget.roled_skeleton import Ball, RoledSkeleton
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -213,13 +213,13 @@ def test_who_stands_all_the_time_stays() -> None:
     ankle = np.tile([0.1, -0.85, 0.0], (frames, 1))
     ankle[:, 2] = np.linspace(-0.01, 0.01, frames)
     one = foot(frames, ankle=ankle, length=0.95)
-    made = place_feet(hips, [one], 30.0, 1)
+    made = plant_feet(hips, [one], 30.0, 1)
     assert_allclose(made.hips, np.tile([0.5, 0.93, 0.2], (frames, 1)), atol=1e-5)
     assert_allclose(made.ankles[0], np.tile([0.6, 0.08, 0.2], (frames, 1)), atol=1e-6)
     assert made.soles == [0.08]
     assert made.lowered == 0
     assert made.locked[0].all()
-    short = place_feet(hips, [foot(frames, ankle=ankle, length=0.8)], 30.0, 1)
+    short = plant_feet(hips, [foot(frames, ankle=ankle, length=0.8)], 30.0, 1)
     assert short.lowered == pytest.approx(
         0.85 - np.sqrt((0.9995 * 0.8) ** 2 - 0.01), abs=2e-4
     )
@@ -276,7 +276,7 @@ def test_the_shortest_turn_and_the_opposite_way() -> None:
     assert_allclose(found[2], [1, 0, 0, 0])
 
 
-def leg(kind: JointType = JointType.BALL, limits: Any = None) -> Person:
+def leg(kind: JointType = JointType.BALL, limits: Any = None) -> RoledSkeleton:
     """Return a person of a left leg: bones of 0.5 and 0.4 m, its knee rests bent."""
     joints = (
         Joint("hips", -1, translation=(0.0, 1.0, 0.0)),
@@ -288,7 +288,7 @@ def leg(kind: JointType = JointType.BALL, limits: Any = None) -> Person:
         Joint("foot", 2, translation=(0.0, -0.4, 0.0)),
     )  # fmt: skip
     roles = ("hips", "thigh_l", "shin_l", "foot_l")
-    return Person.of(Rig("leg", joints), roles)
+    return RoledSkeleton.of(Rig("leg", joints), roles)
 
 
 @pytest.mark.parametrize(
@@ -324,9 +324,9 @@ def test_a_limb_is_put_and_goes_round(kind: JointType) -> None:
     person = leg(kind, RangeLimit(-1.0, 2.0) if kind is JointType.PIN else None)
     limb = leg_of(person, "l")[:3]
     joints = person.positions[None, list(limb)]
-    turns = person.turns[None, 1], person.turns[None, 2]
+    turns = person.rotations[None, 1], person.rotations[None, 2]
     goal = joints[:, 0] + [0.2, -0.6, 0.1]
-    thigh, shin = put_end(person, limb, joints, goal, turns, X)
+    thigh, shin = limb_rotations(person, limb, joints, goal, turns, X)
     found = so3.rotate(thigh, [0, -0.5, 0]) + so3.rotate(shin, [0, -0.4, 0])
     assert_allclose(joints[:, 0] + found, goal, atol=1e-9)
     way = goal - joints[:, 0]
@@ -345,10 +345,12 @@ def test_how_high_an_ankle_stands_without_a_ground_at_rest() -> None:
     def standing(alike: bool, feet: Any, low: float = 0.5) -> float:
         moved = target.positions.copy()
         moved[:, 1] += low - moved[:, 1].min()
-        own = Person(target.rig, target.roles, moved, target.turns, feet[0])
-        other = Person(target.rig, target.roles, moved, target.turns, feet[1])
+        own = RoledSkeleton(target.rig, target.roles, moved, target.rotations, feet[0])
+        other = RoledSkeleton(
+            target.rig, target.roles, moved, target.rotations, feet[1]
+        )
         transfer: Any = SimpleNamespace(
-            target=own, source=other, scale=2.0, alike=alike
+            target=own, source=other, scale=2.0, similar_legs=alike
         )
         return _standing(transfer, "l", 0.3, 1)
 
@@ -374,13 +376,13 @@ def test_a_ball_goes_with_its_foot_or_is_a_joint() -> None:
         (Ball(-1, np.array([0, 0, 0.2])), places[:, 3] + [0, -0.2, 0]),
         (Ball(2, np.zeros(3)), places[:, 2]),
     ):
-        own = Person(
-            person.rig, person.roles, person.positions, person.turns, {"l": ball}
+        own = RoledSkeleton(
+            person.rig, person.roles, person.positions, person.rotations, {"l": ball}
         )
         assert_allclose(ball_of_foot(own, "l", places, turns), expected, atol=1e-12)
 
 
-def arms() -> Person:
+def arms() -> RoledSkeleton:
     joints = (
         Joint("hips", -1), Joint("head", 0, translation=(0.0, 0.6, 0.0)),
         Joint("l0", 0, translation=(0.2, 0.5, 0.0)),
@@ -389,7 +391,7 @@ def arms() -> Person:
         Joint("r0", 0, translation=(-0.2, 0.5, 0.0)),
     )  # fmt: skip
     roles = ("hips", "head", "upper_arm_l", "forearm_l", "hand_l", "upper_arm_r")
-    return Person.of(Rig("arms", joints), roles)
+    return RoledSkeleton.of(Rig("arms", joints), roles)
 
 
 def test_arms_are_told_by_three_joints() -> None:
@@ -454,8 +456,8 @@ def test_a_prop_is_held_that_goes_with_a_hand(
     prop = PropMotion(3, places, turns)
     wrist = places + np.array([0, 0, far])
     wrist[:, 1] += speed * np.arange(count) / 30.0
-    assert_allclose(prop.seen(wrist)[0], [-far, 0, 0], atol=1e-12)
-    assert prop.held_by(wrist, 1.0, 30.0).all() == held
-    assert prop.held_by(wrist, 1.0, 30.0).any() == held
-    assert not prop.held_by(wrist, 0.0, 30.0).any()
-    assert not prop.held_by(wrist[:2], 1.0, 30.0).any()
+    assert_allclose(prop.in_prop_frame(wrist)[0], [-far, 0, 0], atol=1e-12)
+    assert prop.gripped_by(wrist, 1.0, 30.0).all() == held
+    assert prop.gripped_by(wrist, 1.0, 30.0).any() == held
+    assert not prop.gripped_by(wrist, 0.0, 30.0).any()
+    assert not prop.gripped_by(wrist[:2], 1.0, 30.0).any()

@@ -124,8 +124,8 @@ def test_who_lies_or_crawls_along_z_stands_nowhere(
 def test_rigs_that_are_no_person_stand_nowhere(root: Path) -> None:
     for path in sorted((root / "rigs").glob("*/*.rig.yaml")):
         rig = Rig.load(path)
-        still = Channel.still(rig.rest_translations, 9)
-        motion = Motion(still, Channel.still(rig.rest_rotations, 9))
+        still = Channel.static(rig.rest_translations, 9)
+        motion = Motion(still, Channel.static(rig.rest_rotations, 9))
         assert stands_along(rig, motion, anatomy(rig).roles) is None, path
 
 

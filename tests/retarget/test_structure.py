@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from animtool.core.units import UpAxis
 from animtool.retarget.roles import CONTROL, END, TWIST
-from animtool.retarget.structure import Body, _pairs, left_of, upright
+from animtool.retarget.structure import SkeletonTree, _pairs, left_of, upright
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -29,9 +29,9 @@ def tree() -> Rig:
     )  # fmt: skip
 
 
-def body(*kinds: tuple[int, str]) -> Body:
+def body(*kinds: tuple[int, str]) -> SkeletonTree:
     known = dict(kinds)
-    return Body.of(tree(), [{}] * 8, [known.get(j, "") for j in range(8)])
+    return SkeletonTree.of(tree(), [{}] * 8, [known.get(j, "") for j in range(8)])
 
 
 def test_lengths_and_ways_of_a_skeleton() -> None:
@@ -42,8 +42,8 @@ def test_lengths_and_ways_of_a_skeleton() -> None:
     assert_allclose(own.reach, [3.8, 1.8, 1.3, 0.3, 1, 0, 0, 0])
     assert own.size == pytest.approx(3.8)
     assert own.counts == [8, 7, 2, 1, 3, 1, 1, 1]
-    assert own.way(1, 3) == [1, 2, 3]
-    assert own.way(2, 5) == []
+    assert own.path(1, 3) == [1, 2, 3]
+    assert own.path(2, 5) == []
     assert (own.common([3, 5]), own.common([5, 6]), own.common([3])) == (1, 4, 3)
     assert own.extent(2) == pytest.approx(1.8)
     # What lies along the bone to a sibling, nearer than that, twists it.
@@ -61,10 +61,10 @@ def test_controls_that_carry_nothing_and_ends_are_no_bones() -> None:
     # A control that carries a joint with a role is a bone.
     votes = [{"hand_l": 1.0} if j == 3 else {} for j in range(8)]
     kinds = [CONTROL if j == 2 else "" for j in range(8)]
-    assert Body.of(tree(), votes, kinds).children[1] == [2, 4, 7]
+    assert SkeletonTree.of(tree(), votes, kinds).children[1] == [2, 4, 7]
 
 
-def standing(toes: float, up: UpAxis = UpAxis.Y) -> Body:
+def standing(toes: float, up: UpAxis = UpAxis.Y) -> SkeletonTree:
     """Return who stands along y, feet that point to z by a length."""
     rows = [
         (-1, (0, 1, 0)), (0, (0, 0.6, 0)), (0, (0.1, -0.5, 0)), (2, (0, -0.4, 0)),
@@ -77,7 +77,7 @@ def standing(toes: float, up: UpAxis = UpAxis.Y) -> Body:
         for j, (parent, way) in enumerate(rows)
     )
     rig = Rig("person", joints, up=up)
-    return Body.of(rig, [{}] * 10, [""] * 10)
+    return SkeletonTree.of(rig, [{}] * 10, [""] * 10)
 
 
 TIPS = {"leg_l": 4, "leg_r": 7, "arm_l": 8, "arm_r": 9}
@@ -119,10 +119,10 @@ def test_what_lies_along_a_bone_to_its_sibling_twists_it(
     rows = list(tree().joints)
     rows[6] = Joint("6", 4, translation=way)
     rows[5] = Joint("5", 4, translation=(-1.0, 0, 0), tips=((-0.4, 0.0, 0.0),))
-    own = Body.of(Rig("tree", tuple(rows)), [{}] * 8, [""] * 8)
+    own = SkeletonTree.of(Rig("tree", tuple(rows)), [{}] * 8, [""] * 8)
     assert own.limb_children(4) == ([5] if twists else [5, 6])
     votes = [{"hand_l": 1.0} if j == 6 else {} for j in range(8)]
-    named = Body.of(Rig("tree", tuple(rows)), votes, [""] * 8)
+    named = SkeletonTree.of(Rig("tree", tuple(rows)), votes, [""] * 8)
     assert named.limb_children(4) == [5, 6]
 
 
@@ -140,7 +140,7 @@ def test_branches_alike_within_a_sixth_of_their_length_are_a_pair(
             way = (0.0, -length * 0.8 / 3, 0.0)
             joints.append(Joint(f"{k}{side}", first + k, translation=way))
     rig = Rig("two", tuple(joints))
-    own = Body.of(rig, [{} for _ in joints], [""] * len(joints))
+    own = SkeletonTree.of(rig, [{} for _ in joints], [""] * len(joints))
     assert [sorted(pair) for pair in _pairs(own)] == ([[1, 5]] if alike else [])
 
 
@@ -160,6 +160,6 @@ def test_branches_of_a_pair_have_about_as_many_joints(
             way = (0.0, -0.8 / (count - 1), 0.0)
             made.append(Joint(f"{k}{side}", first + k, translation=way))
     rig = Rig("two", tuple(made))
-    own = Body.of(rig, [{} for _ in made], [""] * len(made))
+    own = SkeletonTree.of(rig, [{} for _ in made], [""] * len(made))
     assert [own.counts[1], own.counts[1 + joints[0]]] == [*joints]
     assert bool(_pairs(own)) == alike

@@ -29,7 +29,7 @@ from animtool.retarget.take_pass import (
     _body,
     _limbs,
     _scale_warnings,
-    lacking_pairs,
+    insufficient_pairs,
     onto_rig,
 )
 from animtool.rig.kinematics import forward
@@ -199,7 +199,7 @@ def test_a_take_fits_by_a_third_of_its_joints_and_a_whole_limb(
         pairs=[SimpleNamespace(source=rig.index(name)) for name in paired],
         chains=[],
     )
-    fault = lacking_pairs(rig, found, np.zeros(0, int), ())
+    fault = insufficient_pairs(rig, found, np.zeros(0, int), ())
     assert (fault is not None) == refused
     if fault is not None:
         assert fault.code == "MAP010"

@@ -20,28 +20,28 @@ from animtool.retarget.drift import (
     _integral,
     _medians,
     _slope,
-    _Stance,
+    _StanceTracks,
 )
 from animtool.retarget.map import JointMap, JointPair
-from animtool.retarget.person import Ball, Person
 from animtool.retarget.poses import (
-    LocalTurns,
+    LocalRotations,
     _twisted,
     _unit,
     _within,
     about_hips,
     hinged,
-    root_places,
-    world_turns,
+    root_translations,
+    world_rotations,
 )
 from animtool.retarget.report import (
     FitMeter,
     Standing,
     _drift,
-    _mean_held,
+    _mean_clamped,
     _reach_errors,
     scores_of,
 )
+from animtool.retarget.roled_skeleton import Ball, RoledSkeleton
 from animtool.retarget.roles import RoleSource
 from animtool.retarget.transfer import (
     Transfer,
@@ -52,7 +52,7 @@ from animtool.retarget.transfer import (
     _scale,
     middle_of_hips,
 )
-from animtool.retarget.verdict import FrameNumbers, Status, verdict_of
+from animtool.retarget.verdict import FrameNumbers, TakeStatus, verdict_of
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -67,7 +67,7 @@ def turn(axis: np.ndarray, degrees: float) -> np.ndarray:
     return so3.from_axis_angle(axis, np.radians(degrees))
 
 
-def body(size: float = 1.0, shin: float = 0.4, up: UpAxis = UpAxis.Y) -> Person:
+def body(size: float = 1.0, shin: float = 0.4, up: UpAxis = UpAxis.Y) -> RoledSkeleton:
     """Return a person who faces z, of bones of their own lengths."""
     rows: list[tuple[str, int, tuple[float, float, float]]] = [
         ("hips", -1, (0, 1, 0)), ("spine", 0, (0, 0.2, 0)), ("head", 1, (0, 0.4, 0)),
@@ -80,7 +80,7 @@ def body(size: float = 1.0, shin: float = 0.4, up: UpAxis = UpAxis.Y) -> Person:
         Joint(name, parent, translation=tuple(size * np.array(way)))
         for name, parent, way in rows
     ]
-    return Person.of(Rig("body", tuple(joints), up=up), ROLES)
+    return RoledSkeleton.of(Rig("body", tuple(joints), up=up), ROLES)
 
 
 def pair(source: int, target: int, role: str = "") -> JointPair:
@@ -105,7 +105,7 @@ def test_lengths_and_directions_of_a_person() -> None:
     assert own.leg("l") == (3, 4, 5, -1)
     assert (own.first("spine"), own.first("jaw"), own.joint("jaw")) == (1, -1, -1)
     assert own.size == pytest.approx(1.5)
-    ways = own.ways
+    ways = own.path_lengths
     assert ways[0] == 0
     assert ways[[5, 11]] == pytest.approx(
         [np.hypot(0.1, 0.05) + 0.85, 0.2 + np.hypot(0.2, 0.3) + 0.55]
@@ -117,16 +117,16 @@ def test_lengths_and_directions_of_a_person() -> None:
     assert_allclose(balled.bone(5), Z)
     assert own.bone(5) is None
     assert_allclose(own.bone(9), X)
-    assert_allclose(own.way(0, 4), [0.1, -0.5, 0], atol=1e-12)
-    assert own.apart(0, 1)
-    assert not own.apart(1, 1)
+    assert_allclose(own.offset(0, 4), [0.1, -0.5, 0], atol=1e-12)
+    assert own.separate(0, 1)
+    assert not own.separate(1, 1)
 
 
 def test_the_scale_is_that_of_legs_or_of_what_there_is_of_a_body() -> None:
     assert _scale(body(), body(2.0)) == pytest.approx(2)
     assert _scale(body(), body(1.0, 0.6)) == pytest.approx(1.05 / 0.85)
 
-    def armed(person: Person) -> Person:
+    def armed(person: RoledSkeleton) -> RoledSkeleton:
         roles = tuple("" if "_" in r and r != "upper_arm_l" else r for r in ROLES)
         return replace(person, roles=roles)
 
@@ -161,18 +161,18 @@ def test_middles_and_what_hangs_below() -> None:
 
 def test_who_faces_another_way_is_turned_about_the_vertical() -> None:
     own = body()
-    other = Person.of(own.rig, ROLES, np.concatenate(
+    other = RoledSkeleton.of(own.rig, ROLES, np.concatenate(
         [turn(Y, 70)[None], np.tile(so3.IDENTITY, (12, 1))]
     ))  # fmt: skip
     for one, two, degrees in ((other, own, 70), (own, other, -70)):
         found = _heading(one, two, so3.IDENTITY, Y)
         assert so3.angle_between(found, turn(Y, degrees)) < 1e-9
-    lying = Person.of(own.rig, ROLES, np.concatenate(
+    lying = RoledSkeleton.of(own.rig, ROLES, np.concatenate(
         [turn(X, 90)[None], np.tile(so3.IDENTITY, (12, 1))]
     ))  # fmt: skip
     found = _heading(lying, own, so3.IDENTITY, Y)
     assert so3.angle_between(found, turn(X, 90)) == pytest.approx(0, abs=1e-9)
-    leaning = Person.of(own.rig, ROLES, np.concatenate(
+    leaning = RoledSkeleton.of(own.rig, ROLES, np.concatenate(
         [turn(X, 30)[None], np.tile(so3.IDENTITY, (12, 1))]
     ))  # fmt: skip
     assert_allclose(_heading(leaning, own, so3.IDENTITY, Y), so3.IDENTITY, atol=1e-9)
@@ -182,22 +182,24 @@ def test_turns_follow_by_the_change_from_rest() -> None:
     own = body()
     made = Transfer.of(own, body(2.0), mapped(WHOLE))
     assert made.scale == pytest.approx(2)
-    assert made.alike
+    assert made.similar_legs
     assert made.follows.tolist() == list(range(13))  # tails have one name
     world = np.tile(so3.IDENTITY, (1, 13, 1))
     world[0, 3:6] = turn(X, 40)
-    found = made.turns(world)
+    found = made.rotations(world)
     assert_allclose(found[0], world[0], atol=1e-12)
     assert_allclose(made.hips(own.positions[None]), [[0, 1.9, 0]])
     less = Transfer.of(own, body(), mapped([p for p in WHOLE if p.target != 4]))
     # A shin that follows none, but for its name.
     assert less.follows[4] == 4
     free = replace(less, follows=np.where(np.arange(13) == 4, -1, less.follows))
-    assert_allclose(free.turns(world)[0, 4], turn(X, 40), atol=1e-12)
+    assert_allclose(free.rotations(world)[0, 4], turn(X, 40), atol=1e-12)
     halved = replace(
-        less, after=np.where(np.arange(13) == 1, 3, less.after), share=np.full(13, 0.25)
+        less,
+        after=np.where(np.arange(13) == 1, 3, less.after),
+        fraction=np.full(13, 0.25),
     )
-    assert_allclose(halved.turns(world)[0, 1], turn(X, 10), atol=1e-9)
+    assert_allclose(halved.rotations(world)[0, 1], turn(X, 10), atol=1e-9)
 
 
 def test_axes_of_the_target_are_those_of_its_up() -> None:
@@ -205,7 +207,7 @@ def test_axes_of_the_target_are_those_of_its_up() -> None:
     made = Transfer.of(own, tall, mapped(WHOLE))
     assert_allclose(made.turned(np.array([[1.0, 2, 3]])), [[1, -3, 2]], atol=1e-12)
     world = np.tile(turn(Y, 30), (1, 13, 1))
-    changed = so3.multiply(made.turns(world), so3.conjugate(made.aligned))
+    changed = so3.multiply(made.rotations(world), so3.conjugate(made.aligned))
     assert_allclose(np.abs(changed[0, 0]), np.abs(turn(Z, 30)), atol=1e-9)
     same = Transfer.of(own, own, mapped(WHOLE))
     points = np.ones((2, 3))
@@ -246,14 +248,14 @@ def test_bones_that_stretch_do_so_by_the_scale() -> None:
     ],
 )
 def test_legs_are_alike_but_for_their_size(
-    target: Person, balls: Any, alike: bool
+    target: RoledSkeleton, balls: Any, alike: bool
 ) -> None:
     made = Transfer.of(body(), target, mapped(WHOLE))
     own, other = (
         replace(p, balls=b)
         for p, b in zip((made.target, made.source), balls, strict=True)
     )
-    assert replace(made, target=own, source=other).alike is alike
+    assert replace(made, target=own, source=other).similar_legs is alike
 
 
 def test_places_about_the_hips_and_those_of_the_root() -> None:
@@ -269,7 +271,7 @@ def test_places_about_the_hips_and_those_of_the_root() -> None:
     # Nobody asked for an arm: it is left at the root.
     assert_allclose(found[0, 11], expected[0], atol=1e-12)
     hips = np.array([[1.0, 2, 3]])
-    root, place = root_places(own, hips, turns, bones, found)
+    root, place = root_translations(own, hips, turns, bones, found)
     assert root == 0
     assert_allclose(place, [[1, 2.05, 3]])
     # Hips below a root that is turned, and off.
@@ -278,15 +280,15 @@ def test_places_about_the_hips_and_those_of_the_root() -> None:
         Joint("cog", 0, translation=(1.0, 0.0, 0.0)),
         Joint("hips", 1, translation=(0.0, 1.0, 0.0)),
     )
-    rooted = Person.of(Rig("rooted", joints), ("root", "", "hips"))
+    rooted = RoledSkeleton.of(Rig("rooted", joints), ("root", "", "hips"))
     turns = np.array([[turn(Y, 90), turn(Y, 90), so3.IDENTITY]])
     bones = rooted.rig.rest_translations[None]
-    root, place = root_places(rooted, hips, turns, bones, np.zeros((1, 3, 3)))
+    root, place = root_translations(rooted, hips, turns, bones, np.zeros((1, 3, 3)))
     assert root == 2
     # The one between is at (0, 0, 4), and turned by a quarter.
     assert_allclose(place, so3.rotate(turn(Y, -90), [[1, 2, -1]]), atol=1e-12)
     local = np.array([[turn(Y, 90), turn(X, 10), turn(Z, 20)]])
-    made = world_turns(rooted.rig, local)
+    made = world_rotations(rooted.rig, local)
     whole = so3.multiply(local[:, 0], so3.multiply(local[:, 1], local[:, 2]))
     assert_allclose(made[:, 2], whole, atol=1e-12)
 
@@ -300,7 +302,9 @@ def pinned(axis: Any, limits: Any = None) -> Any:
         ),
         Joint("hand", 1, translation=(0.2, 0, 0)),
     )
-    person = Person.of(Rig("arm", joints), ("upper_arm_l", "forearm_l", "hand_l"))
+    person = RoledSkeleton.of(
+        Rig("arm", joints), ("upper_arm_l", "forearm_l", "hand_l")
+    )
     return SimpleNamespace(target=person, follows=np.arange(3))
 
 
@@ -353,19 +357,19 @@ def test_what_joints_of_each_type_can_have() -> None:
 
 
 def test_rows_of_turns_are_taken_and_put_with_who_was_held() -> None:
-    whole = LocalTurns(
+    whole = LocalRotations(
         np.zeros((4, 2, 4)), np.zeros((4, 2, 4)), {0: np.array([1, 1, 0, 0], bool)}
     )
     frames = np.array([1, 2])
-    assert whole.rows(frames).held[0].tolist() == [True, False]
-    other = LocalTurns(
+    assert whole.rows(frames).clamped[0].tolist() == [True, False]
+    other = LocalRotations(
         np.ones((2, 2, 4)), 2 * np.ones((2, 2, 4)), {1: np.array([1, 0], bool)}
     )
-    whole.put(frames, other)
+    whole.set_rows(frames, other)
     assert whole.local[:, 0, 0].tolist() == [0, 1, 1, 0]
     assert whole.world[:, 0, 0].tolist() == [0, 2, 2, 0]
-    assert whole.held[0].tolist() == [True, False, False, False]
-    assert whole.held[1].tolist() == [False, True, False, False]
+    assert whole.clamped[0].tolist() == [True, False, False, False]
+    assert whole.clamped[1].tolist() == [False, True, False, False]
 
 
 def test_drift_is_on_the_ground_and_reach_is_of_the_arm() -> None:
@@ -383,11 +387,11 @@ def test_drift_is_on_the_ground_and_reach_is_of_the_arm() -> None:
     none = replace(own, roles=("",) * 13)
     assert np.isnan(_reach_errors([(own, straight, 1.0), (none, bent, 1.0)])).all()
     found = mapped([*WHOLE, pair(12, 12, "index_1_l")])
-    assert _mean_held(found, {3: 0.6, 4: 0.3, 12: 1.0}) == pytest.approx(0.9 / 12)
-    assert _mean_held(mapped([]), {3: 1.0}) == 0
+    assert _mean_clamped(found, {3: 0.6, 4: 0.3, 12: 1.0}) == pytest.approx(0.9 / 12)
+    assert _mean_clamped(mapped([]), {3: 1.0}) == 0
 
 
-def meter(target: Person, sides: str = "") -> FitMeter:
+def meter(target: RoledSkeleton, sides: str = "") -> FitMeter:
     made = Transfer.of(body(), target, mapped(WHOLE))
     return FitMeter(made, mapped(WHOLE), Standing(sides, (), None))
 
@@ -430,7 +434,7 @@ def test_what_is_measured_adds_up_over_blocks() -> None:
         assert one.held_mean == pytest.approx(0.05)
         assert (one.scale, one.pairs, one.lowered) == (1, 12, 0)
     verdict = made.verdict({})
-    assert verdict.status in set(Status)
+    assert verdict.status in set(TakeStatus)
     names = {score.name: score for score in scores_of(first).scores}
     assert names["not mapped"].value == 0
     assert {name: score.ideal for name, score in names.items()} == {
@@ -450,7 +454,7 @@ def test_what_is_measured_adds_up_over_blocks() -> None:
 
 def test_scores_are_looked_at_beyond_three_times_the_usual() -> None:
     """From the ideal on; runs that are four frames apart are one."""
-    for value, status in ((1.74, Status.GOOD), (1.76, Status.LOOK)):
+    for value, status in ((1.74, TakeStatus.GOOD), (1.76, TakeStatus.LOOK)):
         scores = PassScores(
             (
                 Score("acceleration", value, ScoreUnit.RATIO, 1.25, 1.0),
@@ -465,7 +469,7 @@ def test_scores_are_looked_at_beyond_three_times_the_usual() -> None:
             assert found.reasons[0].frames == ((0, 4), (9, 9), (19, 19))
     limbs = [Score("limbs", np.radians(d), ScoreUnit.ANGLE, 9.0) for d in (29.9, 30.1)]
     statuses = [verdict_of(PassScores((one,)), {}, {}).status for one in limbs]
-    assert statuses == [Status.GOOD, Status.UNUSABLE]
+    assert statuses == [TakeStatus.GOOD, TakeStatus.UNUSABLE]
     assert FrameNumbers().run(0, 3) == (1, 4)
     assert FrameNumbers(first=5).run(0, 3) is None
     assert FrameNumbers(first=4).run(0, 3) == (4, 4)
@@ -494,12 +498,12 @@ def test_a_root_goes_back_as_fast_as_feet_drift(place: bool) -> None:
     )
     still, turns = np.zeros(count), np.tile(so3.IDENTITY, (count, 1))
     options: Any = SimpleNamespace(place=place, closed=False)
-    stance = _Stance(still + 0j, still + (2 + 1j), still, still)
+    stance = _StanceTracks(still + 0j, still + (2 + 1j), still, still)
     root = still + (3 + 4j)
     angle, shift = _corrected(take, options, stance, root, turns)
     assert_allclose(angle, 0)
     assert_allclose(shift, -(2 + 1j) * np.arange(count) / rate * place, atol=1e-12)
-    spun = _Stance(still + (1 + 1j), still + 0j, still + 0.4, still)
+    spun = _StanceTracks(still + (1 + 1j), still + 0j, still + 0.4, still)
     angle, shift = _corrected(take, options, spun, root, turns)
     assert_allclose(angle, -0.04 * np.arange(count))
     assert_allclose(shift, 0, atol=1e-12)

@@ -18,7 +18,7 @@ def foot(frames: int, stands: FootContacts | None = None, **keys: Any) -> Foot:
         "hip": np.zeros((frames, 3)),
         "ankle": np.tile([0.1, -0.9, 0.0], (frames, 1)),
         "toe": None,
-        "turn": np.tile(so3.IDENTITY, (frames, 1)),
+        "rotation": np.tile(so3.IDENTITY, (frames, 1)),
         "level": so3.IDENTITY,
         "height": 0.08,
         "length": 0.9,

@@ -18,6 +18,6 @@ def scores_of(named: Markers, cloud: Markers, perm: Any) -> tuple[float, float]:
     frame, slot = np.nonzero(perm >= 0)
     own[frame, perm[frame, slot]] = cloud.positions[frame, slot]
     own = own[:, :-1]
-    right = (named.seen & (named.positions == own).all(axis=-1)).sum()
+    right = (named.visible & (named.positions == own).all(axis=-1)).sum()
     there = np.isfinite(own[..., 0]).sum()
-    return float(right / max(1, named.seen.sum())), float(right / there)
+    return float(right / max(1, named.visible.sum())), float(right / there)

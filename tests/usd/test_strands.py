@@ -25,7 +25,7 @@ from animtool.rig.kinematics import bind_world, forward
 from animtool.rig.parts import ArraySource, Attachment, LoadedArray
 from animtool.rig.skeleton import Rig
 from animtool.usd.rigs.layer import write_rig_layer
-from animtool.usd.rigs.stored import read_whole_rig
+from animtool.usd.rigs.stored import read_rig_with_data
 
 HAIR = "/hero/Rig/Strands/hair"
 
@@ -62,7 +62,7 @@ def plain(attach: tuple[Attachment, ...]) -> list[tuple[Any, ...]]:
 def test_they_come_back_in_order(tmp_path: Path, suffix: str) -> None:
     rig, path = haired_rig(), tmp_path / f"hero.{suffix}"
     _, notices = write_rig_layer(rig, path)
-    found, said = read_whole_rig(path)
+    found, said = read_rig_with_data(path)
     assert notices == said == []
     assert plain(found.attach) == plain(rig.attach)
     assert validation_errors(open_stage(path)) == []
@@ -71,7 +71,7 @@ def test_they_come_back_in_order(tmp_path: Path, suffix: str) -> None:
 def test_units_of_the_layer_are_those_of_the_rig(tmp_path: Path) -> None:
     rig = replace(haired_rig(), meters_per_unit=0.01)
     write_rig_layer(rig, tmp_path / "x.usda")
-    found, _ = read_whole_rig(tmp_path / "x.usda")
+    found, _ = read_rig_with_data(tmp_path / "x.usda")
     assert plain(found.attach) == plain(rig.attach)
     stage = open_stage(tmp_path / "x.usda")
     curves = UsdGeom.BasisCurves(stage.GetPrimAtPath(HAIR))
@@ -122,7 +122,7 @@ def test_a_mesh_may_be_called_like_their_scope(tmp_path: Path) -> None:
     rig = replace(rig, meshes=(rig.meshes[0], cap), attach=rig.attach[:1])
     rig = replace(rig, shapes=rig.shapes[:3])
     write_rig_layer(rig, tmp_path / "x.usda")
-    found, _ = read_whole_rig(tmp_path / "x.usda")
+    found, _ = read_rig_with_data(tmp_path / "x.usda")
     assert {mesh.name for mesh in found.meshes} == {"Strands", "body"}
     assert plain(found.attach) == plain(rig.attach)
 
@@ -146,7 +146,7 @@ def edited(tmp_path: Path, change: Callable[[Any], None]) -> tuple[Rig, list[str
     layer = Sdf.Layer.FindOrOpen(str(path))
     change(layer)
     layer.Save()
-    rig, notices = read_whole_rig(path)
+    rig, notices = read_rig_with_data(path)
     return rig, [notice.code for notice in notices]
 
 

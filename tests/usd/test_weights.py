@@ -19,7 +19,7 @@ from support.usd import open_stage, skeleton_query, validation_errors
 from animtool.core.errors import FormatError, OutputError
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
-from animtool.usd.layers.jobs import Form, UsdJob, UsdResult, UsdTake
+from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdResult, UsdTake
 from animtool.usd.layers.names import RigPaths, joint_names
 from animtool.usd.rigs.layer import write_rig_layer
 from animtool.usd.rigs.target import map_joints, match_shapes, open_target
@@ -51,7 +51,7 @@ def moving(frames: int = 7) -> npt.NDArray[np.float64]:
 def job(output: Path, **fields: Any) -> UsdJob:
     names = joint_names(RIG.joints, 0)
     made = UsdJob(
-        form=Form.STAGE,
+        form=LayerForm.STAGE,
         output=output,
         rig=RIG,
         names=names,
@@ -195,7 +195,7 @@ def test_a_layer_moves_the_shapes_of_its_rig(
     assert taken.weights is not None
     over = job(
         tmp_path / "over.usda",
-        form=Form.LAYER,
+        form=LayerForm.LAYER,
         joints=target.skeleton.tokens,
         paths=target.paths,
         target=target,

@@ -1,4 +1,4 @@
-"""Calibrated cameras, and points from what they see."""
+"""Calibrated cameras, and points triangulated from their images."""
 
 from animtool.capture.cameras.camera import Camera, Cameras, project
 from animtool.capture.cameras.file import load_cameras

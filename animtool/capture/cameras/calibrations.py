@@ -31,7 +31,7 @@ from animtool.documents.fields import MAX_NUMBER
 from animtool.documents.yaml_values import Marks
 from animtool.maths.so3 import exp, to_matrix
 
-# What programs call a value, the first that a camera has.
+# Names of a value in other programs, in order of preference.
 _KEYS = {
     "matrix": ("K", "camera_matrix", "cameraMatrix", "matrix", "intrinsics"),
     "distortion": (
@@ -57,10 +57,10 @@ _TABLE = re.compile(r"^\s*\[\s*\"?([^\"\]]+?)\"?\s*\]")
 
 
 def read_any(path: Path) -> Document:
-    """Return a file of cameras as a document, in YAML, JSON, TOML or of OpenCV.
+    """Return a camera file as a document: YAML, JSON, TOML or OpenCV storage.
 
     Raises:
-        FormatError: It cannot be read, or is neither.
+        FormatError: It cannot be read, or has another format.
     """
     text = read_text(path)
     if path.suffix.lower() == ".toml":
@@ -76,8 +76,8 @@ def _toml(text: str, path: Path) -> Document:
     try:
         value = parse_toml(text)
     except ValueError as error:
-        found = re.search(r"at line (\d+)", str(error))
-        lines = (int(found[1]),) if found else ()
+        match = re.search(r"at line (\d+)", str(error))
+        lines = (int(match[1]),) if match else ()
         message = f"invalid TOML: {str(error).split(' (at ')[0]}"
         raise FormatError(Fault("CAM003", message, str(path), lines)) from error
     starts: dict[str, int] = {}
@@ -85,15 +85,15 @@ def _toml(text: str, path: Path) -> Document:
         table = _TABLE.match(row)
         if table is not None:
             starts.setdefault(table[1], number)
-    places = [(1, 1)]
+    positions = [(1, 1)]
     for key, inner in value.items():
         line = starts.get(key, 1)
-        places += [(line, 1)] * (1 + _nodes(inner))
-    return Document(path, value, lambda: Marks(places, {}))
+        positions += [(line, 1)] * (1 + _nodes(inner))
+    return Document(path, value, lambda: Marks(positions, {}))
 
 
 def _nodes(value: Any) -> int:
-    """Return how many places a value and what is in it have in a document."""
+    """Return the number of source locations that a value takes in a document."""
     if isinstance(value, dict):
         return 1 + sum(1 + _nodes(inner) for inner in value.values())
     if isinstance(value, list):
@@ -104,12 +104,12 @@ def _nodes(value: Any) -> int:
 def calibration_of(
     document: Document, unit: LengthUnit | None, up: UpAxis | None
 ) -> Cameras:
-    """Return a document of another program as cameras.
+    """Return another program's calibration document as cameras.
 
     Raises:
         FormatError: With every fault: there are no cameras, or a value of one is
-            missing or wrong (CAM003), a rotation is none (CAM001), or a name stands
-            twice (CAM002).
+            missing or wrong (CAM003), a rotation is invalid (CAM001), or a name is
+            used twice (CAM002).
     """
     scale = (unit or _unit(document)).meters
     entries = list(_entries(document.value))
@@ -117,22 +117,22 @@ def calibration_of(
         message = "holds no cameras"
         hint = "animtool reads cameras: animtool/1, OpenCV, Pose2Sim and anipose"
         document.add("CAM003", (), message, hint)
-    found: list[Camera] = []
+    cameras: list[Camera] = []
     for location, name, entry in entries:
-        camera = _Entry(document, location, entry).camera(name, scale)
+        camera = _CalibrationEntry(document, location, entry).camera(name, scale)
         if camera is None:
             continue
-        if camera.name in {other.name for other in found}:
+        if camera.name in {other.name for other in cameras}:
             message = f"two cameras are called {camera.name!r}"
             document.add("CAM002", location, message)
-        found.append(camera)
+        cameras.append(camera)
     document.check()
     notices = tuple(document.notices)
-    return Cameras(tuple(found), up or UpAxis.Y, str(document.path), notices)
+    return Cameras(tuple(cameras), up or UpAxis.Y, str(document.path), notices)
 
 
 def _unit(document: Document) -> LengthUnit:
-    """Return the unit that a document states; one that is none is noted."""
+    """Return the unit that a document states; report an unknown one."""
     location: Location = ("units",)
     stated = document.value.get("units")
     if isinstance(stated, dict) and "length" in stated:
@@ -147,7 +147,7 @@ def _unit(document: Document) -> LengthUnit:
 
 
 def _entries(value: dict[str, Any]) -> Iterator[tuple[Location, str, dict[str, Any]]]:
-    """Yield the cameras of a calibration: their places, names and values."""
+    """Yield the cameras of a calibration: locations, names and values."""
     listed_ = value.get("cameras")
     if isinstance(listed_, list):
         for i, entry in enumerate(listed_):
@@ -168,15 +168,15 @@ def _is_camera(value: Mapping[str, Any]) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class _Entry:
-    """A camera of a calibration, and where it stands."""
+class _CalibrationEntry:
+    """A camera of a calibration, with its location in the document."""
 
     document: Document
     location: Location
     value: dict[str, Any]
 
     def camera(self, name: str, scale: float) -> Camera | None:
-        """Return the camera; None where there are faults, which are noted."""
+        """Return the camera; None if it has faults, which are recorded."""
         if self.value.get("fisheye") is True:
             message = "fisheye lenses are not supported"
             hint = "undistort the pixels first, and write a lens without distortion"
@@ -242,7 +242,7 @@ class _Entry:
         return numbers
 
     def _opencv(self, value: dict[str, Any]) -> Any:
-        """Return a matrix of a FileStorage, or its numbers where the shape is off."""
+        """Return a matrix of a FileStorage, or raw numbers if its shape is wrong."""
         rows, columns, data = (value.get(key) for key in ("rows", "cols", "data"))
         if not (
             isinstance(rows, int) and isinstance(columns, int) and rows > 0 < columns

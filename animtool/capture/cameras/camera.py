@@ -16,7 +16,7 @@ from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 
-# What a camera is called whose file has it alone and without a name.
+# Name of a single unnamed camera.
 UNNAMED = "cam00"
 # How far a matrix may be from a rotation: files round to three digits and more.
 ROTATION_TOLERANCE = 5e-3
@@ -51,12 +51,12 @@ class Camera:
 
     @property
     def position(self) -> FloatArray:
-        """Where it stands in the world [m] ``(3,)``."""
+        """Its position in the world [m] ``(3,)``."""
         return -self.rotation.T @ self.translation
 
     @property
     def numbers(self) -> FloatArray:
-        """As kernels take it: focal, centre, skew, lens, R, t, size ``(27,)``."""
+        """Parameters for kernels: focal, centre, skew, lens, R, t, size ``(27,)``."""
         lens = (*self.focal, *self.centre, self.skew, *self.distortion)
         size = self.size or (0, 0)
         pose = (self.rotation.ravel(), self.translation)
@@ -70,7 +70,7 @@ class Cameras:
     Attributes:
         cameras: In the order of the file.
         up: The up axis of the world.
-        path: The file they are from; empty where they are from none.
+        path: Their file; empty for none.
         notices: Warnings and notes about the file.
     """
 
@@ -90,7 +90,7 @@ class Cameras:
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray | None:
-    """Return the rotation nearest to a matrix ``(3, 3)``; None where it is none.
+    """Return the rotation nearest to a matrix ``(3, 3)``; None if it is no rotation.
 
     >>> nearest_rotation(np.diag([1.0, 1.0, -1.0])) is None
     True
@@ -105,14 +105,14 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray | None:
 
 
 def camera_numbers(cameras: Sequence[Camera]) -> FloatArray:
-    """Return cameras as kernels take them ``(C, 27)``."""
+    """Return the kernel parameters of cameras ``(C, 27)``."""
     return np.array([camera.numbers for camera in cameras]).reshape(-1, 27)
 
 
-def distorted(camera: Camera, places: FloatArray) -> FloatArray:
-    """Return where a lens shows places of the image plane at depth 1 ``(…, 2)``."""
+def distorted(camera: Camera, points: FloatArray) -> FloatArray:
+    """Return image plane points at depth 1 with lens distortion applied ``(…, 2)``."""
     k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
-    x, y = places[..., 0], places[..., 1]
+    x, y = points[..., 0], points[..., 1]
     s = x * x + y * y
     radial = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
     across = x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x)
@@ -129,11 +129,13 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
     >>> project(camera, np.array([0.1, 0.0, 1.0])).tolist()
     [60.0, 40.0]
     """
-    # What overflows is on no image.
+    # Overflows are outside any image.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        seen = points @ camera.rotation.T + camera.translation
-        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
-        x, y = np.moveaxis(distorted(camera, seen[..., :2] / depth[..., None]), -1, 0)
+        in_camera = points @ camera.rotation.T + camera.translation
+        depth = np.where(in_camera[..., 2] > 0, in_camera[..., 2], np.nan)
+        x, y = np.moveaxis(
+            distorted(camera, in_camera[..., :2] / depth[..., None]), -1, 0
+        )
         across = camera.focal[0] * x + camera.skew * y + camera.centre[0]
         down = camera.focal[1] * y + camera.centre[1]
     pixels = np.stack([across, down], axis=-1)
@@ -142,30 +144,30 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
 
 
 def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
-    """Return directions in the camera's frame, at depth 1, of pixels ``(…, 2)``.
+    """Return ray directions in the camera's frame, at depth 1, of pixels ``(…, 2)``.
 
-    NaN where no direction near a pixel leads to it.
+    NaN where no direction near a pixel projects to it.
     """
-    # What overflows leads nowhere, and is NaN below.
+    # Overflows are invalid, and become NaN below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        found = _undistorted(camera, pixels)
-    found[~np.isfinite(found).all(axis=-1)] = np.nan
-    return found
+        undistorted = _undistorted(camera, pixels)
+    undistorted[~np.isfinite(undistorted).all(axis=-1)] = np.nan
+    return undistorted
 
 
 def _undistorted(camera: Camera, pixels: FloatArray) -> FloatArray:
-    """Return places at depth 1 that a lens shows at pixels, by Newton's steps."""
+    """Return undistorted points at depth 1 of pixels, by Newton's method."""
     y = (pixels[..., 1] - camera.centre[1]) / camera.focal[1]
     x = (pixels[..., 0] - camera.centre[0] - camera.skew * y) / camera.focal[0]
-    wanted = np.stack([x, y], axis=-1)
-    found = wanted.copy()
+    target = np.stack([x, y], axis=-1)
+    estimate = target.copy()
     for _ in range(_STEPS if any(camera.distortion) else 0):
         # The slopes of the lens by differences: exact enough, since each step is
         # measured by the lens itself.
-        step, here = 1e-6, distorted(camera, found)
-        by_x = (distorted(camera, found + np.array([step, 0])) - here) / step
-        by_y = (distorted(camera, found + np.array([0, step])) - here) / step
-        off = here - wanted
+        step, here = 1e-6, distorted(camera, estimate)
+        by_x = (distorted(camera, estimate + np.array([step, 0])) - here) / step
+        by_y = (distorted(camera, estimate + np.array([0, step])) - here) / step
+        off = here - target
         det = by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]
         det = np.where(det > 0, det, np.nan)
         change = np.stack(
@@ -175,5 +177,5 @@ def _undistorted(camera: Camera, pixels: FloatArray) -> FloatArray:
             ],
             axis=-1,
         )
-        found -= change / det[..., None]
-    return found
+        estimate -= change / det[..., None]
+    return estimate

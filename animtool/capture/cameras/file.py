@@ -32,7 +32,7 @@ from animtool.documents.fields import (
 )
 from animtool.maths.so3 import to_matrix
 
-# What the side of an image may be [px].
+# Largest side of an image [px].
 MAX_SIDE = 100_000
 MAX_CAMERAS = 256
 
@@ -113,13 +113,13 @@ def cameras_of_document(document: Document) -> Cameras:
     """Return a document as cameras.
 
     Raises:
-        FormatError: With every fault, such as a rotation that is none (CAM001) and a
-            name that stands twice (CAM002).
+        FormatError: With every fault, such as an invalid rotation (CAM001) and a
+            name that stands used twice (CAM002).
     """
     check_version(document, "cameras")
     model = validated(document, CamerasModel)
     scale = LengthUnit(model.units.length).meters
-    found: list[Camera] = []
+    cameras: list[Camera] = []
     names: dict[str, int] = {}
     for i, view in enumerate(model.views):
         if view.name in names:
@@ -133,7 +133,7 @@ def cameras_of_document(document: Document) -> Cameras:
             hint = "write orthogonal, right-handed rows of length 1, or [w, x, y, z]"
             document.add("CAM001", ("views", i, "rotation"), message, hint)
             continue
-        found.append(
+        cameras.append(
             Camera(
                 view.name,
                 (view.focal[0], view.focal[1]),
@@ -147,11 +147,11 @@ def cameras_of_document(document: Document) -> Cameras:
         )
     document.check()
     notices = tuple(document.notices)
-    return Cameras(tuple(found), UpAxis(model.up), str(document.path), notices)
+    return Cameras(tuple(cameras), UpAxis(model.up), str(document.path), notices)
 
 
 def _rotation(value: list[list[float]] | list[float]) -> FloatArray | None:
-    """Return the rotation of a matrix or a quaternion w, x, y, z; None of neither."""
+    """Return the rotation of a matrix or quaternion (w, x, y, z); None for neither."""
     numbers = np.array(value, np.float64)
     if numbers.ndim == 2:
         return nearest_rotation(numbers)
@@ -170,9 +170,9 @@ def load_cameras(
         path: A camera file (``cameras: animtool/1``), an OpenCV FileStorage in YAML or
             JSON, a JSON file with a list of cameras with ``K``, ``R``, ``t`` and
             ``dist``, or a TOML file of Pose2Sim or anipose.
-        unit: What translations are in, where the file does not say; metres if not
+        unit: Unit of translations, if the file does not state it; metres if not
             given.
-        up: Which axis of the world points up, where the file does not say.
+        up: The world's up axis, if the file does not state it.
 
     Raises:
         FormatError: It cannot be read or is malformed, with every fault.
@@ -188,18 +188,18 @@ def load_cameras(
 def load_all_cameras(
     paths: Sequence[Path], *, unit: LengthUnit | None = None, up: UpAxis | None = None
 ) -> Cameras:
-    """Return the cameras of several files, such as one of each camera.
+    """Return the cameras of several files, such as one file per camera.
 
-    A camera without a name of its own in its file is called as the file is.
+    A camera without a name in its file is named after the file.
 
     Raises:
-        FormatError: One cannot be read, a name stands in two (CAM002), or their worlds
-            have other axes up (CAM003).
+        FormatError: One cannot be read, a name is in two (CAM002), or their worlds
+            have different up axes (CAM003).
     """
     read = [load_cameras(path, unit=unit, up=up) for path in paths]
     if len(read) == 1:
         return read[0]
-    found: dict[str, Camera] = {}
+    cameras: dict[str, Camera] = {}
     for path, each in zip(paths, read, strict=True):
         if each.up != read[0].up:
             message = (
@@ -210,9 +210,9 @@ def load_all_cameras(
         for camera in each.cameras:
             alone = len(each) == 1 and camera.name == UNNAMED
             name = path.name.partition(".")[0] if alone else camera.name
-            if name in found:
+            if name in cameras:
                 message = f"two cameras are called {name!r}"
                 raise FormatError(Fault("CAM002", message, str(path)))
-            found[name] = replace(camera, name=name)
+            cameras[name] = replace(camera, name=name)
     notices = tuple(note for each in read for note in each.notices)
-    return Cameras(tuple(found.values()), read[0].up, str(paths[0]), notices)
+    return Cameras(tuple(cameras.values()), read[0].up, str(paths[0]), notices)

@@ -1,4 +1,4 @@
-"""How exact observations are, and which cameras are stale, measured on a part of them.
+"""Observation noise and stale cameras, measured on a sample of frames.
 
 References:
     Rousseeuw, Least median of squares regression, 1984; the median of chi-square is
@@ -19,9 +19,9 @@ from animtool.capture.cameras.stale import PoseChange, pose_change
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 
-# Points that noise is measured on: it is known to some percent then.
+# Points for the noise estimate: enough for a few percent.
 SAMPLE = 1500
-# Of them, where all pairs of cameras are compared.
+# Points at which all pairs of cameras are compared.
 FIRST_SAMPLE = 400
 # Median length of a vector of two normal numbers of deviation 1: sqrt(2 ln 2).
 MEDIAN = 1.1774100225154747
@@ -30,24 +30,24 @@ MEDIAN = 1.1774100225154747
 _LEAST = (0.50, 0.20, 0.83, 0.61, 0.91, 0.76, 0.94, 0.83, 0.97)
 # Below, a gate would follow the rounding of pixels [px].
 MIN_NOISE = 0.05
-# A camera has the noise of all unless its own is this many times as large or small.
-ALIKE = 1.5
-# What the noise of a camera may be at most, against that of all.
+# Cameras share one noise unless a camera's differs by this factor.
+SIMILAR_NOISE = 1.5
+# Largest noise of a camera, over that of all.
 _MAX_RATIO = 3.0
-# A camera whose noise is this many times that of all is looked at: it may be stale.
+# A camera whose noise is this many times that of all may be stale.
 _SUSPECT = 1.1
 _SUSPECTS = 4
-# Share of points that must be found, if cameras are to agree [1].
-MIN_FOUND_SHARE = 0.5
+# Least fraction of triangulated points for cameras to agree [1].
+MIN_TRIANGULATED = 0.5
 _ROUNDS = 2
-_ANY = 1e6  # a gate that everything passes
-# What the kernel says of an observation.
+_ANY = 1e6  # a gate that accepts everything
+# The kernel's state of an observation.
 USED, _REJECTED, _INACTIVE = 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """How exact the observations of each camera are.
+    """Noise of each camera's observations.
 
     Attributes:
         pixels: Standard deviation of an axis [px] ``(C,)``.
@@ -63,7 +63,7 @@ class Noise:
 def measured_noise(
     observations: Observations, cameras: Sequence[Camera], gate: float, condition: float
 ) -> Noise:
-    """Return how exact observations are, as a part of all frames shows."""
+    """Return the noise of observations, measured on a sample of frames."""
     frames, views, markers = observations.stored.shape[:3]
     step = max(1, frames * markers // SAMPLE)
     pixels = observations.pixels(0, frames, step)
@@ -73,7 +73,7 @@ def measured_noise(
     active = np.ones(pixels.shape[:2], bool)
     stale: dict[int, PoseChange] = {}
     settings = (gate, condition)
-    for turn in range(_ROUNDS + views):
+    for round_ in range(_ROUNDS + views):
         *_, residuals, states = _kernels.triangulate_points(
             pixels, trust, numbers, active, noise, *settings, detailed=True
         )
@@ -83,11 +83,11 @@ def measured_noise(
         pooled = _pooled(lengths, states == USED)
         if pooled is None:
             break
-        own = _own(lengths, states)
-        middle = np.nanmedian(own) if np.isfinite(own).any() else 1.0
-        ratios = np.nan_to_num(own / middle, nan=1.0)
-        alike = (ratios < ALIKE) & (ratios > 1 / ALIKE)
-        scaled = np.where(alike, 1.0, np.clip(ratios, 1 / _MAX_RATIO, _MAX_RATIO))
+        noises = _camera_noise(lengths, states)
+        middle = np.nanmedian(noises) if np.isfinite(noises).any() else 1.0
+        ratios = np.nan_to_num(noises / middle, nan=1.0)
+        similar = (ratios < SIMILAR_NOISE) & (ratios > 1 / SIMILAR_NOISE)
+        scaled = np.where(similar, 1.0, np.clip(ratios, 1 / _MAX_RATIO, _MAX_RATIO))
         noise = np.maximum(pooled * scaled, MIN_NOISE)
         left_out = _stale_camera(
             cameras, pixels, trust, noise, active, ratios, settings
@@ -97,22 +97,22 @@ def measured_noise(
             active[:, worst] = False
             rest = active[0]
             noise[:] = first_noise(pixels[:, rest], numbers[rest])
-        elif turn >= _ROUNDS - 1:
+        elif round_ >= _ROUNDS - 1:
             break
     points, *_ = _kernels.triangulate_points(
         pixels, trust, numbers, active, noise, *settings, detailed=False
     )
-    seen = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1) > 1
-    found = int(np.isfinite(points[..., 0]).sum())
-    if found < MIN_FOUND_SHARE * seen.sum():
-        # No two agree, or any two do: all are used, as far as they are apart.
+    visible = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1) > 1
+    triangulated = int(np.isfinite(points[..., 0]).sum())
+    if triangulated < MIN_TRIANGULATED * visible.sum():
+        # No two agree, or any two do: all are pooled.
         stale, active = {}, np.ones_like(active)
         *_, residuals, states = _kernels.triangulate_points(
             pixels, trust, numbers, active, noise, _ANY, condition, detailed=True
         )
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
-        apart = _pooled(lengths, states == USED)
-        noise[:] = noise if apart is None else max(apart, MIN_NOISE)
+        overall = _pooled(lengths, states == USED)
+        noise[:] = noise if overall is None else max(overall, MIN_NOISE)
         return Noise(noise, stale, agree=False)
     noise[list(stale)] = np.median(noise[active[0]])
     return Noise(noise, stale)
@@ -127,14 +127,14 @@ def _stale_camera(
     ratios: FloatArray,
     settings: tuple[float, float],
 ) -> tuple[int, PoseChange] | None:
-    """Return the camera that a change of pose brings to where the others see points.
+    """Return the camera that a change of pose fits best to the others' points.
 
     One at a time: a stale camera makes others look worse than they are.
     """
     if active[0].sum() < 3:
         return None
     suspects = np.argsort(-ratios, kind="stable")
-    found: list[tuple[float, int, PoseChange]] = []
+    candidates: list[tuple[float, int, PoseChange]] = []
     for camera in suspects[:_SUSPECTS].tolist():
         if not active[0, camera] or ratios[camera] < _SUSPECT:
             continue
@@ -151,15 +151,15 @@ def _stale_camera(
         )
         change = pose_change(cameras[camera], points, pixels[:, camera])
         if change is not None:
-            found.append((float(np.nanmedian(sizes[..., 0])), camera, change))
-    if not found:
+            candidates.append((float(np.nanmedian(sizes[..., 0])), camera, change))
+    if not candidates:
         return None
-    _, camera, change = min(found, key=lambda each: each[:2])
+    _, camera, change = min(candidates, key=lambda each: each[:2])
     return camera, change
 
 
 def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
-    """Return the noise that least medians of squared residuals show [px]."""
+    """Return the noise estimated from least medians of squared residuals [px]."""
     pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // FIRST_SAMPLE)]
     counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
     least = _kernels.least_median_residuals(np.ascontiguousarray(pixels), numbers)
@@ -171,7 +171,7 @@ def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
 
 
 def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
-    """Return the noise that the sums of squares of points show [px]."""
+    """Return the noise estimated from the points' sums of squares [px]."""
     counts = used.sum(axis=1)
     sums = np.where(used, lengths, 0.0)
     sums = (sums * sums).sum(axis=1)[counts > 1]
@@ -182,12 +182,12 @@ def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
     return float(np.sqrt(np.median(sums / middle)))
 
 
-def _own(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
-    """Return the noise of each camera by its median residual [px] ``(C,)``."""
+def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
+    """Return the noise of each camera, from its median residual [px] ``(C,)``."""
     used = states == USED
     others = used.sum(axis=1)[:, None] - used
     judged = (used | (states == _REJECTED) | (states == _INACTIVE)) & (others > 1)
-    # A point of n cameras takes 3 of 2n residuals of those that it is from.
+    # A point from n cameras takes 3 of their 2n residuals.
     free = np.where(used, 1 - 1.5 / np.maximum(others + used, 2), 1.0)
     scaled = np.where(judged & np.isfinite(lengths), lengths / np.sqrt(free), np.nan)
     medians = np.full(lengths.shape[1], np.nan)

@@ -1,4 +1,4 @@
-"""What cameras see of markers: pixels over frames."""
+"""Observations: pixels of markers in each camera and frame."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.documents.arrays import Archives
 
-# Arrays of pixels by name: what a number is [px], and the number of what is not seen.
+# Arrays of pixels by name: unit of a number [px], and the number for invisible points.
 _ARRAYS = {"uv8": (0.125, 65535), "uv": (1.0, None)}
 MAX_CAMERAS = 256
-# What a command wants of a file that is none.
-WANTED = (
+# Hint for a file that has no observations.
+LAYOUT_HINT = (
     "write uv (frames, cameras, markers, 2) in pixels, fs and marker_names with "
     f"numpy.savez, then: animtool mocap triangulate take.npz {flag('cameras')} "
     "stage.cameras.yaml -o markers.npz"
 )
-# Of a file of another kind, what says which [bytes].
+# Bytes read to identify another file type.
 HEAD = 4096
-# Rates that a capture may have [Hz].
+# Valid rates of a capture [Hz].
 _RATES = (0.1, 100_000.0)
 
 
@@ -47,11 +47,11 @@ class Observations:
         cameras: Names of the cameras; empty where the file names none, and they are in
             the order of the cameras file.
         unit: What a stored number is [px].
-        missing: The stored number of what is not seen; None is NaN.
-        confidences: How sure a detector is ``(F, C, M)``, 0 for not seen; None where
-            all count the same.
-        path: Where they are from.
-        notices: Warnings and notes about that.
+        missing: The stored number for invisible points; None is NaN.
+        confidences: Detector confidence ``(F, C, M)``, 0 if not visible; None if
+            all are equal.
+        path: Their file.
+        notices: Warnings and notes about it.
     """
 
     names: tuple[str, ...]
@@ -65,7 +65,7 @@ class Observations:
     notices: tuple[Fault, ...] = ()
 
     def pixels(self, first: int, end: int, step: int = 1) -> FloatArray:
-        """Return the pixels of frames ``(F, C, M, 2)``, NaN where not seen."""
+        """Return the pixels of frames ``(F, C, M, 2)``, NaN where not visible."""
         stored = self.stored[first:end:step]
         pixels: FloatArray = np.multiply(stored, self.unit, dtype=np.float64)
         if self.missing is not None:
@@ -73,7 +73,7 @@ class Observations:
         return pixels
 
     def trust(self, first: int, end: int, step: int = 1) -> FloatArray | None:
-        """Return the confidences of frames ``(F, C, M)``; None where all are 1."""
+        """Return the confidences of frames ``(F, C, M)``; None if all are 1."""
         if self.confidences is None:
             return None
         return np.ascontiguousarray(self.confidences[first:end:step], np.float64)
@@ -84,18 +84,18 @@ def read_observations(
 ) -> Observations:
     """Return the observations of an npz file.
 
-    It holds ``uv`` ``(F, C, M, 2)`` in pixels, NaN where not seen, or ``uv8``, eighths
-    of a pixel as uint16, 65535 where not seen; the number ``fs`` (frames a second) and
-    the texts ``marker_names``. It may hold the texts ``camera_names`` and
+    It has ``uv`` ``(F, C, M, 2)`` in pixels, NaN where not visible, or ``uv8``, eighths
+    of a pixel as uint16, 65535 where not visible; the number ``fs`` (frames a second)
+    and the texts ``marker_names``. Optional: the texts ``camera_names`` and
     ``confidence`` ``(F, C, M)``.
 
     Args:
         path: The file.
-        fps: The frame rate, where the file has a wrong one or none.
+        fps: The frame rate, if the file has a wrong one or none.
 
     Raises:
-        FormatError: It cannot be read, or holds no such arrays (CAM010).
-        OptionError: fps is no rate (SCN022).
+        FormatError: It cannot be read, or lacks these arrays (CAM010).
+        OptionError: Invalid frame rate (SCN022).
     """
     path = Path(path)
     open_input(path, None).close()
@@ -109,14 +109,14 @@ def read_observations(
 
 
 def _other_kind(path: Path, message: str) -> tuple[str, str]:
-    """Return message and hint for a file that is of another kind than npz."""
+    """Return message and hint for a file of another type than npz."""
     with open_input(path, None) as file:
         head = file.read(HEAD)
     if head[:2] == b"PK":
-        return message, WANTED
+        return message, LAYOUT_HINT
     text = head.lstrip(b"\xef\xbb\xbf \r\n\t")
     if path.suffix.lower() != ".json" and text[:1] not in {b"{", b"["}:
-        return "is not an npz file of pixels", WANTED
+        return "is not an npz file of pixels", LAYOUT_HINT
     kind = "is a JSON file; observations are an npz file of pixels, or a folder of "
     kind += "OpenPose keypoints"
     if b'"people"' in text:
@@ -131,15 +131,17 @@ def _other_kind(path: Path, message: str) -> tuple[str, str]:
             "holds cameras, not observations; pass it as "
             f"{argument('cameras', path.name)}"
         )
-    return kind, WANTED
+    return kind, LAYOUT_HINT
 
 
 def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observations:
     known = archives.names(path)
     key = next((name for name in _ARRAYS if name in known), None)
     if key is None:
-        held = listed(known) or "nothing"
-        raise ValueError(f"has no array 'uv' or 'uv8' of pixels; its arrays are {held}")
+        arrays = listed(known) or "nothing"
+        raise ValueError(
+            f"has no array 'uv' or 'uv8' of pixels; its arrays are {arrays}"
+        )
     unit, missing = _ARRAYS[key]
     head = archives.header(path, key)
     if len(head.shape) != 4 or head.shape[3] != 2:
@@ -166,9 +168,9 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
         ("marker_names", len(names), count),
         ("camera_names", len(cameras), views),
     )
-    for what, given, wanted in lengths:
-        if given not in {wanted, 0}:
-            raise ValueError(f"{what!r} has {given}, but {key!r} has {wanted}")
+    for what, length, expected in lengths:
+        if length not in {expected, 0}:
+            raise ValueError(f"{what!r} has {length}, but {key!r} has {expected}")
     rate = _rate(archives, path, known, fps)
     confidences = None
     if "confidence" in known:
@@ -202,14 +204,14 @@ def _rate(
 
 
 def matched(observations: Observations, cameras: Cameras) -> Cameras:
-    """Return the cameras of observations, in their order.
+    """Return the cameras in the order of the observations.
 
     Raises:
         OptionError: They are not those of the file (CAM011), or fewer than two
             (CAM012).
     """
     path = cameras.path or None
-    seen = observations.stored.shape[1]
+    views = observations.stored.shape[1]
     if observations.cameras:
         by_name = {camera.name: camera for camera in cameras.cameras}
         missing = [name for name in observations.cameras if name not in by_name]
@@ -225,12 +227,12 @@ def matched(observations: Observations, cameras: Cameras) -> Cameras:
         chosen = tuple(by_name[name] for name in observations.cameras)
     else:
         chosen = cameras.cameras
-        if len(chosen) != seen:
+        if len(chosen) != views:
             message = f"holds {counted(len(chosen), 'camera')}, but the observations "
-            message += f"have {seen}"
+            message += f"have {views}"
             hint = "write camera_names in the observations to tell which they are"
             raise OptionError(Fault("CAM011", message, path, (), hint))
-    if seen < 2:
+    if views < 2:
         message = "one camera sees no depth: at least two are needed"
         raise OptionError(Fault("CAM012", message, observations.path or path))
     return replace(cameras, cameras=chosen)

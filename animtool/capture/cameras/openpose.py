@@ -36,30 +36,30 @@ from animtool.core.rates import FractionLike, rate_option
 from animtool.core.record import dataclass
 from animtool.core.similar import similar
 
-# Who is who: people that several cameras see, matched by rays and followed in time.
+# People seen by several cameras are matched by rays and tracked over time.
 
 MAX_PEOPLE = 100
-# How far off keypoints of one person may be, against the diagonal of what is seen [1]:
+# Largest distance of one person's keypoints, over the diagonal of the visible ones [1]:
 # between an image and where the person was before, and between two rays.
 _NEAR, _AGREE = 0.3, 0.06
-# How long a person may be out of sight and be the same [s].
+# Longest absence of a tracked person [s].
 LOST_SECONDS = 0.5
-# People that are seen shorter are taken for mistakes of the detector [s].
+# People visible for less than this are false detections [s].
 MIN_SECONDS = 0.25
-# Keypoints that two images must share, to be compared.
+# Least number of shared keypoints for comparing two images.
 MIN_SHARED = 3
 # The noise of detectors, against the diagonal of a person [1], and the gate.
 _NOISE, _GATE, _CONDITION = 0.015, 5.0, 6600.0
 
 
 @dataclass(slots=True)
-class _Track:
+class _PersonTrack:
     """A person over time."""
 
-    points: FloatArray  # where it was last [m] (M, 3)
-    seen: int  # the frame of that
-    # By frame and camera, which of the people there it is.
-    found: dict[tuple[int, int], int] = field(default_factory=dict)
+    points: FloatArray  # last positions [m] (M, 3)
+    last_frame: int  # their frame
+    # Index of the detection by frame and camera.
+    detections: dict[tuple[int, int], int] = field(default_factory=dict)
 
 
 def follow_people(
@@ -77,61 +77,63 @@ def follow_people(
         cameras: Their calibrations.
         rate: Frames a second.
         keypoints: M.
-        most: People to keep, those that are seen most; None keeps all.
+        most: Most people to keep, by visibility; None keeps all.
     """
-    tracks: list[_Track] = []
+    tracks: list[_PersonTrack] = []
     lost_after = max(1, round(LOST_SECONDS * rate))
     for frame, people in enumerate(detections):
-        live = [t for t in tracks if frame - t.seen <= lost_after]
-        free = {(c, i) for c, seen in enumerate(people) for i in range(len(seen))}
+        live = [t for t in tracks if frame - t.last_frame <= lost_after]
+        free = {
+            (c, i) for c, detected in enumerate(people) for i in range(len(detected))
+        }
         groups = _continued(live, people, cameras, free)
         fresh = _grouped(people, cameras, sorted(free))
         for known_as, group in [*groups, *((None, group) for group in fresh)]:
             points = _solved(group, people, cameras, keypoints)
             if points is None:
                 continue
-            track = known_as or _Track(points, frame)
+            track = known_as or _PersonTrack(points, frame)
             if known_as is None:
                 tracks.append(track)
             known = np.isfinite(points[:, :1])
             track.points = np.where(known, points, track.points)
-            track.seen = frame
-            track.found.update({(frame, c): i for c, i in group.items()})
+            track.last_frame = frame
+            track.detections.update({(frame, c): i for c, i in group.items()})
     least = min(len(detections), max(1, round(MIN_SECONDS * rate)))
-    kept = [t for t in tracks if len({f for f, _ in t.found}) >= least] or tracks
-    order = sorted(range(len(kept)), key=lambda k: (-len(kept[k].found), k))
+    kept = [t for t in tracks if len({f for f, _ in t.detections}) >= least] or tracks
+    order = sorted(range(len(kept)), key=lambda k: (-len(kept[k].detections), k))
     order = sorted(order[: most or len(order)])
     return _gathered([kept[k] for k in order], detections, len(cameras), keypoints)
 
 
 def _gathered(
-    tracks: list[_Track],
+    tracks: list[_PersonTrack],
     detections: Sequence[Sequence[Sequence[FloatArray]]],
     cameras: int,
     keypoints: int,
 ) -> FloatArray:
     shape = (len(detections), cameras, max(1, len(tracks)), keypoints, 3)
-    made = np.full(shape, np.nan)
-    made[..., 2] = 0
+    gathered = np.full(shape, np.nan)
+    gathered[..., 2] = 0
     for p, track in enumerate(tracks):
-        for (frame, camera), i in track.found.items():
-            made[frame, camera, p] = detections[frame][camera][i]
-    return made.reshape(shape[0], cameras, -1, 3)
+        for (frame, camera), i in track.detections.items():
+            gathered[frame, camera, p] = detections[frame][camera][i]
+    return gathered.reshape(shape[0], cameras, -1, 3)
 
 
-def _size(person: FloatArray) -> float:
-    """Return the diagonal of what is seen of a person [px]."""
-    spread = np.nanmax(person[:, :2], axis=0) - np.nanmin(person[:, :2], axis=0)
+def _size(keypoints: FloatArray) -> float:
+    """Return the diagonal of a person's visible keypoints [px]."""
+    spread = np.nanmax(keypoints[:, :2], axis=0) - np.nanmin(keypoints[:, :2], axis=0)
     return max(float(np.linalg.norm(spread)), 1.0)
 
 
 def _continued(
-    live: list[_Track],
+    live: list[_PersonTrack],
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
     free: set[tuple[int, int]],
-) -> list[tuple[_Track | None, dict[int, int]]]:
-    """Give people in images to those found before, and take them from ``free``."""
+) -> list[tuple[_PersonTrack | None, dict[int, int]]]:
+    """Assign detections to known people, and remove them from ``free``."""
     from scipy.optimize import linear_sum_assignment
 
     groups: list[dict[int, int]] = [{} for _ in live]
@@ -141,11 +143,11 @@ def _continued(
         costs = np.full((len(live), len(people[c])), _NEAR)
         for t, track in enumerate(live):
             shown = project(camera, track.points)
-            for i, person in enumerate(people[c]):
-                off = np.linalg.norm(shown - person[:, :2], axis=-1)
+            for i, keypoints in enumerate(people[c]):
+                off = np.linalg.norm(shown - keypoints[:, :2], axis=-1)
                 known = np.isfinite(off)
                 if known.sum() >= MIN_SHARED:
-                    cost = float(np.median(off[known])) / _size(person)
+                    cost = float(np.median(off[known])) / _size(keypoints)
                     costs[t, i] = min(cost, _NEAR)
         for t, i in zip(*linear_sum_assignment(costs), strict=True):
             if costs[t, i] < _NEAR:
@@ -159,7 +161,7 @@ def _grouped(
     cameras: Sequence[Camera],
     free: Sequence[tuple[int, int]],
 ) -> list[dict[int, int]]:
-    """Return new people: images of one person have rays that meet."""
+    """Return new people: detections whose rays intersect."""
     pairs = []
     lines = {each: _rays(cameras[each[0]], people[each[0]][each[1]]) for each in free}
     for a, one in enumerate(free):
@@ -191,19 +193,20 @@ def _grouped(
     return [group for group in unique.values() if len(group) > 1]
 
 
-def _rays(camera: Camera, person: FloatArray) -> FloatArray:
+def _rays(camera: Camera, keypoints: FloatArray) -> FloatArray:
     """Return directions of keypoints in the world ``(M, 3)``."""
-    flat = rays(camera, person[:, :2])
-    ahead = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
-    return np.asarray(ahead @ camera.rotation)
+    flat = rays(camera, keypoints[:, :2])
+    directions = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
+    return np.asarray(directions @ camera.rotation)
 
 
 def _missed(
     one: Camera, a: FloatArray, other: Camera, b: FloatArray, size: float, wide: float
 ) -> float:
-    """Return how far rays of two cameras miss, against the size of a person [1].
+    """Return how far rays of two cameras miss, over the size of a person [1].
 
-    The angle between a ray and the plane of the other ray and both cameras, in pixels.
+    It is the angle between a ray and the plane of the other ray and both cameras, in
+    pixels.
     """
     between = other.position - one.position
     total = 0.0
@@ -226,20 +229,20 @@ def _solved(
     cameras: Sequence[Camera],
     keypoints: int,
 ) -> FloatArray | None:
-    """Return where a person is [m] ``(M, 3)``; None where two cameras do not agree."""
+    """Return a person's points [m] ``(M, 3)``; None if no two cameras agree."""
     if len(group) < 2:
         return None
     chosen = sorted(group)
-    seen = np.stack([people[c][group[c]] for c in chosen])
-    noise = np.array([_NOISE * _size(person) for person in seen])
+    views = np.stack([people[c][group[c]] for c in chosen])
+    noise = np.array([_NOISE * _size(view) for view in views])
     points: FloatArray = _kernels.triangulate_points(
-        np.ascontiguousarray(seen[None, :, :, :2]), None,
+        np.ascontiguousarray(views[None, :, :, :2]), None,
         camera_numbers([cameras[c] for c in chosen]),
         np.ones((1, len(chosen)), bool), noise, _GATE, _CONDITION,
         detailed=False,
     )[0][0]  # fmt: skip
-    found = np.isfinite(points).all(axis=-1)
-    return points if found.sum() >= min(MIN_SHARED, keypoints) else None
+    triangulated = np.isfinite(points).all(axis=-1)
+    return points if triangulated.sum() >= min(MIN_SHARED, keypoints) else None
 
 
 BODY_25 = (
@@ -266,19 +269,19 @@ def read_keypoints(
     fps: FractionLike | None,
     people: int | None = None,
 ) -> Observations:
-    """Return the keypoints of a folder, with people followed through the cameras.
+    """Return the keypoints of a folder, with people tracked across cameras.
 
     Args:
         folder: Holds a folder for each camera, called as its calibration is, or in the
             order of the cameras. Names of files end with the frame's number, as in
             ``take_000000000012_keypoints.json``.
-        cameras: Calibrations of all cameras: who is who is found by where rays meet.
+        cameras: Calibrations of all cameras: people are matched by intersecting rays.
         fps: The frame rate, which the files do not state.
-        people: Keep the people that are seen most; None keeps all.
+        people: Most people to keep, by visibility; None keeps all.
 
     Raises:
         FormatError: A file cannot be read, or there are none (CAM010).
-        OptionError: fps is not given (CAM010) or no rate (SCN022), or the cameras are
+        OptionError: fps is missing (CAM010) or invalid (SCN022), or the cameras are
             others (CAM011).
     """
     folder = Path(folder)
@@ -293,8 +296,8 @@ def read_keypoints(
         raise FormatError(Fault("CAM010", message, str(folder)))
     names = _camera_names(folders, cameras)
     frames = [dict(_frames(each)) for each in folders]
-    first = min(min(found) for found in frames)
-    last = max(max(found) for found in frames)
+    first = min(min(files) for files in frames)
+    last = max(max(files) for files in frames)
     if last - first >= MAX_FRAMES:
         message = f"frames are numbered {first} to {last}: more than {MAX_FRAMES}"
         raise FormatError(Fault("CAM010", message, str(folder)))
@@ -304,10 +307,10 @@ def read_keypoints(
     )  # fmt: skip
     chosen = matched(shown, cameras)
     detections = [
-        [_people(found[f]) if f in found else [] for found in frames]
+        [_people(files[f]) if f in files else [] for files in frames]
         for f in range(first, last + 1)
     ]
-    counts = {len(p) for frame in detections for seen in frame for p in seen}
+    counts = {len(p) for frame in detections for detected in frame for p in detected}
     if len(counts) != 1:
         message = f"people have {listed(sorted(counts)) or 'no'} keypoints"
         hint = "all files must use one body model"
@@ -329,17 +332,17 @@ def read_keypoints(
 
 
 def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
-    """Return the camera of each folder: by its name, else in order."""
+    """Return the camera of each folder: by name, else in order."""
     known = set(cameras.names)
     suffixes = ("", "_json", "-json")
-    found = []
+    names = []
     for folder in folders:
         bare = [folder.name.removesuffix(end) for end in suffixes]
-        found.append(next((name for name in bare if name in known), ""))
-    if all(found):
-        return tuple(found)
-    if any(found):
-        missing = folders[found.index("")].name
+        names.append(next((name for name in bare if name in known), ""))
+    if all(names):
+        return tuple(names)
+    if any(names):
+        missing = folders[names.index("")].name
         near = similar(missing, cameras.names)
         message = f"camera {missing!r} has no calibration"
         hint = (
@@ -356,7 +359,7 @@ def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
 
 
 def _frames(folder: Path) -> Iterator[tuple[int, Path]]:
-    """Yield the files of a camera by the number of their frame."""
+    """Yield a camera's files with their frame numbers."""
     taken: dict[int, Path] = {}
     for path in sorted(folder.glob("*.json")):
         number = _NUMBER.search(path.name.removesuffix("_keypoints.json"))
@@ -377,9 +380,9 @@ def _people(path: Path) -> list[FloatArray]:
     try:
         value: Any = json.loads(data)
         people = value["people"]
-        found = [
-            np.array(person["pose_keypoints_2d"], np.float64).reshape(-1, 3)
-            for person in people[: MAX_PEOPLE + 1]
+        valid = [
+            np.array(keypoints["pose_keypoints_2d"], np.float64).reshape(-1, 3)
+            for keypoints in people[: MAX_PEOPLE + 1]
         ]
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         message = f"is not a file of keypoints: {_reason(error)}"
@@ -388,14 +391,14 @@ def _people(path: Path) -> list[FloatArray]:
         message = f"holds {len(people)} people; the limit is {MAX_PEOPLE}"
         raise FormatError(Fault("CAM010", message, str(path)))
     kept = []
-    for person in found:
-        if not 0 < len(person) <= MAX_KEYPOINTS:
-            message = f"a person has {len(person)} keypoints"
+    for keypoints in valid:
+        if not 0 < len(keypoints) <= MAX_KEYPOINTS:
+            message = f"a person has {len(keypoints)} keypoints"
             raise FormatError(Fault("CAM010", message, str(path)))
-        missing = ~np.isfinite(person).all(axis=1) | (person[:, 2] <= 0)
-        person[missing] = [np.nan, np.nan, 0]
+        missing = ~np.isfinite(keypoints).all(axis=1) | (keypoints[:, 2] <= 0)
+        keypoints[missing] = [np.nan, np.nan, 0]
         if not missing.all():
-            kept.append(person)
+            kept.append(keypoints)
     return kept
 
 

@@ -1,4 +1,4 @@
-"""What triangulation found, how well cameras agree, and what to know about them."""
+"""Report of a triangulation: points, camera agreement and warnings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool.capture.cameras.camera import Camera
-from animtool.capture.cameras.stale import MIN_VIEW, Disagreement, Moved
+from animtool.capture.cameras.stale import MIN_VIEW, Disagreement, PoseShift
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity, counted, listed, percent
@@ -18,28 +18,28 @@ from animtool.core.record import dataclass
 from animtool.core.shot import frame_spans
 from animtool.motion.markers import Markers
 
-# Share of a camera's observations that are outliers, above which it is named [1].
+# Fraction of a camera's outliers above which it is reported [1].
 MANY_OUTLIERS = 0.1
-# Share of a frame's points that are gaps, above which it is named [1].
+# Fraction of a frame's gaps above which it is reported [1].
 LOST = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class CameraReport:
-    """How well a camera agrees with the points.
+    """How well a camera agrees with the triangulated points.
 
     Attributes:
         name: Of the camera.
-        observed: Observations that it has.
-        used: Observations that points are from.
-        outliers: Share of the observations of found points that were left out [1].
+        observed: Number of observations.
+        used: Observations used for points.
+        outliers: Fraction of the triangulated points' observations left out [1].
         error_px: Root mean square reprojection error of the used ones [px].
         error_mm: The same at the depth of the points [mm].
         noise_px: Standard deviation of an axis, as measured [px].
         no_ray: Observations that its lens model does not cover.
         outside: Observations outside of its image.
-        moved: Frames through which it does not fit its calibration.
-        disagrees: Single frames in which it does not agree with the others.
+        shifts: Frames through which it does not fit its calibration.
+        disagrees: Single frames in which it disagrees with the others.
     """
 
     name: str
@@ -51,17 +51,17 @@ class CameraReport:
     noise_px: float
     no_ray: int = 0
     outside: int = 0
-    moved: tuple[Moved, ...] = ()
+    shifts: tuple[PoseShift, ...] = ()
     disagrees: tuple[Disagreement, ...] = ()
     json_keys: ClassVar[str] = (
         "name observed used outliers noise_px reprojection=.{px=error_px mm=error_mm} "
-        "moved disagrees"
+        "moved=shifts disagrees"
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Triangulation:
-    """Points from cameras, and how well the cameras agree.
+    """Triangulated points, and how well the cameras agree.
 
     Attributes:
         markers: The points, with camera counts and residuals.
@@ -69,8 +69,8 @@ class Triangulation:
         cameras: One report for each.
         error_px: Root mean square reprojection error of used observations [px].
         error_mm: The same at the depth of the points [mm].
-        seen: Points that two cameras and more see.
-        found: Points that have a position.
+        visible: Points visible to two or more cameras.
+        triangulated: Points that have a position.
         notices: Warnings and notes.
     """
 
@@ -79,37 +79,38 @@ class Triangulation:
     cameras: tuple[CameraReport, ...]
     error_px: float
     error_mm: float
-    seen: int
-    found: int
+    visible: int
+    triangulated: int
     notices: tuple[Fault, ...]
-    source: Path | None = None  # what the cameras see, where it is in files
-    output: Path | None = None  # the file of the markers, likewise
+    source: Path | None = None  # the observations, if from files
+    output: Path | None = None  # the marker file, likewise
     json_keys: ClassVar[str] = (
         "'mocap triangulate' observations=source output frames=markers.clock.count "
-        "fps=markers.clock.rate markers=markers.names points=.{seen found} "
+        "fps=markers.clock.rate markers=markers.names "
+        "points=.{seen=visible found=triangulated} "
         "reprojection=.{px=error_px mm=error_mm} cameras notices"
     )
 
     @property
-    def share(self) -> float:
-        """Share of the points that cameras see which have a position [1]."""
-        return self.found / max(1, self.seen)
+    def fraction(self) -> float:
+        """Fraction of the visible points that have a position [1]."""
+        return self.triangulated / max(1, self.visible)
 
 
 @dataclass(frozen=True, slots=True)
 class Tallies:
-    """Counts of cameras in frames, as the kernel has them ``(F, C, 8)``."""
+    """Observation counts per frame and camera, from the kernel ``(F, C, 8)``."""
 
     values: FloatArray
 
     @property
     def used(self) -> FloatArray:
-        """Observations that points are from ``(F, C)``."""
+        """Observations used for points ``(F, C)``."""
         return self.values[..., 1]
 
     @property
     def judged(self) -> FloatArray:
-        """Observations of found points ``(F, C)``."""
+        """Observations of triangulated points ``(F, C)``."""
         return self.values[..., 2]
 
     @property
@@ -118,7 +119,7 @@ class Tallies:
         return self.values[..., 3]
 
     def report(
-        self, camera: int, name: str, noise: float, moved: tuple[Moved, ...]
+        self, camera: int, name: str, noise: float, shifts: tuple[PoseShift, ...]
     ) -> CameraReport:
         """Return the report of a camera."""
         sums = self.values[:, camera].sum(axis=0)
@@ -133,7 +134,7 @@ class Tallies:
             noise,
             int(no_ray),
             int(outside),
-            moved,
+            shifts,
         )
 
     def errors(self) -> tuple[float, float]:
@@ -146,25 +147,25 @@ class Tallies:
 def camera_notices(
     report: CameraReport, camera: Camera, clock: Clock, path: str, *, kept: bool
 ) -> Iterator[Fault]:
-    """Yield what to know about a camera.
+    """Yield warnings about a camera.
 
-    kept: Whether it takes part where it moved.
+    kept: Whether it takes part where its pose shifted.
     """
 
     def warning(code: str, message: str, hint: str | None = None) -> Fault:
         return Fault(code, message, path or None, (), hint, Severity.WARNING)
 
-    for moved in report.moved:
-        whole = moved.first == 0 and moved.end == clock.count
+    for shift in report.shifts:
+        throughout = shift.first == 0 and shift.end == clock.count
         text = (
-            f"camera {report.name!r} moved in frames {moved.first + 1} to {moved.end}"
+            f"camera {report.name!r} moved in frames {shift.first + 1} to {shift.end}"
         )
-        if whole:
+        if throughout:
             text = f"camera {report.name!r} does not match its calibration in any frame"
-        text += f": {percent(moved.outliers)} of its points are outliers"
-        if moved.change is not None:
-            text += f", and {moved.change} would explain it"
-        if moved.kept:
+        text += f": {percent(shift.outliers)} of its points are outliers"
+        if shift.change is not None:
+            text += f", and {shift.change} would explain it"
+        if shift.kept:
             text += "; it is kept: without it, the others do not agree better"
         else:
             text += "; it is kept" if kept else "; it is excluded there"
@@ -178,7 +179,7 @@ def camera_notices(
             text += f" ({percent(worst.outliers)} outliers in {worst.frame + 1})"
         hint = "was it bumped or out of sync there? its outliers are excluded"
         yield warning("CAM111", text, hint)
-    if report.outliers > MANY_OUTLIERS and not report.moved:
+    if report.outliers > MANY_OUTLIERS and not report.shifts:
         text = (
             f"{percent(report.outliers)} of the points of camera {report.name!r} are "
         )
@@ -198,18 +199,18 @@ def camera_notices(
 
 
 def lost_frames(
-    positions: FloatArray, seen: BoolArray, clock: Clock, path: str
+    positions: FloatArray, visible: BoolArray, clock: Clock, path: str
 ) -> Iterator[Fault]:
-    """Yield the frames in which no two cameras agree on most of what two see.
+    """Yield frames in which no two cameras agree on most visible points.
 
     Args:
         positions: ``(F, M, 3)``, NaN for a gap.
-        seen: What two cameras and more see ``(F, M)``.
+        visible: Points visible to two or more cameras ``(F, M)``.
         clock: Of the frames.
         path: Of the observations.
     """
-    lost = (seen & np.isnan(positions[..., 0])).sum(axis=1)
-    frames = np.flatnonzero((lost > LOST * seen.sum(axis=1)) & (lost >= MIN_VIEW))
+    lost = (visible & np.isnan(positions[..., 0])).sum(axis=1)
+    frames = np.flatnonzero((lost > LOST * visible.sum(axis=1)) & (lost >= MIN_VIEW))
     if not len(frames) or len(frames) == clock.count:
         return
     text = f"cameras disagree in {counted(len(frames), 'frame')}: "
@@ -219,18 +220,18 @@ def lost_frames(
 
 
 def gap_notices(
-    names: Sequence[str], positions: FloatArray, seen: int, path: str
+    names: Sequence[str], positions: FloatArray, views: int, path: str
 ) -> Iterator[Fault]:
-    """Yield what to know about points that are not found.
+    """Yield warnings about points without a position.
 
     positions: ``(F, M, 3)``, NaN for a gap.
     """
-    found = np.isfinite(positions[..., 0])
-    never = [names[i] for i in np.flatnonzero(~found.any(axis=0)).tolist()]
+    triangulated = np.isfinite(positions[..., 0])
+    never = [names[i] for i in np.flatnonzero(~triangulated.any(axis=0)).tolist()]
     if never:
         text = f"no two cameras agree on {listed(never)} in any frame"
         yield Fault("CAM104", text, path or None, severity=Severity.WARNING)
-    lost = seen - int(found.sum())
+    lost = views - int(triangulated.sum())
     if lost > 0:
         text = f"{counted(lost, 'point')} that two or more cameras see are gaps: no "
         text += "two agree, or their rays are too close to parallel"

@@ -12,25 +12,25 @@ from animtool.core.record import dataclass
 from animtool.maths.runs import joined, runs
 from animtool.maths.so3 import exp, from_matrix, log, to_matrix
 
-# Share of outliers from which a camera does not fit its calibration [1].
-MOVED = 0.5
-# How long it must last [s], and how many observations say so.
+# Least fraction of outliers of a camera that does not fit its calibration [1].
+MIN_REJECTED = 0.5
+# Its least duration [s] and number of observations.
 MIN_SECONDS = 0.25
 MIN_OBSERVATIONS = 20
 _STEPS = 8
-# Observations of a frame that say whether a camera agrees there; how many times its
-# noise the rest is then off, and by how many deviations of chance.
-MIN_VIEW, LOUD, CHANCE = 3, 2.0, 6.0
+# Least observations to test a camera in a frame; how many times its
+# noise the rest deviates, and by how many standard errors.
+MIN_VIEW, LOUD, SAMPLING_SPREAD = 3, 2.0, 6.0
 
 
 @dataclass(frozen=True, slots=True)
 class PoseChange:
-    """A motion of a camera.
+    """A change of a camera's pose.
 
     Attributes:
-        angle: How far it turned [rad].
-        distance: How far it went [m].
-        error_px: Median reprojection error that is left with it [px].
+        angle: Rotation [rad].
+        distance: Translation [m].
+        error_px: Median reprojection error after the change [px].
     """
 
     angle: float
@@ -38,22 +38,22 @@ class PoseChange:
     error_px: float
 
     def __str__(self) -> str:
-        """Return it in words."""
-        turn = f"a rotation of {np.degrees(self.angle):.2f} degrees"
-        way = f"a shift of {1000 * self.distance:.1f} mm"
-        return f"{turn} and {way} (reprojection then {self.error_px:.2f} px)"
+        """Return it as text."""
+        rotation = f"a rotation of {np.degrees(self.angle):.2f} degrees"
+        shift = f"a shift of {1000 * self.distance:.1f} mm"
+        return f"{rotation} and {shift} (reprojection then {self.error_px:.2f} px)"
 
 
 @dataclass(frozen=True, slots=True)
-class Moved:
-    """Frames through which a camera does not fit its calibration.
+class PoseShift:
+    """Frames in which a camera does not fit its calibration.
 
     Attributes:
         first: The first one, from 0.
-        end: Behind the last one.
-        outliers: Share of what it sees that are outliers [1].
-        change: What would explain it; None where nothing does.
-        kept: Whether it takes part all the same, as the others fit no better without.
+        end: After the last one.
+        outliers: Fraction of its observations that are outliers [1].
+        change: The pose change that explains it; None if none does.
+        kept: Whether it takes part anyway, as the others fit no better without.
     """
 
     first: int
@@ -68,7 +68,7 @@ class Moved:
 
     @property
     def number(self) -> int:
-        """The first one, from 1."""
+        """The first frame, from 1."""
         return self.first + 1
 
 
@@ -78,7 +78,7 @@ class Disagreement:
 
     Attributes:
         frame: From 0.
-        outliers: Share of what it sees that are outliers [1].
+        outliers: Fraction of its observations that are outliers [1].
         error_px: Root mean square reprojection error of the rest [px]; NaN without any.
     """
 
@@ -93,29 +93,29 @@ class Disagreement:
         return self.frame + 1
 
 
-def moved_ranges(
+def shifted_ranges(
     judged: FloatArray, rejected: FloatArray, active: BoolArray, rate: float
-) -> tuple[int, list[Moved]] | None:
-    """Return the camera that fits worst, and where; None where all fit.
+) -> tuple[int, list[PoseShift]] | None:
+    """Return the worst-fitting camera and its frame ranges; None if all fit.
 
-    A camera that would leave fewer than two is not taken.
+    A camera that would leave fewer than two is skipped.
 
     Args:
-        judged: Observations of found points ``(F, C)``.
+        judged: Observations of triangulated points ``(F, C)``.
         rejected: Outliers among them ``(F, C)``.
         active: Cameras that take part ``(F, C)``.
         rate: Frames a second.
     """
     window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
-    best: tuple[int, list[Moved]] | None = None
+    best: tuple[int, list[PoseShift]] | None = None
     most = 0
     for camera in range(judged.shape[1]):
         live = active[:, camera] & (active.sum(axis=1) > 2)
         count = _around(np.where(live, judged[:, camera], 0), window)
         wrong = _around(np.where(live, rejected[:, camera], 0), window)
-        off = live & (wrong > MOVED * count) & (count >= MIN_OBSERVATIONS)
-        own = np.where(live[:, None], rejected, 0.0)
-        ranges = _moved(judged, own, camera, off, window)
+        off = live & (wrong > MIN_REJECTED * count) & (count >= MIN_OBSERVATIONS)
+        rejections = np.where(live[:, None], rejected, 0.0)
+        ranges = _shifted(judged, rejections, camera, off, window)
         total = sum(int(rejected[m.first : m.end, camera].sum()) for m in ranges)
         if total > most:
             best, most = (camera, ranges), total
@@ -124,18 +124,18 @@ def moved_ranges(
 
 def stale_ranges(
     judged: FloatArray, rejected: FloatArray, camera: int, rate: float
-) -> list[Moved]:
-    """Return where a camera that takes no part does not fit; all where no part says.
+) -> list[PoseShift]:
+    """Return ranges in which an unused camera does not fit; all if no part differs.
 
-    Arguments are those of `moved_ranges`.
+    Arguments are those of `shifted_ranges`.
     """
     window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
     count = _around(judged[:, camera], window)
     wrong = _around(rejected[:, camera], window)
-    off = (wrong > MOVED * count) | (count < MIN_OBSERVATIONS)
+    off = (wrong > MIN_REJECTED * count) | (count < MIN_OBSERVATIONS)
     if not (off & (count >= MIN_OBSERVATIONS)).any():
         off[:] = True
-    return _moved(judged, rejected, camera, off, window)
+    return _shifted(judged, rejected, camera, off, window)
 
 
 def disagreements(
@@ -152,9 +152,9 @@ def disagreements(
     _, used, judged, rejected, _, pixels, *_ = values[:, camera].T
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = pixels / used / (2 * noise**2)
-        chance = 1 + CHANCE / np.sqrt(used)
-    many = rejected > MOVED * judged
-    loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD**2, chance))
+        spread = 1 + SAMPLING_SPREAD / np.sqrt(used)
+    many = rejected > MIN_REJECTED * judged
+    loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD**2, spread))
     frames = np.flatnonzero(live & (judged >= MIN_VIEW) & (many | loud))
     return [
         Disagreement(
@@ -168,55 +168,57 @@ def disagreements(
 
 def truncated_error(
     residuals: FloatArray,
-    seen: BoolArray,
+    visible: BoolArray,
     noise: FloatArray,
     gate: float,
     more: BoolArray | bool = False,
 ) -> float:
-    """Return the mean squared reprojection error of observations, by what is expected.
+    """Return the mean squared reprojection error over its expectation, truncated.
 
-    Residuals beyond the gate, and observations of points that are not found, count as
+    Residuals beyond the gate, and observations of points without a position, count as
     at the gate.
 
     Args:
         residuals: ``(F, C, M, 2)`` [px], NaN where a point is not found.
-        seen: The observations that count ``(F, C, M)``.
+        visible: The observations that count ``(F, C, M)``.
         noise: Of each camera [px] ``(C,)``.
-        gate: What is an outlier, against the noise.
-        more: Whether a camera more takes part in a point ``(F, M)``.
+        gate: Outlier threshold, over the noise.
+        more: Whether one more camera takes part in a point ``(F, M)``.
     """
     squares = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
     squares = np.where(np.isfinite(squares), np.minimum(squares, gate**2), gate**2)
-    count = seen.sum(axis=1)
+    count = visible.sum(axis=1)
     # A point takes 3 of the 2 n residuals of all n cameras that see it.
     free = 2 * count - 3 * count / np.maximum(count + more, 1)
-    return float(squares[seen].sum() / max(float(free.sum()), 1e-12))
+    return float(squares[visible].sum() / max(float(free.sum()), 1e-12))
 
 
-def _moved(
+def _shifted(
     judged: FloatArray, rejected: FloatArray, camera: int, off: BoolArray, window: int
-) -> list[Moved]:
-    """Return runs of frames in which a camera is off, to the frame."""
-    wrong = np.concatenate([rejected[:, camera] > MOVED * judged[:, camera], [False]])
-    found = []
+) -> list[PoseShift]:
+    """Return runs of frames in which a camera does not fit, to the frame."""
+    wrong = np.concatenate(
+        [rejected[:, camera] > MIN_REJECTED * judged[:, camera], [False]]
+    )
+    ranges = []
     for begin, end in _runs(off, window):
         first = begin - int(np.argmin(wrong[:begin][::-1])) if begin else 0
         if begin and wrong[:begin].all():
             first = 0
         last = end + int(np.argmin(wrong[end:]))
-        share = _share(judged, rejected, camera, first, last)
-        found.append(Moved(first, last, share))
-    return found
+        fraction = _rejected_fraction(judged, rejected, camera, first, last)
+        ranges.append(PoseShift(first, last, fraction))
+    return ranges
 
 
-def _share(
+def _rejected_fraction(
     judged: FloatArray, rejected: FloatArray, camera: int, a: int, b: int
 ) -> float:
     return float(rejected[a:b, camera].sum() / max(1, judged[a:b, camera].sum()))
 
 
 def _around(values: FloatArray, window: int) -> FloatArray:
-    """Return sums over a window around each frame ``(F,)``, cut at the ends."""
+    """Return sums over a window around each frame ``(F,)``, clipped at the ends."""
     total = np.concatenate([[0], np.cumsum(values)])
     frames = np.arange(len(values))
     first = np.maximum(frames - window // 2, 0)
@@ -226,8 +228,8 @@ def _around(values: FloatArray, window: int) -> FloatArray:
 
 
 def _runs(off: BoolArray, window: int) -> list[tuple[int, int]]:
-    """Return runs of frames of a window and more, gaps shorter than one closed."""
-    # What lasts for a window is off for half of one at least around it.
+    """Return runs of at least a window of frames; shorter gaps are closed."""
+    # A shift that lasts a window shows for at least half of one around it.
     least = max(1, window // 2)
     return [(a, b) for a, b in joined(runs(off), window) if b - a >= least]
 
@@ -235,63 +237,63 @@ def _runs(off: BoolArray, window: int) -> list[tuple[int, int]]:
 def pose_change(
     camera: Camera, points: FloatArray, pixels: FloatArray
 ) -> PoseChange | None:
-    """Return the motion of a camera that fits its pixels best; None where none does.
+    """Return the pose change that fits a camera's pixels best; None if none fits.
 
     Gauss-Newton steps with residuals weighted by 1 / (1 + r / s), s their median.
 
     Args:
         camera: As it was calibrated.
         points: In the world [m] ``(F, M, 3)``, NaN for gaps.
-        pixels: What it sees of them ``(F, M, 2)``, NaN for what it does not.
+        pixels: Its observations of them ``(F, M, 2)``, NaN if not visible.
     """
     known = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
     points, pixels = points[known], pixels[known]
     if len(points) < MIN_OBSERVATIONS:
         return None
     rotation, translation = camera.rotation, camera.translation
-    moved = camera
+    refined = camera
     for _ in range(_STEPS):
-        moved = Camera(
+        refined = Camera(
             camera.name, camera.focal, camera.centre, rotation, translation,
             camera.size, camera.skew, camera.distortion,
         )  # fmt: skip
-        off = project(moved, points) - pixels
+        off = project(refined, points) - pixels
         lengths = np.linalg.norm(off, axis=-1)
         usable = np.isfinite(lengths)
         if usable.sum() < MIN_OBSERVATIONS:
             return None
         middle = max(float(np.median(lengths[usable])), 1e-6)
         weights = np.where(usable, 1 / (1 + lengths / middle), 0.0)
-        slopes = _slopes(moved, points)
+        slopes = _slopes(refined, points)
         usable &= np.isfinite(slopes).all(axis=(1, 2))
         root = np.sqrt(weights[usable])[:, None]
         matrix = (slopes[usable] * root[..., None]).reshape(-1, 6)
         step = np.linalg.lstsq(matrix, -(off[usable] * root).ravel(), rcond=None)[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]
-    left = np.linalg.norm(project(moved, points) - pixels, axis=-1)
+    left = np.linalg.norm(project(refined, points) - pixels, axis=-1)
     before = np.linalg.norm(project(camera, points) - pixels, axis=-1)
     if not np.nanmedian(left) < 0.5 * np.nanmedian(before):
         return None
-    turn = log(from_matrix(moved.rotation @ camera.rotation.T))
+    angle_vector = log(from_matrix(refined.rotation @ camera.rotation.T))
     return PoseChange(
-        float(np.linalg.norm(turn)),
-        float(np.linalg.norm(moved.position - camera.position)),
+        float(np.linalg.norm(angle_vector)),
+        float(np.linalg.norm(refined.position - camera.position)),
         float(np.nanmedian(left)),
     )
 
 
 def _slopes(camera: Camera, points: FloatArray) -> FloatArray:
-    """Return pixels by a turn and a shift in the camera's frame ``(N, 2, 6)``."""
+    """Return pixel derivatives by rotation and shift in the camera ``(N, 2, 6)``."""
     here = project(camera, points)
     size = 1e-6
     columns = []
     for axis in range(6):
-        turn = to_matrix(exp(size * np.eye(6)[axis][:3]))
+        rotation = to_matrix(exp(size * np.eye(6)[axis][:3]))
         shift = size * np.eye(6)[axis][3:]
         nudged = Camera(
-            camera.name, camera.focal, camera.centre, turn @ camera.rotation,
-            turn @ camera.translation + shift, camera.size, camera.skew,
+            camera.name, camera.focal, camera.centre, rotation @ camera.rotation,
+            rotation @ camera.translation + shift, camera.size, camera.skew,
             camera.distortion,
         )  # fmt: skip
         columns.append((project(nudged, points) - here) / size)

@@ -1,8 +1,8 @@
-"""Points in the world from what calibrated cameras see of them.
+"""Triangulation of points from calibrated cameras.
 
-Each point is where the sum of squared reprojection errors is least. Where the residual
-says that an observation is wrong, cameras are left out until the others agree, or the
-point is sought that most cameras agree on. What no two cameras agree on is a gap.
+Each point minimises the sum of squared reprojection errors. If the residual shows a
+wrong observation, cameras are left out until the others agree, or the point that most
+cameras agree on is searched for. Points that no two cameras agree on are gaps.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from animtool.capture.cameras.report import (
 )
 from animtool.capture.cameras.stale import (
     Disagreement,
-    Moved,
     PoseChange,
+    PoseShift,
     disagreements,
-    moved_ranges,
     pose_change,
+    shifted_ranges,
     stale_ranges,
     truncated_error,
 )
@@ -39,16 +39,16 @@ from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 
-# Observations that are worked on at once: what they take stays below 50 MB.
+# Observations per block: memory stays below 50 MB.
 BLOCK = 500_000
-# Noise above this share of an image's width means that cameras and observations do not
-# belong together [1].
+# Noise above this fraction of an image's width means that cameras and observations do
+# not belong together [1].
 MAX_NOISE = 0.03
-# Noise above this share of the width is more than detectors of keypoints have [1].
-ODD_NOISE = 0.01
-# Frames that the motion of a camera is measured on.
+# Noise above this fraction of the width exceeds that of keypoint detectors [1].
+SUSPECT_NOISE = 0.01
+# Frames for estimating a camera's pose change.
 _CHANGE_FRAMES = 50
-# Errors of the others this near each other are the same [1]: outliers of a camera that
+# Errors this near each other are equal [1]: outliers of a camera that
 # is kept are left out of the points anyway.
 TIE = 1.02
 
@@ -62,13 +62,13 @@ def triangulate(
     *,
     progress: Progress | None = None,
 ) -> Triangulation:
-    """Return the points that calibrated cameras see.
+    """Return the points that calibrated cameras observe.
 
     Args:
         observations: Pixels over frames.
         cameras: Their calibrations, in any order where the observations name theirs.
         options: How; None is the defaults.
-        progress: Told the share done.
+        progress: Called with the fraction done.
 
     Raises:
         OptionError: Cameras and observations do not belong together (CAM011, CAM014),
@@ -77,7 +77,9 @@ def triangulate(
     """
     options = options or TriangulateOptions()
     _check_options(options)
-    run = _Run(observations, matched(observations, cameras), options, progress)
+    run = _TriangulationRun(
+        observations, matched(observations, cameras), options, progress
+    )
     return run.result()
 
 
@@ -95,8 +97,8 @@ def _check_options(options: TriangulateOptions) -> None:
         raise OptionError(Fault("CAP001", message, where="min_angle"))
 
 
-class _Run:
-    """A triangulation under way."""
+class _TriangulationRun:
+    """State of a triangulation."""
 
     def __init__(
         self,
@@ -115,19 +117,19 @@ class _Run:
         self.known = np.full((self.frames, self.markers, 5), np.nan)
         self.tallies = Tallies(np.zeros((self.frames, self.views, 8)))
         self.notices = [*cameras.notices, *observations.notices]
-        self.moved: list[list[Moved]] = [[] for _ in range(self.views)]
+        self.shifts: list[list[PoseShift]] = [[] for _ in range(self.views)]
 
     def result(self) -> Triangulation:
         """Return the points and the reports."""
         stale = self._measure()
         self._solve(0, self.frames)
         self._note_stale(stale)
-        self._leave_out_moved()
-        self._check_found()
+        self._exclude_shifted()
+        self._check_triangulated()
         return self._triangulation()
 
     def _measure(self) -> dict[int, PoseChange]:
-        """Measure the noise; return cameras that do not fit in any frame."""
+        """Measure the noise; return cameras that fit in no frame."""
         if self.options.noise is not None:
             self.noise = np.full(self.views, float(self.options.noise))
             return {}
@@ -145,7 +147,7 @@ class _Run:
         if middle > MAX_NOISE * width:
             message = f"cameras disagree: their rays miss each other by {middle:.0f} px"
             self._disagree(message)
-        if not measured.agree or middle > ODD_NOISE * width:
+        if not measured.agree or middle > SUSPECT_NOISE * width:
             message = f"rays of the cameras miss each other by {middle:.1f} px"
             hint = "one of them may have moved; calibrate them again"
             self._warn("CAM108", message, hint)
@@ -153,14 +155,14 @@ class _Run:
 
     @property
     def _condition(self) -> float:
-        """The most that the trace of a normal matrix times its inverse's may be.
+        """Largest allowed trace of a normal matrix times its inverse's.
 
-        Of two rays at an angle a, unit weights: 4 / (2 sin(a / 2)^2).
+        For two rays at an angle a, unit weights: 4 / (2 sin(a / 2)^2).
         """
         return float(2 / max(np.sin(self.options.min_angle / 2) ** 2, 1e-12))
 
     def _solve(self, first: int, end: int) -> None:
-        """Solve frames block by block, and note what is known of them."""
+        """Solve frames block by block, and store the results."""
         for begin, stop in self._blocks(first, end):
             at = slice(begin, stop)
             self.positions[at], self.known[at], self.tallies.values[at], *_ = (
@@ -184,44 +186,44 @@ class _Run:
             yield begin, min(begin + size, end)
 
     def _note_stale(self, stale: dict[int, PoseChange]) -> None:
-        """Note where cameras that another pose fits better are off; use them elsewhere.
+        """Record where cameras with a better pose do not fit; use them elsewhere.
 
-        All frames are looked at as one before: a camera that moved on the way is off
-        in a part of them.
+        The test covers all frames at once first: a camera that moved during the take is
+        off in part of them.
         """
         rate = float(self.observations.clock.rate)
         for camera, change in stale.items():
             judged, rejected = self.tallies.judged, self.tallies.rejected
             ranges = stale_ranges(judged, rejected, camera, rate)
             was = self.active[:, camera].copy()
-            self.moved[camera] += self._left_out(
+            self.shifts[camera] += self._left_out(
                 camera, [replace(each, change=change) for each in ranges]
             )
             if not self.options.keep_moved:
                 self.active[:, camera] = True
-                for each in self.moved[camera]:
+                for each in self.shifts[camera]:
                     self.active[each.first : each.end, camera] = each.kept
                 self._solve_changed(self.active[:, camera] != was)
 
-    def _left_out(self, camera: int, ranges: list[Moved]) -> list[Moved]:
-        """Return ranges with whether a camera is kept in them: it is no better without.
+    def _left_out(self, camera: int, ranges: list[PoseShift]) -> list[PoseShift]:
+        """Return ranges, marking a camera as kept where leaving it out does not help.
 
-        What says so is the reprojection error of the other cameras.
+        The criterion is the reprojection error of the other cameras.
         """
         if self.options.keep_moved:
             return ranges
-        return [replace(m, kept=not self._better_without(camera, m)) for m in ranges]
+        return [replace(m, kept=not self._better_excluded(camera, m)) for m in ranges]
 
-    def _better_without(self, camera: int, moved: Moved) -> bool:
-        """Return whether the other cameras agree better where one is left out."""
-        step = max(1, (moved.end - moved.first) // _CHANGE_FRAMES)
-        at = slice(moved.first, moved.end, step)
-        pixels = self.observations.pixels(moved.first, moved.end, step)
-        trust = self.observations.trust(moved.first, moved.end, step)
+    def _better_excluded(self, camera: int, shift: PoseShift) -> bool:
+        """Return whether the other cameras agree better without one camera."""
+        step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
+        at = slice(shift.first, shift.end, step)
+        pixels = self.observations.pixels(shift.first, shift.end, step)
+        trust = self.observations.trust(shift.first, shift.end, step)
         visible = np.isfinite(pixels).all(axis=-1)
-        seen = visible & self.active[at][..., None]
-        seen[:, camera] = False
-        seen &= (seen.sum(axis=1) > 1)[:, None]
+        views = visible & self.active[at][..., None]
+        views[:, camera] = False
+        views &= (views.sum(axis=1) > 1)[:, None]
         errors = []
         for kept in (True, False):
             active = np.ascontiguousarray(self.active[at])
@@ -240,7 +242,7 @@ class _Run:
             errors.append(
                 truncated_error(
                     residuals.astype(np.float64),
-                    seen,
+                    views,
                     self.noise,
                     self.options.gate,
                     takes_part,
@@ -249,25 +251,25 @@ class _Run:
         return errors[1] <= TIE * errors[0]
 
     def _solve_changed(self, changed: BoolArray) -> None:
-        """Solve the frames again in which the cameras are others."""
+        """Solve frames again whose set of cameras changed."""
         for first, end in runs(changed):
             self._solve(first, end)
 
-    def _leave_out_moved(self) -> None:
-        """Leave out cameras where they do not fit, the worst first."""
+    def _exclude_shifted(self) -> None:
+        """Exclude cameras where they do not fit, the worst first."""
         rate = float(self.observations.clock.rate)
         checked = self.active.copy()
-        for camera, moved in enumerate(self.moved):
-            for each in moved:
+        for camera, shifts in enumerate(self.shifts):
+            for each in shifts:
                 checked[each.first : each.end, camera] = False
         for _ in range(self.views):
             judged, rejected = self.tallies.judged, self.tallies.rejected
-            worst = moved_ranges(judged, rejected, checked, rate)
+            worst = shifted_ranges(judged, rejected, checked, rate)
             if worst is None:
                 break
             camera, ranges = worst
             ranges = self._left_out(camera, ranges)
-            self.moved[camera] += [self._explained(camera, each) for each in ranges]
+            self.shifts[camera] += [self._explained(camera, each) for each in ranges]
             for each in ranges:
                 checked[each.first : each.end, camera] = False
                 if not (self.options.keep_moved or each.kept):
@@ -275,29 +277,31 @@ class _Run:
                     self._solve(each.first, each.end)
 
     def _disagreements(self, camera: int) -> tuple[Disagreement, ...]:
-        """Return single frames in which a camera does not agree with the others."""
+        """Return single frames in which a camera disagrees with the others."""
         live = self.active[:, camera].copy()
-        for each in self.moved[camera]:
+        for each in self.shifts[camera]:
             live[each.first : each.end] = False
         noise = float(self.noise[camera])
         return tuple(disagreements(self.tallies.values, camera, noise, live))
 
-    def _explained(self, camera: int, moved: Moved) -> Moved:
-        """Return a range with the change of pose that would explain it."""
-        step = max(1, (moved.end - moved.first) // _CHANGE_FRAMES)
-        pixels = self.observations.pixels(moved.first, moved.end, step)[:, camera]
-        points = self.positions[moved.first : moved.end : step]
+    def _explained(self, camera: int, shift: PoseShift) -> PoseShift:
+        """Return a range with the pose change that explains it."""
+        step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
+        pixels = self.observations.pixels(shift.first, shift.end, step)[:, camera]
+        points = self.positions[shift.first : shift.end : step]
         change = pose_change(self.cameras.cameras[camera], points, pixels)
-        return replace(moved, change=change)
+        return replace(shift, change=change)
 
-    def _check_found(self) -> None:
+    def _check_triangulated(self) -> None:
         if np.isfinite(self.positions).any():
             return
-        if not self._seen:
+        if not self._view_count:
             message = "no point is seen by two cameras in any frame"
             path = self.observations.path or None
             raise OptionError(Fault("CAM013", message, path))
-        self._disagree(f"no two cameras agree on any of {counted(self._seen, 'point')}")
+        self._disagree(
+            f"no two cameras agree on any of {counted(self._view_count, 'point')}"
+        )
 
     def _warn(self, code: str, message: str, hint: str) -> None:
         path = self.cameras.path or None
@@ -310,8 +314,8 @@ class _Run:
         raise OptionError(Fault("CAM014", message, path, (), hint))
 
     @property
-    def _seen(self) -> int:
-        """How many points two cameras and more see."""
+    def _view_count(self) -> int:
+        """Number of points visible to two or more cameras."""
         return int((self.known[..., 4] > 1).sum())
 
     def _triangulation(self) -> Triangulation:
@@ -319,11 +323,11 @@ class _Run:
         reports = tuple(
             replace(
                 self.tallies.report(
-                    c, cameras[c].name, float(self.noise[c]), tuple(moved)
+                    c, cameras[c].name, float(self.noise[c]), tuple(shifts)
                 ),
                 disagrees=self._disagreements(c),
             )
-            for c, moved in enumerate(self.moved)
+            for c, shifts in enumerate(self.shifts)
         )
         kept = self.options.keep_moved
         notices = self.notices
@@ -338,7 +342,7 @@ class _Run:
             observations.path,
         )
         notices += gap_notices(
-            observations.names, self.positions, self._seen, observations.path
+            observations.names, self.positions, self._view_count, observations.path
         )
         markers = Markers(
             observations.names,
@@ -354,7 +358,7 @@ class _Run:
             self.known[..., 2].copy(),
             reports,
             *self.tallies.errors(),
-            self._seen,
-            int(markers.seen.sum()),
+            self._view_count,
+            int(markers.visible.sum()),
             tuple(notices),
         )

@@ -1,4 +1,4 @@
-"""Faces: landmarks to blend-shape weights, and weights from one face to another."""
+"""Faces: landmarks to blend-shape weights, and weights between faces."""
 
 from __future__ import annotations
 

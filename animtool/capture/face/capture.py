@@ -1,4 +1,4 @@
-"""Landmarks of a face as files have them, and which are those of a rig."""
+"""Face landmarks from files, matched to those of a rig."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class FaceCapture:
         points: World space [m] ``(F, N, 3)``, or of one camera [px] ``(F, N, 2)``; NaN
             where missing.
         up: The up axis of the world.
-        model: The face that the file has beside them; None where it has none.
-        notices: What is odd.
+        model: The face in the same file; None if it has none.
+        notices: Warnings.
     """
 
     path: Path
@@ -69,7 +69,7 @@ class FaceCapture:
 
     @property
     def pixels(self) -> bool:
-        """Whether they are those of a camera."""
+        """Whether points are pixels of a camera."""
         return int(self.points.shape[-1]) == 2
 
 
@@ -89,19 +89,19 @@ def read_capture(
 
     Args:
         path: The file; ``take.npz#landmarks_b_mm`` names the array too.
-        unit: What positions are in; None is what the file says.
-        up: Which axis points up; None is what the file says, or Y.
-        fps: The frame rate; None is what the file says.
+        unit: Unit of positions; None is the file's.
+        up: The up axis; None is the file's, or Y.
+        fps: The frame rate; None is the file's.
 
     Raises:
         FormatError: It cannot be read, or its arrays do not fit together (FAC003).
-        OptionError: Its suffix is none that markers are read from (IO002).
+        OptionError: Markers cannot be read from its file type (IO002).
     """
     text, array = split_reference(str(path), "")
     path = Path(text)
     if path.suffix.lower() != ".npz":
-        opener = find_reader(path).markers_opener(path)
-        markers = opener(path, unit=unit, up=up, fps=fps)
+        read = find_reader(path).markers_opener(path)
+        markers = read(path, unit=unit, up=up, fps=fps)
         named = [name for name in markers.names if not name.startswith("*")]
         return FaceCapture(
             path,
@@ -150,7 +150,7 @@ def _read(
     scale = 1.0 if width == 2 else _meters(key, unit)
     points = np.array(archives.stored(path, key), np.float64) * scale
     notices = []
-    # NaN is missing; so is what is no number at all.
+    # NaN is missing; so are values that are not numbers.
     infinite = np.isinf(points).any(axis=-1)
     if infinite.any():
         points[infinite] = np.nan
@@ -205,7 +205,7 @@ def _model(
     names: tuple[str, ...] | None,
     unit: LengthUnit | None,
 ) -> FaceModel | None:
-    """Return the face of an npz; None where it has none."""
+    """Return the face in an npz; None if it has none."""
     neutral = next((key for key in known if re.match(r"neutral(_|$)", key)), None)
     deltas = next((key for key in known if re.match(r"deltas?(_|$)", key)), None)
     if neutral is None or deltas is None or "shape_names" not in known:
@@ -228,12 +228,12 @@ def _model(
 
 
 def in_order(capture: FaceCapture, model: FaceModel) -> tuple[FloatArray, list[Fault]]:
-    """Return landmarks in the order of a face ``(F, N, …)``, and what does not fit.
+    """Return landmarks in a face's order ``(F, N, …)``, and warnings.
 
-    Named ones by name, so that others may be missing; the rest by their number.
+    Named landmarks match by name, so that others may be missing; unnamed ones by index.
 
     Raises:
-        OptionError: There are others in number, or none of the names (FAC004).
+        OptionError: Their number differs, or no name matches (FAC004).
     """
     path, count = str(capture.path), len(model.names)
     if capture.names is None or capture.names == model.names:
@@ -245,16 +245,16 @@ def in_order(capture: FaceCapture, model: FaceModel) -> tuple[FloatArray, list[F
             hint = "write landmark_names in the npz to tell which are which"
             raise OptionError(Fault("FAC004", message, path, (), hint))
         return capture.points, []
-    places = {name: i for i, name in enumerate(capture.names)}
-    there = [places.get(name, -1) for name in model.names]
+    columns = {name: i for i, name in enumerate(capture.names)}
+    there = [columns.get(name, -1) for name in model.names]
     if max(there) < 0:
         message = f"no landmark belongs to the face, such as {capture.names[0]!r}"
         hint = f"{nearest(capture.names[0], model.names)}"
         raise OptionError(Fault("FAC004", message, path, (), hint))
-    made = np.full((len(capture.points), count, capture.points.shape[2]), np.nan)
+    ordered = np.full((len(capture.points), count, capture.points.shape[2]), np.nan)
     for i, at in enumerate(there):
         if at >= 0:
-            made[:, i] = capture.points[:, at]
+            ordered[:, i] = capture.points[:, at]
     notices = []
     for names, what in (
         ([n for n, at in zip(model.names, there, strict=True) if at < 0],
@@ -267,4 +267,4 @@ def in_order(capture: FaceCapture, model: FaceModel) -> tuple[FloatArray, list[F
             notices.append(
                 naming("FAC107", message, names, path, severity=Severity.WARNING)
             )
-    return made, notices
+    return ordered, notices

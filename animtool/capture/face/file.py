@@ -1,4 +1,4 @@
-"""Landmarks files, ``*.landmarks.yaml``: where on the meshes of a rig landmarks are."""
+"""Landmarks files, ``*.landmarks.yaml``: landmark positions on a rig's meshes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceShape, surfaces_of
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 
-# Weights of a landmark's vertices add up to 1 as far as text is exact.
+# Tolerance of the sum of a landmark's weights: text is rounded.
 SUM_TOLERANCE = 1e-3
 
 Vertex = Annotated[int, Ge(0)]
@@ -78,15 +78,15 @@ class LandmarksModel(FileModel):
 
 @dataclass(frozen=True, slots=True)
 class LandmarksFile:
-    """A landmarks file that was read."""
+    """A parsed landmarks file."""
 
     document: Document
     model: LandmarksModel
-    rig: Path | None  # the rig file that it names, resolved
+    rig: Path | None  # the rig file it names, resolved
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the landmarks."""
+        """Names of the landmarks."""
         return tuple(point.name for point in self.model.points)
 
 
@@ -100,7 +100,7 @@ def load_landmarks(path: Path | str) -> LandmarksFile:
 
 
 def landmarks_of_document(document: Document) -> LandmarksFile:
-    """Return a document as a landmarks file (what does not fit together: FAC008)."""
+    """Return a document as a landmarks file; mismatches are FAC008."""
     check_version(document, "landmarks")
     model = validated(document, LandmarksModel)
     taken: dict[str, int] = {}
@@ -132,9 +132,9 @@ def landmarks_of_document(document: Document) -> LandmarksFile:
 
 
 def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
-    """Return the landmarks of a rig and what its shapes do to them.
+    """Return a rig's landmarks and their displacement by each shape.
 
-    Shapes with a weight of their own are solved for; combined ones follow.
+    Shapes with a weight are solved for; combined shapes follow.
 
     Raises:
         FormatError: The rig has no such mesh, or the mesh no such vertex (FAC008).
@@ -145,19 +145,21 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
     deltas: dict[str, FloatArray] = {}
     bent: list[ShapeDeltas] = []
     for shape in rig.shapes:
-        moved = _moved(shape, surfaces, rows)
-        if moved is None:
+        displaced = _displacement(shape, surfaces, rows)
+        if displaced is None:
             continue
-        deltas[shape.name] = moved[0]
-        between = tuple(InbetweenDeltas(at, values) for at, values in moved[1])
-        bent.append(ShapeDeltas(shape.name, moved[0], inbetweens=between))
-    own = [shape for shape in rig.shapes if not shape.combine and shape.name in deltas]
-    names = tuple(shape.name for shape in own)
+        deltas[shape.name] = displaced[0]
+        between = tuple(InbetweenDeltas(at, values) for at, values in displaced[1])
+        bent.append(ShapeDeltas(shape.name, displaced[0], inbetweens=between))
+    plain = [
+        shape for shape in rig.shapes if not shape.combine and shape.name in deltas
+    ]
+    names = tuple(shape.name for shape in plain)
     # A combined shape may combine others that move no landmark: all are kept.
     shapes = tuple(rig.shapes)
     curved = any(s.combine and s.name in deltas for s in shapes)
     curved = curved or any(shape.inbetweens for shape in bent)
-    places = {shape.name: i for i, shape in enumerate(shapes)}
+    columns = {shape.name: i for i, shape in enumerate(shapes)}
     return FaceModel(
         file.names,
         names,
@@ -166,7 +168,7 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
         if names
         else np.zeros((0, *neutral.shape)),
         BentShapes(
-            shapes, prepare_shapes(bent, neutral), tuple(places[n] for n in names)
+            shapes, prepare_shapes(bent, neutral), tuple(columns[n] for n in names)
         )
         if curved
         else None,
@@ -180,11 +182,11 @@ def _rows(file: LandmarksFile, surfaces: dict[str, Surface]) -> list[_Row]:
     """Return mesh, vertices and weights of each landmark."""
     document, model = file.document, file.model
     shaped = [name for name, surface in surfaces.items() if surface.shapes]
-    usual = model.mesh or (shaped[0] if len(shaped) == 1 else None)
+    default = model.mesh or (shaped[0] if len(shaped) == 1 else None)
     rows: list[_Row] = []
     for i, point in enumerate(model.points):
         at: Location = ("points", i)
-        mesh = point.mesh or usual
+        mesh = point.mesh or default
         if mesh is None:
             message = "no mesh is named, and several have shapes"
             document.add("FAC008", at, message, f"allowed: {', '.join(shaped)}")
@@ -214,32 +216,32 @@ def _at(values: FloatArray, vertices: IntArray, weights: FloatArray) -> FloatArr
     return np.asarray(weights @ values[vertices])
 
 
-_Moved = tuple[FloatArray, list[tuple[float, FloatArray]]]
+_Displacement = tuple[FloatArray, list[tuple[float, FloatArray]]]
 
 
-def _moved(
+def _displacement(
     shape: Shape, surfaces: dict[str, Surface], rows: list[_Row]
-) -> _Moved | None:
-    """Return what a shape adds at landmarks, and in between; None is nothing."""
-    found: SurfaceShape | None = None
+) -> _Displacement | None:
+    """Return a shape's offsets at landmarks, with in-betweens; None for nothing."""
+    match: SurfaceShape | None = None
     surface = surfaces.get(shape.mesh)
     if surface is not None:
-        found = next((s for s in surface.shapes if s.name == shape.name), None)
-    if surface is None or found is None:
+        match = next((s for s in surface.shapes if s.name == shape.name), None)
+    if surface is None or match is None:
         return None
 
     def at_landmarks(values: FloatArray) -> FloatArray:
-        whole = np.zeros((len(surface.points), 3))
-        if found.vertices is None:
-            whole[:] = values
+        offsets = np.zeros((len(surface.points), 3))
+        if match.vertices is None:
+            offsets[:] = values
         else:
-            whole[found.vertices] = values
+            offsets[match.vertices] = values
         return np.stack(
             [
-                _at(whole, at, w) if mesh == shape.mesh else np.zeros(3)
+                _at(offsets, at, w) if mesh == shape.mesh else np.zeros(3)
                 for mesh, at, w in rows
             ]
         )
 
-    between = [(one.at, at_landmarks(one.deltas)) for one in found.inbetweens]
-    return at_landmarks(found.deltas), between
+    between = [(one.at, at_landmarks(one.deltas)) for one in match.inbetweens]
+    return at_landmarks(match.deltas), between

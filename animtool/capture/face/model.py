@@ -1,4 +1,4 @@
-"""Where the landmarks of a face are at weights of its shapes."""
+"""Landmark positions of a face for weights of its shapes."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from animtool.rig.parts import Shape
 from animtool.rig.shapes import combined_weights
 from animtool.skin.shapes import PreparedShapes, blend_points
 
-# A shape whose landmarks move by less than this share of the face's size moves none.
+# Shapes that move landmarks by less than this fraction of the face's size move none.
 MIN_MOTION = 1e-6
-# Shapes whose motions have a cosine above this cannot be told apart.
+# Shapes whose displacements have a cosine above this cannot be distinguished.
 SAME_SHAPE = 1 - 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class FaceModel:
-    """Landmarks of a face, and what its shapes do to them.
+    """Landmarks of a face, and their displacement by its shapes.
 
     Attributes:
         names: Of the landmarks; ``0``, ``1``, … where they have none.
         shapes: Names of the shapes with a weight of their own.
         neutral: Landmarks at rest [m] ``(N, 3)``.
         deltas: Added at weight 1 [m] ``(S, N, 3)``.
-        bent: The whole of the shapes, where in-betweens or correctives add to a sum of
-            deltas; None where nothing does.
+        bent: The full shapes, if in-betweens or correctives add to the sum of
+            deltas; None if nothing does.
 
     Raises:
         OptionError: Arrays do not fit together or are not finite (FAC003).
@@ -66,18 +66,18 @@ class FaceModel:
 
     @property
     def size(self) -> float:
-        """Root of the mean square distance of a landmark from their mean [m]."""
+        """Root mean square distance of landmarks from their mean [m]."""
         return spread(self.neutral)
 
     def offsets(self, weights: FloatArray) -> FloatArray:
-        """Return what is beyond the sum of deltas at weights [m] ``(F, N, 3)``."""
+        """Return displacement beyond the sum of deltas at weights [m] ``(F, N, 3)``."""
         if self.bent is None:
             return np.zeros((len(weights), *self.neutral.shape))
-        whole = self.bent.points(weights)
-        return whole - self.neutral - np.tensordot(weights, self.deltas, 1)
+        displaced = self.bent.points(weights)
+        return displaced - self.neutral - np.tensordot(weights, self.deltas, 1)
 
     def points(self, weights: FloatArray) -> FloatArray:
-        """Return the landmarks at weights, in the frame of the face [m]."""
+        """Return landmarks at weights, in the face's frame [m]."""
         if self.bent is not None:
             return self.bent.points(weights)
         return self.neutral + np.tensordot(weights, self.deltas, 1)
@@ -93,8 +93,8 @@ class FaceModel:
         bent = None if self.bent is None else self.bent.select(shapes)
         return replace(self, shapes=names, deltas=self.deltas[shapes], bent=bent)
 
-    def alike(self) -> list[tuple[int, int]]:
-        """Return pairs of shapes that move the landmarks in the same directions."""
+    def similar_shapes(self) -> list[tuple[int, int]]:
+        """Return pairs of shapes that displace landmarks in the same directions."""
         moving = np.flatnonzero(self.moving())
         flat = self.deltas[moving].reshape(len(moving), -1)
         flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
@@ -102,37 +102,37 @@ class FaceModel:
         return [(int(moving[a]), int(moving[b])) for a, b in pairs.tolist()]
 
     def notices(self) -> list[Fault]:
-        """Return warnings of shapes that landmarks do not show, or not apart."""
-        made = []
+        """Return warnings about shapes that landmarks do not show or distinguish."""
+        notices = []
         moving = self.moving()
-        still = [n for n, k in zip(self.shapes, moving.tolist(), strict=True) if not k]
-        if still:
-            message = f"{len(still)} shapes move no landmark, and stay at 0: "
-            made.append(naming("FAC101", message, still, severity=Severity.WARNING))
-        pairs = self.alike()
+        static = [n for n, k in zip(self.shapes, moving.tolist(), strict=True) if not k]
+        if static:
+            message = f"{len(static)} shapes move no landmark, and stay at 0: "
+            notices.append(naming("FAC101", message, static, severity=Severity.WARNING))
+        pairs = self.similar_shapes()
         if len(pairs):
             names = [f"{self.shapes[a]} = {self.shapes[b]}" for a, b in pairs]
             message = (
                 f"{len(pairs)} pairs of shapes move landmarks in the same direction, "
                 "and are solved together: "
             )
-            made.append(naming("FAC102", message, names, severity=Severity.WARNING))
-        return made
+            notices.append(naming("FAC102", message, names, severity=Severity.WARNING))
+        return notices
 
     def of_actor(self, captured: FloatArray) -> FaceModel:
-        """Return the model with the proportions of landmarks of a neutral face.
+        """Return the model with the proportions of a captured neutral face.
 
-        Deltas are scaled by the sizes of the two faces. Landmarks that were not seen
-        keep their place in the model.
+        Deltas scale with the sizes of the two faces. Landmarks that were not visible
+        keep their model position.
 
         Args:
             captured: Landmarks of the neutral frame, NaN where missing [m] ``(N, 3)``.
         """
-        seen = np.isfinite(captured).all(axis=1)
-        scale = spread(captured[seen]) / spread(self.neutral[seen])
-        turn, shift = rigid_motion(self.neutral[seen] * scale, captured[seen])
+        visible = np.isfinite(captured).all(axis=1)
+        scale = spread(captured[visible]) / spread(self.neutral[visible])
+        rotation, shift = rigid_motion(self.neutral[visible] * scale, captured[visible])
         neutral = self.neutral * scale
-        neutral[seen] = rotate(conjugate(turn), captured[seen] - shift)
+        neutral[visible] = rotate(conjugate(rotation), captured[visible] - shift)
         return replace(self, neutral=neutral, deltas=self.deltas * scale, bent=None)
 
 
@@ -142,26 +142,26 @@ class BentShapes:
 
     shapes: tuple[Shape, ...]  # of the rig, those that move landmarks or combine such
     prepared: PreparedShapes  # those of them with deltas
-    own: tuple[int, ...]  # of each solved shape its index in ``shapes``
+    solved: tuple[int, ...]  # index of each solved shape in ``shapes``
 
     def points(self, weights: FloatArray) -> FloatArray:
         """Return the landmarks at weights of the solved shapes ``(F, S)``."""
-        given = {shape.name: np.zeros(len(weights)) for shape in self.shapes}
-        for i, column in zip(self.own, weights.T, strict=True):
-            given[self.shapes[i].name] = column
-        whole = combined_weights(self.shapes, given)
+        by_name = {shape.name: np.zeros(len(weights)) for shape in self.shapes}
+        for i, column in zip(self.solved, weights.T, strict=True):
+            by_name[self.shapes[i].name] = column
+        combined = combined_weights(self.shapes, by_name)
         return blend_points(
-            self.prepared, np.stack([whole[n] for n in self.prepared.names], axis=-1)
+            self.prepared, np.stack([combined[n] for n in self.prepared.names], axis=-1)
         )
 
     def select(self, shapes: BoolArray) -> BentShapes:
-        """Return them for some of the solved shapes."""
+        """Return the model of some of the solved shapes."""
         kept = np.flatnonzero(shapes).tolist()
-        return replace(self, own=tuple(self.own[i] for i in kept))
+        return replace(self, solved=tuple(self.solved[i] for i in kept))
 
 
 def spread(points: FloatArray) -> float:
-    """Return the root of the mean square distance of points from their mean."""
+    """Return the root mean square distance of points from their mean."""
     if not len(points):
         return 0.0
     away = points - points.mean(axis=0)
@@ -169,5 +169,5 @@ def spread(points: FloatArray) -> float:
 
 
 def landmark_names(count: int, names: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Return names of landmarks; numbers where they have none."""
+    """Return the names of landmarks; numbers if they have none."""
     return tuple(map(str, range(count))) if names is None else tuple(names)

@@ -1,8 +1,8 @@
-"""Landmarks to blend-shape weights: bounded, robust, smooth in time, without the head.
+"""Landmarks to blend-shape weights: bounded, robust, smooth, without head motion.
 
-Every frame asks for weights and a head pose at which the shaped face lies on its
-landmarks. Frames are coupled by the cost of changes, so a take is solved in windows
-that overlap by more than a change reaches: the same numbers whatever is read at a time.
+Each frame is solved for weights and a head pose that put the shaped face on its
+landmarks. Frames are coupled by a cost of changes, so a take is solved in windows that
+overlap by more than a change propagates: results do not depend on block sizes.
 
 References:
     P. J. Huber, Robust Statistics, 1981, chapter 7 (reweighted least squares).
@@ -27,34 +27,34 @@ from animtool.core.errors import Fault, OptionError, Severity, counted, listed, 
 from animtool.core.record import dataclass
 from animtool.maths.so3 import align_signs, slerp
 
-# Frames of a window that count, and those on both sides that it is solved with: a
-# change is felt for some frames only.
+# Frames of a window, and its overlap on both sides: a
+# change propagates over a few frames only.
 WINDOW, OVERLAP = 256, 32
-# A pose and a weight need as many in a frame.
+# Least landmarks in a frame for a pose and a weight.
 MIN_LANDMARKS = 4
-# Frames that the noise is measured on.
+# Frames for the noise estimate.
 NOISE_FRAMES = 200
 # Half of the residuals of noise in three directions are shorter than so many
 # deviations, and in two.
 MEDIAN_3D, MEDIAN_2D = 1.538, 1.1774
 # Residuals longer than so many deviations of the noise count for less: 3 % of good.
 ROBUST_DEVIATIONS = 3.0
-# Of noise, in shares of the face's size: below, weights are exact to a thousandth.
+# Least noise, over the face's size: below, weights are exact to a thousandth.
 MIN_NOISE = 1e-5
-# How fast weights of a lively face change [1/s].
-USUAL_SPEED = 3.0
-# Deviation of weights from 0 that is usual: what landmarks do not show stays small.
-USUAL_WEIGHT = 0.5
-# A weight's change in the last round that is none.
+# Speed of weights of a lively face [1/s].
+TYPICAL_SPEED = 3.0
+# Typical deviation of weights from 0: weights that landmarks do not show stay small.
+TYPICAL_WEIGHT = 0.5
+# Convergence threshold of a weight's change.
 ENOUGH = 1e-5
 ROUNDS = 30
 # Rounds for in-betweens and correctives.
 BENT_ROUNDS = 6
 BENT_ENOUGH = 1e-4
-# A capture's size against the face's: beyond, its unit is another.
+# Largest ratio of a capture's size to the face's: beyond, units differ.
 MAX_SCALE = 3.0
-# A landmark that counts for less than half in so many frames is misplaced.
-POOR_SHARE = 0.5
+# A landmark with less than half weight in this fraction of frames is misplaced.
+MISPLACED_FRACTION = 0.5
 MAX_NAMED = 12
 
 
@@ -68,17 +68,17 @@ class FrameStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LandmarkScore:
-    """How well a landmark fits."""
+    """Fit of a landmark."""
 
     name: str  # of the landmark
-    rms: float  # root of the mean square residual where it counts by half or more
-    seen: int  # frames in which it is seen
-    outliers: int  # those of them in which it counts less
+    rms: float  # root mean square residual where its weight is at least one half
+    seen: int  # frames in which it is visible
+    outliers: int  # those of them with less weight
 
 
 @dataclass(frozen=True, slots=True)
 class ShapePeak:
-    """How far a shape goes."""
+    """Largest weight of a shape."""
 
     name: str  # of the shape
     max: float  # its largest weight
@@ -86,7 +86,7 @@ class ShapePeak:
 
 @dataclass(frozen=True, slots=True)
 class FaceFit:
-    """Weights of a face over frames, and how well they fit.
+    """Face weights over frames, and their fit.
 
     Attributes:
         model: The face.
@@ -95,12 +95,12 @@ class FaceFit:
         translations: Likewise [m] ``(F, 3)``.
         residuals: How far landmarks are from the face, in [m], or [px] of a camera
             ``(F, N)``; NaN where missing.
-        shares: For how much each counted, 0 to 1 ``(F, N)``.
+        shares: Robust weight of each, 0 to 1 ``(F, N)``.
         status: Of each frame.
         noise: Deviation of the noise in one direction, in the unit of the residuals.
         rounds: Of the slowest window.
         change: Largest change of a weight in a window's last round.
-        notices: What is odd.
+        notices: Warnings.
     """
 
     model: FaceModel
@@ -117,18 +117,18 @@ class FaceFit:
 
     @property
     def rms(self) -> float:
-        """Root of the mean square residual of landmarks that count by half or more."""
-        good = (self.shares >= POOR_SHARE) & np.isfinite(self.residuals)
+        """Root mean square residual of landmarks with weight of at least one half."""
+        good = (self.shares >= MISPLACED_FRACTION) & np.isfinite(self.residuals)
         return float(np.sqrt((self.residuals[good] ** 2).mean())) if good.any() else 0.0
 
     @property
     def landmarks(self) -> list[LandmarkScore]:
-        """How well each landmark fits."""
-        seen = np.isfinite(self.residuals)
-        used = seen & (self.shares >= POOR_SHARE)
+        """Fit of each landmark."""
+        visible = np.isfinite(self.residuals)
+        used = visible & (self.shares >= MISPLACED_FRACTION)
         squares = np.where(used, self.residuals, 0.0) ** 2
         rms = np.sqrt(squares.sum(axis=0) / np.maximum(used.sum(axis=0), 1))
-        counts = seen.sum(axis=0), (seen & ~used).sum(axis=0)
+        counts = visible.sum(axis=0), (visible & ~used).sum(axis=0)
         columns = (rms.tolist(), *(each.tolist() for each in counts))
         return [
             LandmarkScore(*row) for row in zip(self.model.names, *columns, strict=True)
@@ -150,17 +150,17 @@ def fit_face(
     camera: FloatArray | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FaceFit:
-    """Return weights and head poses at which a face lies on its landmarks.
+    """Return weights and head poses that put a face on its landmarks.
 
     Args:
         model: The face.
         observed: Its landmarks in the world, in the model's order, NaN where missing
             [m] ``(F, N, 3)``; with a camera, free of distortion [px] ``(F, N, 2)``.
         fps: Frames a second.
-        smooth: How much changes from frame to frame cost: 1 is as the noise and a
-            lively face ask for, 0 nothing.
+        smooth: Cost of changes from frame to frame: 1 suits the noise and a
+            lively face, 0 is none.
         camera: fx, fy, cx, cy of a camera that looks along +Z with Y down [px].
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         OptionError: Landmarks do not fit the model (FAC004), no frame has enough
@@ -174,8 +174,8 @@ def fit_face(
     [[0.5], [0.5]]
     """
     _check(model, observed, camera)
-    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
-    usable = seen.sum(axis=1) >= MIN_LANDMARKS
+    visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
+    usable = visible.sum(axis=1) >= MIN_LANDMARKS
     if not usable.any():
         message = f"no frame has {MIN_LANDMARKS} landmarks or more"
         raise OptionError(Fault("FAC005", message))
@@ -184,29 +184,29 @@ def fit_face(
         message = "no shape moves a landmark"
         hint = "are the landmarks on the mesh of the shapes?"
         raise OptionError(Fault("FAC007", message, hint=hint))
-    # What moves landmarks alike is solved as one shape, and shared evenly; shapes that
+    # Shapes with similar displacements are solved as one, and split evenly; shapes that
     # bend are solved by themselves.
-    kept, share = _shared(model, moving)
+    kept, group = _shared(model, moving)
     face = model.select(kept)
-    counts = np.bincount(share[moving], minlength=len(model.shapes))[kept]
+    counts = np.bincount(group[moving], minlength=len(model.shapes))[kept]
     face = replace(face, deltas=face.deltas * counts[:, None, None])
     fit = _Fit(
         face, np.where(usable[:, None, None], observed, np.nan), fps, smooth, camera
     )
     weights, poses, residuals, shares, rounds, change = fit.solve(progress)
-    whole = np.zeros((len(observed), len(model.shapes)))
-    places = np.cumsum(kept) - 1
-    whole[:, moving] = weights[:, places[share[moving]]]
+    all_weights = np.zeros((len(observed), len(model.shapes)))
+    columns = np.cumsum(kept) - 1
+    all_weights[:, moving] = weights[:, columns[group[moving]]]
     rotations, translations = _bridged(poses, usable)
-    poor = usable & ((shares < POOR_SHARE).sum(axis=1) > 0.5 * len(model.names))
-    poor &= (shares >= POOR_SHARE).sum(axis=1) < 0.5 * seen.sum(axis=1)
+    poor = usable & ((shares < MISPLACED_FRACTION).sum(axis=1) > 0.5 * len(model.names))
+    poor &= (shares >= MISPLACED_FRACTION).sum(axis=1) < 0.5 * visible.sum(axis=1)
     status = np.where(
         usable, np.where(poor, FrameStatus.POOR, FrameStatus.SOLVED), "gap"
     )
-    notices = [*model.notices(), *_notices(model, seen, usable, poor, shares)]
+    notices = [*model.notices(), *_notices(model, visible, usable, poor, shares)]
     return FaceFit(
         model,
-        whole,
+        all_weights,
         rotations,
         translations,
         residuals,
@@ -220,17 +220,17 @@ def fit_face(
 
 
 def _shared(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
-    """Return which shapes are solved, and for each that moves the one it goes with."""
-    kept, share = moving.copy(), np.arange(len(moving))
-    for a, b in model.alike() if model.bent is None else ():
+    """Return which shapes are solved, and the representative of each moving shape."""
+    kept, group = moving.copy(), np.arange(len(moving))
+    for a, b in model.similar_shapes() if model.bent is None else ():
         same = np.linalg.norm(model.deltas[a] - model.deltas[b])
-        if share[a] == a and same <= MIN_MOTION * np.linalg.norm(model.deltas[a]):
-            share[b], kept[b] = a, False
-    return kept, share
+        if group[a] == a and same <= MIN_MOTION * np.linalg.norm(model.deltas[a]):
+            group[b], kept[b] = a, False
+    return kept, group
 
 
 def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) -> None:
-    """Refuse landmarks that are not those of a face."""
+    """Refuse landmarks that do not belong to the face."""
     width = 3 if camera is None else 2
     shape = (len(model.names), width)
     if observed.ndim != 3 or observed.shape[1:] != shape or not len(observed):
@@ -245,10 +245,12 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
         raise OptionError(Fault("FAC004", message, hint=hint))
     if camera is not None or spread(model.neutral) == 0:
         return
-    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
-    full = np.flatnonzero(seen.sum(axis=1) >= MIN_LANDMARKS)[:: max(1, len(seen) // 50)]
+    visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
+    full = np.flatnonzero(visible.sum(axis=1) >= MIN_LANDMARKS)[
+        :: max(1, len(visible) // 50)
+    ]
     ratios = [
-        spread(observed[f, seen[f]]) / max(spread(model.neutral[seen[f]]), 1e-300)
+        spread(observed[f, visible[f]]) / max(spread(model.neutral[visible[f]]), 1e-300)
         for f in full.tolist()
     ]
     ratio = float(np.median(ratios)) if ratios else 1.0
@@ -259,7 +261,7 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
 
 
 class _Fit:
-    """One fit: the noise of its landmarks, then its windows."""
+    """A fit: landmark noise first, then the windows."""
 
     def __init__(
         self,
@@ -275,9 +277,9 @@ class _Fit:
         self.start = self._first_poses()
         self.unit = 1.0 if camera is None else self._pixels()
         self.noise = self._noise()
-        speed = USUAL_SPEED / fps
+        speed = TYPICAL_SPEED / fps
         self.smooth = smooth * (self.noise / speed) ** 2
-        self.rest = (self.noise / USUAL_WEIGHT) ** 2
+        self.rest = (self.noise / TYPICAL_WEIGHT) ** 2
 
     def _first_poses(self) -> FloatArray:
         if self.camera is None:
@@ -296,7 +298,7 @@ class _Fit:
         return np.repeat(pose[None], len(self.observed), axis=0)
 
     def _pixels(self) -> float:
-        """Return how many pixels a metre of the face is."""
+        """Return the pixels per metre of the face."""
         assert self.camera is not None
         return float(self.camera[0] / np.median(self.start[:, 6]))
 
@@ -312,9 +314,9 @@ class _Fit:
         observed = self.observed[frames]
         shape = (len(observed), len(self.face.shapes))
         weights, poses = begin or (np.zeros(shape), self.start[frames])
-        own = self.face.neutral[None] if neutral is None else neutral
+        neutral_points = self.face.neutral[None] if neutral is None else neutral
         return _kernels.fit_face(
-            np.ascontiguousarray(own),
+            np.ascontiguousarray(neutral_points),
             self.deltas,
             np.ascontiguousarray(observed),
             self.camera,
@@ -329,24 +331,24 @@ class _Fit:
         )
 
     def _noise(self) -> float:
-        """Return the deviation of the noise, by frames that are solved one by one."""
+        """Return the noise's standard deviation, from frames solved separately."""
         good = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
         chosen = good[np.linspace(0, len(good) - 1, NOISE_FRAMES).astype(int)]
         chosen = np.unique(chosen)
         least = MIN_NOISE * self.face.size * self.unit
-        self.rest = (least * 10 / USUAL_WEIGHT) ** 2
+        self.rest = (least * 10 / TYPICAL_WEIGHT) ** 2
         threshold = 0.1 * self.face.size * self.unit
         noise = least
         for _ in range(3):
             weights, _, residuals, _, _, _ = self._run(chosen, threshold, 0.0, 6)
-            seen = np.isfinite(residuals)
+            visible = np.isfinite(residuals)
             width = self.observed.shape[-1]
-            rows = width * seen.sum()
+            rows = width * visible.sum()
             # Each pose and each weight off its bounds takes one residual.
             taken = 6 * len(chosen) + ((weights > 0) & (weights < 1)).sum()
             free = max(1.0 - taken / max(rows, 1), 0.05)
-            usual = MEDIAN_3D if width == 3 else MEDIAN_2D
-            noise = float(np.median(residuals[seen])) / usual / np.sqrt(free)
+            median = MEDIAN_3D if width == 3 else MEDIAN_2D
+            noise = float(np.median(residuals[visible])) / median / np.sqrt(free)
             noise = max(noise, least)
             threshold = ROBUST_DEVIATIONS * noise
         return noise
@@ -354,7 +356,7 @@ class _Fit:
     def solve(
         self, progress: Callable[[float], None] | None
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
-        """Return what the kernel does, of all windows."""
+        """Return the kernel's result of all windows."""
         count, landmarks = self.observed.shape[:2]
         weights = np.zeros((count, len(self.face.shapes)))
         poses = np.zeros((count, 7))
@@ -363,60 +365,62 @@ class _Fit:
         rounds, change = 0, 0.0
         for first in range(0, count, WINDOW):
             begin, end = max(0, first - OVERLAP), min(count, first + WINDOW + OVERLAP)
-            found = self._window(slice(begin, end))
-            own = slice(first, min(count, first + WINDOW))
-            inner = slice(first - begin, own.stop - begin)
-            weights[own], poses[own] = found[0][inner], found[1][inner]
-            residuals[own], shares[own] = found[2][inner], found[3][inner]
-            rounds, change = max(rounds, found[4]), max(change, found[5])
+            solved = self._window(slice(begin, end))
+            kept = slice(first, min(count, first + WINDOW))
+            inner = slice(first - begin, kept.stop - begin)
+            weights[kept], poses[kept] = solved[0][inner], solved[1][inner]
+            residuals[kept], shares[kept] = solved[2][inner], solved[3][inner]
+            rounds, change = max(rounds, solved[4]), max(change, solved[5])
             if progress is not None:
-                progress(own.stop / count)
+                progress(kept.stop / count)
         return weights, poses, residuals, shares, rounds, change
 
     def _window(
         self, frames: slice
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
         threshold = ROBUST_DEVIATIONS * self.noise
-        found = self._run(frames, threshold, self.smooth, ROUNDS)
+        solved = self._run(frames, threshold, self.smooth, ROUNDS)
         if self.face.bent is None:
-            return found
+            return solved
         for _ in range(BENT_ROUNDS):
-            weights, poses = found[0], found[1]
+            weights, poses = solved[0], solved[1]
             neutral = self.face.neutral + self.face.offsets(weights)
-            found = self._run(
+            solved = self._run(
                 frames, threshold, self.smooth, ROUNDS, neutral, (weights, poses)
             )
-            if np.abs(found[0] - weights).max() < BENT_ENOUGH:
+            if np.abs(solved[0] - weights).max() < BENT_ENOUGH:
                 break
-        return found
+        return solved
 
 
 def _bridged(poses: FloatArray, usable: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return rotations and translations, of frames without landmarks in between."""
-    turns, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
+    """Return rotations and translations, interpolated over frames without landmarks."""
+    rotations, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
     if usable.all():
-        return turns, shifts
+        return rotations, shifts
     good, frames = np.flatnonzero(usable), np.arange(len(usable))
-    turns[good] = align_signs(turns[good])
+    rotations[good] = align_signs(rotations[good])
     after = np.minimum(np.searchsorted(good, frames), len(good) - 1)
     before = np.maximum(np.searchsorted(good, frames, "right") - 1, 0)
     a, b = good[before], good[after]
     span = np.maximum(b - a, 1)
-    share = np.clip((frames - a) / span, 0.0, 1.0)
+    fraction = np.clip((frames - a) / span, 0.0, 1.0)
     bad = ~usable
-    turns[bad] = slerp(turns[a[bad]], turns[b[bad]], share[bad])
-    shifts[bad] = shifts[a[bad]] + share[bad, None] * (shifts[b[bad]] - shifts[a[bad]])
-    return align_signs(turns), shifts
+    rotations[bad] = slerp(rotations[a[bad]], rotations[b[bad]], fraction[bad])
+    shifts[bad] = shifts[a[bad]] + fraction[bad, None] * (
+        shifts[b[bad]] - shifts[a[bad]]
+    )
+    return align_signs(rotations), shifts
 
 
 def _notices(
     model: FaceModel,
-    seen: BoolArray,
+    visible: BoolArray,
     usable: BoolArray,
     poor: BoolArray,
     shares: FloatArray,
 ) -> list[Fault]:
-    made = []
+    notices = []
     for frames, code, what in (
         (~usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: interpolated"),
         (poor, "FAC104", "landmarks that are mostly outliers"),
@@ -427,12 +431,12 @@ def _notices(
                 f"{counted(len(which), 'frame')} with {what}; from the first, frames "
                 f"{listed(which, MAX_NAMED)}"
             )
-            made.append(Fault(code, message, severity=Severity.WARNING))
-    used = seen & usable[:, None]
+            notices.append(Fault(code, message, severity=Severity.WARNING))
+    used = visible & usable[:, None]
     counts = used.sum(axis=0)
-    off = (used & (shares < POOR_SHARE)).sum(axis=0) > POOR_SHARE * np.maximum(
-        counts, 1
-    )
+    off = (used & (shares < MISPLACED_FRACTION)).sum(
+        axis=0
+    ) > MISPLACED_FRACTION * np.maximum(counts, 1)
     for names, what in (
         ([n for n, c in zip(model.names, counts.tolist(), strict=True) if not c],
          "are never seen: "),
@@ -441,5 +445,5 @@ def _notices(
     ):  # fmt: skip
         if names:
             message = f"{counted(len(names), 'landmark')} {what}"
-            made.append(naming("FAC105", message, names, severity=Severity.WARNING))
-    return made
+            notices.append(naming("FAC105", message, names, severity=Severity.WARNING))
+    return notices

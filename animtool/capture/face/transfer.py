@@ -1,4 +1,4 @@
-"""Weights of one face as weights of another with other shapes."""
+"""Weights of one face as weights of a face with other shapes."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class TransferredWeights:
 
     Attributes:
         weights: Of the target's shapes ``(F, S)``.
-        links: Which shape follows which, by name.
-        fit: How well its landmarks follow, where they were used; else None.
-        notices: What moves nothing, or is moved by nothing.
+        links: Source shapes of each target shape, by name.
+        fit: Fit of its landmarks, if they were used; else None.
+        notices: Shapes without a counterpart.
     """
 
     weights: FloatArray
@@ -44,11 +44,11 @@ def transfer_weights(
     fps: float = 60.0,
     smooth: float = 0.0,
 ) -> TransferredWeights:
-    """Return weights of one face as weights of another.
+    """Return a face's weights as weights of another face.
 
     By name, in any of ARKit's spellings, and a remap file; or by landmarks that both
-    faces have: those weights of the target whose landmarks move as the source's do,
-    scaled by the sizes of the faces.
+    faces have: the target weights whose landmarks move as the source's do, scaled by
+    the sizes of the faces.
 
     Args:
         weights: Of the source's shapes ``(F, S)``.
@@ -60,7 +60,7 @@ def transfer_weights(
         smooth: As `fit_face` takes it.
 
     Raises:
-        FormatError: The remap file names shapes that there are not (FAC001).
+        FormatError: The remap file names an unknown shape (FAC001).
         OptionError: No shape has a counterpart (FAC009), or the faces have fewer than
             four landmarks in common (FAC004).
 
@@ -81,34 +81,34 @@ def transfer_weights(
         if lost:
             message = f"{len(lost)} shapes that move are not in the target: "
             notices.append(naming("FAC108", message, lost, severity=Severity.WARNING))
-        moved = links.apply(weights, len(target))
-        return TransferredWeights(moved, links, None, tuple(notices))
+        linked = links.apply(weights, len(target))
+        return TransferredWeights(linked, links, None, tuple(notices))
     ours, theirs = faces
     shared = [name for name in theirs.names if name in set(ours.names)]
     if len(shared) < 4:
         message = f"the faces share {len(shared)} landmarks; 4 are needed"
         raise OptionError(Fault("FAC004", message))
     columns = {name: i for i, name in enumerate(source)}
-    own = np.stack(
+    offsets = np.stack(
         [
             weights[:, columns[name]] if name in columns else np.zeros(len(weights))
             for name in ours.shapes
         ],
         axis=-1,
     )
-    places = [ours.names.index(name) for name in shared]
-    moved = (ours.points(own) - ours.neutral)[:, places]
+    indices = [ours.names.index(name) for name in shared]
+    linked = (ours.points(offsets) - ours.neutral)[:, indices]
     at = [theirs.names.index(name) for name in shared]
     size = FaceModel(tuple(shared), (), theirs.neutral[at], np.zeros((0, len(at), 3)))
-    scale = size.size / max(_size(ours.neutral[places]), 1e-300)
-    seen = np.full((len(weights), len(theirs.names), 3), np.nan)
-    seen[:, at] = theirs.neutral[at] + scale * moved
-    fit = fit_face(theirs, seen, fps, smooth=smooth)
-    made = np.zeros((len(weights), len(target)))
+    scale = size.size / max(_size(ours.neutral[indices]), 1e-300)
+    points = np.full((len(weights), len(theirs.names), 3), np.nan)
+    points[:, at] = theirs.neutral[at] + scale * linked
+    fit = fit_face(theirs, points, fps, smooth=smooth)
+    solved = np.zeros((len(weights), len(target)))
     for i, name in enumerate(theirs.shapes):
         if name in set(target):
-            made[:, list(target).index(name)] = fit.weights[:, i]
-    return TransferredWeights(made, links, fit, fit.notices)
+            solved[:, list(target).index(name)] = fit.weights[:, i]
+    return TransferredWeights(solved, links, fit, fit.notices)
 
 
 def _size(points: FloatArray) -> float:

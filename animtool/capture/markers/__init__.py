@@ -1,1 +1,1 @@
-"""Marker trajectories made whole: named, swaps and spikes repaired, gaps filled."""
+"""Marker trajectories completed: labelled, swaps and spikes repaired, gaps filled."""

@@ -1,13 +1,13 @@
-"""Runs that are the same marker before and after it was hidden, without names."""
+"""Runs of the same unlabelled marker before and after it was hidden."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from animtool.capture.markers.geometry import Distances
+from animtool.capture.markers.geometry import MarkerDistances
 from animtool.core.array_types import FloatArray, IntArray
 
-# What distances between points say of which markers those are.
+# Evidence of distances between points for their markers.
 
 # Of a pair on one segment, distances are as at rest but for noise and skin [m], and
 # more where they vary; and how likely a pair is on one that varies by so much [m].
@@ -22,10 +22,10 @@ FAR, UNSTEADY = 0.25, 0.02
 
 
 def evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArray:
-    """Return how much distances speak for those at rest ``(..., M)`` [nat].
+    """Return the log-likelihood of distances being a rest pair's ``(..., M)`` [nat].
 
-    The logarithm of how much likelier each distance is for the pair at rest than for
-    any two points. 0 where a distance is not known.
+    It compares each distance's likelihood for the pair at rest with that for any two
+    points. 0 where a distance is unknown.
 
     mean, spread: Of observed distances ``(...)`` [m]. rest: ``(M,)`` or ``(..., M)``.
     """
@@ -48,30 +48,31 @@ def evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArr
 SURE, CLEAR = 3.0, 1.5
 
 
-def chained(moving: Distances, overlap: FloatArray) -> IntArray:
-    """Return which chain each run is of ``(R,)``, numbered from 0.
+def chained(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
+    """Return the chain of each run ``(R,)``, numbered from 0.
 
-    Two runs are joined where they are as far from all that is seen along with both, and
-    no run seen along with one of them is nearly as much so to the other. Runs that are
-    seen together are never one chain.
+    Two runs are joined if they keep the same distances to everything visible with both,
+    and no concurrent run matches either nearly as well. Runs visible together are never
+    one chain.
 
-    moving: Distances of the runs. overlap: Frames that pairs are seen in ``(R, R)``.
+    moving: Distances of the runs. overlap: Frames in which pairs are visible ``(R,
+    R)``.
     """
     count = len(overlap)
     chain = np.arange(count)
-    alike = alike_of(moving, overlap)
+    likelihood = likelihoods(moving, overlap)
     together = overlap > 0
-    alike[together] = -np.inf
+    likelihood[together] = -np.inf
     concurrent = together & ~np.eye(count, dtype=bool)
     # Of two runs that are one marker each is the other's best among those that are seen
     # along with one of them.
-    order = np.argwhere(alike > SURE)
+    order = np.argwhere(likelihood > SURE)
     order = order[order[:, 0] < order[:, 1]]
     scored = []
     for a, b in order.tolist():
-        value = alike[a, b]
-        rivals_b = alike[a][concurrent[b]]  # what could be a instead of b
-        rivals_a = alike[b][concurrent[a]]
+        value = likelihood[a, b]
+        rivals_b = likelihood[a][concurrent[b]]  # what could be a instead of b
+        rivals_a = likelihood[b][concurrent[a]]
         rival = max(rivals_a.max(initial=0.0), rivals_b.max(initial=0.0))
         if value > rival + CLEAR:
             scored.append((value - rival, a, b))
@@ -86,24 +87,24 @@ def chained(moving: Distances, overlap: FloatArray) -> IntArray:
     return np.unique(chain, return_inverse=True)[1]
 
 
-def alike_of(moving: Distances, overlap: FloatArray) -> FloatArray:
-    """Return how much all distances say that two runs are one marker [nat]."""
+def likelihoods(moving: MarkerDistances, overlap: FloatArray) -> FloatArray:
+    """Return the log-likelihood that two runs are one marker, from distances [nat]."""
     count = len(overlap)
-    alike = np.zeros((count, count))
+    likelihood = np.zeros((count, count))
     for run in range(count):
         mean = moving.mean[run]
         # (S, B): of what is seen along, and the other run's distance to it.
         says = evidence(mean, moving.spread[run], moving.mean)
         weight = np.minimum(1.0, np.minimum(overlap[run][:, None], overlap) / 60.0)
-        seen = np.isfinite(moving.mean) & np.isfinite(mean)[:, None]
-        alike[run] = (says * weight * seen).sum(axis=0)
-    return 0.5 * (alike + alike.T)
+        known = np.isfinite(moving.mean) & np.isfinite(mean)[:, None]
+        likelihood[run] = (says * weight * known).sum(axis=0)
+    return 0.5 * (likelihood + likelihood.T)
 
 
 def merged(points: FloatArray, chain: IntArray) -> FloatArray:
-    """Return the positions of chains ``(F, C, 3)`` by those of runs ``(F, R, 3)``."""
-    whole = np.full((len(points), int(chain.max()) + 1, 3), np.nan)
+    """Return chain positions ``(F, C, 3)`` from run positions ``(F, R, 3)``."""
+    merged_points = np.full((len(points), int(chain.max()) + 1, 3), np.nan)
     for run, number in enumerate(chain.tolist()):
-        seen = np.isfinite(points[:, run, 0])
-        whole[seen, number] = points[seen, run]
-    return whole
+        visible = np.isfinite(points[:, run, 0])
+        merged_points[visible, number] = points[visible, run]
+    return merged_points

@@ -1,4 +1,4 @@
-"""Marker trajectories made whole: swaps and spikes repaired, gaps filled."""
+"""Marker trajectories completed: swaps and spikes repaired, gaps filled."""
 
 from __future__ import annotations
 
@@ -8,9 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from animtool.capture.markers.geometry import distances
-from animtool.capture.markers.predict import Prediction, follow, predict, turned
-from animtool.capture.markers.spikes import Spike, find_spikes, without_spikes
-from animtool.capture.markers.swaps import Swap, unswapped
+from animtool.capture.markers.predict import (
+    Prediction,
+    follow,
+    predict,
+    predict_in_parent,
+)
+from animtool.capture.markers.spikes import Spike, find_spikes, remove_spikes
+from animtool.capture.markers.swaps import Swap, repair_swaps
 from animtool.capture.options import FillOptions
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, counted
@@ -20,23 +25,23 @@ from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 
 if TYPE_CHECKING:
-    from animtool.capture.markers.skeleton import SkeletonMarkers, Subject
+    from animtool.capture.markers.skeleton import MarkerSubject, SkeletonMarkers
 
-# Up to this long a curve through the frames around is as good as anything [s].
+# Longest gap to fill by a curve through the frames around [s].
 CURVE_SECONDS = 0.05
-# Frames on either side that the curve goes by, and the fewest of one side.
+# Frames on either side for the curve, and the least on one side.
 AROUND, MIN_FRAMES = 6, 3
 DEGREE = 5
 # What is about as near as noise is not looked for elsewhere [m], and in which share of
 # a gap another marker is seen that holds a joint.
 CLOSE, MOSTLY = 0.001, 0.8
-# What was left out beside a gap is met so much better than the gap itself.
+# Cross-validation next to a gap is this much better than in the gap.
 DOUBT = 1.6
 
 
 @dataclass(frozen=True, slots=True)
 class FilledGap:
-    """A gap that was filled, or could not be.
+    """A gap that was filled or left.
 
     Attributes:
         marker: Its name.
@@ -54,7 +59,7 @@ class FilledGap:
 
 @dataclass(frozen=True, slots=True)
 class FillReport:
-    """What filling did.
+    """Result of filling.
 
     Attributes:
         frames: Number of frames.
@@ -80,26 +85,26 @@ class FillReport:
 def fill(
     markers: Markers,
     options: FillOptions | None = None,
-    subject: Subject | None = None,
+    subject: MarkerSubject | None = None,
 ) -> tuple[Markers, FillReport]:
-    """Return markers without swaps, spikes and gaps, as far as they can be told.
+    """Return markers without swaps, spikes and gaps, as far as they can be recovered.
 
-    With a subject, gaps are filled by its skeleton: where that has the marker, and how
-    far it is off there before the gap and behind. The other gaps, and all without a
-    subject, are filled by a curve through the frames around them, up to 50 ms. Longer
-    ones are filled by the other markers: where those most rigid with a marker are, and
-    how it moves with their pose in the frames in which it is seen. A gap in which fewer
-    than three other markers are seen, or one at an end of the take without enough to
-    learn from, is left; a last position is never held.
+    With a subject, gaps are filled from its skeleton: the marker's position on it plus
+    its offset there before and after the gap. Other gaps, and all without a subject,
+    are filled by a curve through the frames around them, up to 50 ms. Longer ones are
+    filled from the other markers: those most rigid with the marker, and how it moves
+    with their pose while it is visible. A gap with fewer than three other visible
+    markers, or one at an end of the take with too little to learn from, is left; a last
+    position is never repeated.
 
-    Each gap is filled from the frames within six seconds of it. Which markers are most
-    rigid with each other is taken from the whole take, and so are swaps and skeleton.
+    Each gap is filled from the frames within six seconds of it. Rigidity, swaps and the
+    skeleton come from the full take.
 
     Args:
         markers: Named trajectories; points without a label stay as they are.
         options: What to repair.
-        subject: Who wears the markers; its template says which of them the skeleton
-            tells. In frames with fewer than three it tells nothing.
+        subject: The subject wearing the markers; its template lists those the skeleton
+            predicts. Frames with fewer than three are not predicted.
 
     Raises:
         OptionError: The markers do not fit the subject, as of
@@ -117,34 +122,34 @@ def fill(
 
 
 def _filled_markers(
-    markers: Markers, options: FillOptions, subject: Subject | None
+    markers: Markers, options: FillOptions, subject: MarkerSubject | None
 ) -> tuple[Markers, FillReport]:
-    """Return markers that are whole, and what was done."""
+    """Return completed markers, and the report."""
     swaps: list[Swap] = []
     spikes: list[Spike] = []
     if not options.keep_swaps:
-        markers, swaps = unswapped(markers)
+        markers, swaps = repair_swaps(markers)
     if not options.keep_spikes:
         spikes = find_spikes(markers)
-        markers = without_spikes(markers, spikes)
+        markers = remove_spikes(markers, spikes)
     positions = markers.positions
     gaps: list[FilledGap] = []
     notices: list[Fault] = []
     labelled = [not name.startswith("*") for name in markers.names]
     if not options.keep_gaps:
         skeleton = None
-        if subject is not None and not markers.seen[:, labelled].all():
+        if subject is not None and not markers.visible[:, labelled].all():
             from animtool.capture.markers.skeleton import skeleton_markers
 
             skeleton = skeleton_markers(markers, subject)
             notices += skeleton.notices
         positions, gaps = _filled(markers, options.longest, skeleton)
-    was_seen = markers.seen
+    measured = markers.visible
     now = np.asarray(np.isfinite(positions).all(axis=-1))
-    filled = now & ~was_seen
+    filled = now & ~measured
     if markers.filled is not None:
         filled |= markers.filled & now
-    made = replace(
+    result = replace(
         markers, positions=positions, filled=filled if filled.any() else None
     )
     left = int((~now[:, labelled]).sum())
@@ -156,81 +161,83 @@ def _filled_markers(
         )
         notices.append(Fault("MKR111", message, None, (), hint, Severity.WARNING))
     report = FillReport(
-        len(markers), len(markers.names), int((now & ~was_seen).sum()), left, gaps,
+        len(markers), len(markers.names), int((now & ~measured).sum()), left, gaps,
         spikes, swaps, notices,
     )  # fmt: skip
-    return made, report
+    return result, report
 
 
 def _filled(
     markers: Markers, longest: float | None, skeleton: SkeletonMarkers | None
 ) -> tuple[FloatArray, list[FilledGap]]:
-    """Return positions without gaps, shorter gaps filled first, and the gaps."""
+    """Return positions with gaps filled, shorter ones first, and the gaps."""
     positions = markers.positions.copy()
     measured = np.asarray(np.isfinite(positions).all(axis=-1))
-    seen = measured.copy()
+    visible = measured.copy()
     rate = float(markers.clock.rate)
     spread = distances(positions).spread
-    found = []
-    for length, first, marker in _gaps(markers, seen):
+    fills = []
+    for length, first, marker in _gaps(markers, visible):
         gap = slice(first, first + length)
         path: FloatArray | None = None
         method = ""
         if longest is None or length <= longest * rate:
             if skeleton is not None and skeleton.tells(marker, gap):
-                made = follow(skeleton, positions, measured, marker, gap, rate)
+                prediction = follow(skeleton, positions, measured, marker, gap, rate)
                 method = "skeleton"
                 others = measured[gap].mean(axis=0) >= MOSTLY
                 guess = skeleton.drift(marker, others) * length / rate
-                if guess and max(guess, made.off) > CLOSE:
-                    made = replace(made, off=max(guess, made.off))
-                    where = (positions, seen, marker, gap, spread[marker], rate)
-                    made, method = _likeliest(
-                        (made, "skeleton"),
-                        (turned(skeleton, *where), "skeleton"),
+                if guess and max(guess, prediction.off) > CLOSE:
+                    prediction = replace(prediction, off=max(guess, prediction.off))
+                    where = (positions, visible, marker, gap, spread[marker], rate)
+                    prediction, method = _likeliest(
+                        (prediction, "skeleton"),
+                        (predict_in_parent(skeleton, *where), "skeleton"),
                         (predict(*where), "markers"),
                     )
-                path = made.positions
+                path = prediction.positions
             elif length <= CURVE_SECONDS * rate + 1e-9:
                 method = "curve"
-                path = _curve(positions[:, marker], seen[:, marker], gap)
+                path = _curve(positions[:, marker], visible[:, marker], gap)
             if path is None:
-                learnt = predict(positions, seen, marker, gap, spread[marker], rate)
+                learnt = predict(positions, visible, marker, gap, spread[marker], rate)
                 path = None if learnt is None else learnt.positions
                 method = "markers"
         if path is not None:
             positions[gap, marker] = path
-            seen[gap, marker] = True
+            visible[gap, marker] = True
         name = markers.names[marker]
         last = first + length - 1
-        found.append(FilledGap(name, first, last, "" if path is None else method))
+        fills.append(FilledGap(name, first, last, "" if path is None else method))
     order = {name: i for i, name in enumerate(markers.names)}
-    found.sort(key=lambda gap: (order[gap.marker], gap.first))
-    return positions, found
+    fills.sort(key=lambda gap: (order[gap.marker], gap.first))
+    return positions, fills
 
 
-def _likeliest(*ways: tuple[Prediction | None, str]) -> tuple[Prediction, str]:
-    """Return the prediction that is least off, and its method; the first in doubt."""
-    (held, name), *others = ((way, name) for way, name in ways if way is not None)
-    off = held.off / DOUBT
-    return min([(replace(held, off=off), name), *others], key=lambda way: way[0].off)
+def _likeliest(*predictions: tuple[Prediction | None, str]) -> tuple[Prediction, str]:
+    """Return the prediction with the least error, and its method; the first of ties."""
+    (best, name), *others = (
+        (each, name) for each, name in predictions if each is not None
+    )
+    off = best.off / DOUBT
+    return min([(replace(best, off=off), name), *others], key=lambda each: each[0].off)
 
 
-def _gaps(markers: Markers, seen: BoolArray) -> list[tuple[int, int, int]]:
-    """Return length, first frame and marker of all gaps, the shortest first."""
+def _gaps(markers: Markers, visible: BoolArray) -> list[tuple[int, int, int]]:
+    """Return length, first frame and marker of all gaps, shortest first."""
     gaps = []
     for marker, name in enumerate(markers.names):
-        if name.startswith("*") or not seen[:, marker].any():
+        if name.startswith("*") or not visible[:, marker].any():
             continue
-        missing = runs(~seen[:, marker])
+        missing = runs(~visible[:, marker])
         gaps += [(end - first, first, marker) for first, end in missing]
     return sorted(gaps)
 
 
-def _curve(path: FloatArray, seen: BoolArray, gap: slice) -> FloatArray | None:
-    """Return a polynomial through the frames around a gap; None where they are few."""
-    before = _run(seen, gap.start - 1, -1)
-    after = _run(seen, gap.stop, 1)
+def _curve(path: FloatArray, visible: BoolArray, gap: slice) -> FloatArray | None:
+    """Return a polynomial through the frames around a gap; None if too few."""
+    before = _run(visible, gap.start - 1, -1)
+    after = _run(visible, gap.stop, 1)
     if len(before) < MIN_FRAMES or len(after) < MIN_FRAMES:
         return None
     frames = np.array([*before[::-1], *after])
@@ -242,11 +249,11 @@ def _curve(path: FloatArray, seen: BoolArray, gap: slice) -> FloatArray | None:
     return np.asarray(inside @ (np.linalg.pinv(powers) @ path[frames]))
 
 
-def _run(seen: BoolArray, start: int, step: int) -> list[int]:
-    """Return the frames of a run that begins beside a gap, at most so many."""
+def _run(visible: BoolArray, start: int, step: int) -> list[int]:
+    """Return the visible frames next to a gap, up to a limit."""
     frames: list[int] = []
     frame = start
-    while 0 <= frame < len(seen) and seen[frame] and len(frames) < AROUND:
+    while 0 <= frame < len(visible) and visible[frame] and len(frames) < AROUND:
         frames.append(frame)
         frame += step
     return frames

@@ -1,4 +1,4 @@
-"""How far markers of one subject are from each other: at rest, and as they move."""
+"""Distances between markers of one subject: at rest, and in motion."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 
-# Frames looked at of a long take: distances do not need all of them.
+# Most frames sampled of a long take.
 MAX_FRAMES = 1500
-# Frames from which a spread is known.
+# Least frames for a spread.
 MIN_FRAMES = 12
 # Middle, and one standard deviation below and above [%].
 QUANTILES = (15.87, 50.0, 84.13)
 
 
 @dataclass(frozen=True, slots=True)
-class Distances:
+class MarkerDistances:
     """Distances between M markers.
 
     Attributes:
-        mean: Of each pair ``(M, M)`` [m]; NaN where it was never seen.
+        mean: Of each pair ``(M, M)`` [m]; NaN if never visible.
         spread: How much each varies ``(M, M)`` [m], standard deviation.
     """
 
@@ -28,10 +28,10 @@ class Distances:
     spread: FloatArray
 
 
-def distances(positions: FloatArray) -> Distances:
-    """Return the distances of markers over frames, robust against a few outliers.
+def distances(positions: FloatArray) -> MarkerDistances:
+    """Return marker distances over frames, robust against a few outliers.
 
-    positions: ``(F, M, 3)`` [m]; NaN where not seen.
+    positions: ``(F, M, 3)`` [m]; NaN where not visible.
     """
     frames, count, _ = positions.shape
     step = max(1, frames // MAX_FRAMES)
@@ -40,16 +40,16 @@ def distances(positions: FloatArray) -> Distances:
     spread = np.full((count, count), np.nan)
     least = min(MIN_FRAMES, len(sample))
     for i in range(count - 1):
-        apart = np.linalg.norm(sample[:, i + 1 :] - sample[:, i : i + 1], axis=-1)
-        known = np.isfinite(apart)
+        lengths = np.linalg.norm(sample[:, i + 1 :] - sample[:, i : i + 1], axis=-1)
+        known = np.isfinite(lengths)
         enough = np.flatnonzero(known.sum(axis=0) >= least)
         if not len(enough):
             continue
-        low, middle, high = _quantiles(apart[:, enough])
+        low, middle, high = _quantiles(lengths[:, enough])
         columns = enough + i + 1
         mean[i, columns] = mean[columns, i] = middle
         spread[i, columns] = spread[columns, i] = 0.5 * (high - low)
-    return Distances(mean, spread)
+    return MarkerDistances(mean, spread)
 
 
 def _quantiles(values: FloatArray) -> FloatArray:
@@ -68,10 +68,10 @@ def _quantiles(values: FloatArray) -> FloatArray:
     )
 
 
-def joined(rest: Distances, moving: Distances) -> Distances:
-    """Return distances at rest where a take shows none, else those of the take."""
+def joined(rest: MarkerDistances, moving: MarkerDistances) -> MarkerDistances:
+    """Return the take's distances, or those at rest where the take has none."""
     known = np.isfinite(moving.mean)
-    return Distances(
+    return MarkerDistances(
         np.where(known, moving.mean, rest.mean),
         np.where(known, moving.spread, rest.spread),
     )
@@ -80,11 +80,11 @@ def joined(rest: Distances, moving: Distances) -> Distances:
 def fitted(
     points: FloatArray, shape: FloatArray, weights: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rotations and translations that bring a shape onto points, a frame each.
+    """Return rotations and translations from a shape onto points, per frame.
 
-    points: ``(F, K, 3)``. shape: ``(K, 3)``. weights: Of the points ``(F, K)``; None
-    is 1. The result is ``(F, 3, 3)`` and
-    ``(F, 3)``; ``points = rotation · shape + translation``.
+    points: ``(F, K, 3)``. shape: ``(K, 3)``. weights: Of the points ``(F, K)``; None is
+    1. The result is ``(F, 3, 3)`` and ``(F, 3)``; ``points = rotation · shape +
+    translation``.
 
     References:
         Kabsch, W., "A solution for the best rotation to relate two sets of vectors",
@@ -95,8 +95,8 @@ def fitted(
     weights = weights / weights.sum(axis=1, keepdims=True)
     centre = np.einsum("fk,fki->fi", weights, points)
     middle = weights @ shape
-    own = shape - middle[:, None]
-    cross = np.einsum("fk,fki,fkj->fij", weights, points - centre[:, None], own)
+    centred = shape - middle[:, None]
+    cross = np.einsum("fk,fki,fkj->fij", weights, points - centre[:, None], centred)
     left, _, right = np.linalg.svd(cross)
     sign = np.sign(np.linalg.det(left) * np.linalg.det(right))
     left[:, :, 2] *= np.where(sign == 0, 1.0, sign)[:, None]
@@ -104,14 +104,14 @@ def fitted(
     return rotation, centre - np.einsum("fij,fj->fi", rotation, middle)
 
 
-# Fits of all frames to their median; the shape has settled by then.
+# Iterations of fitting all frames to their median; the shape has converged by then.
 SHAPE_ITERATIONS = 3
 
 
 def mean_shape(points: FloatArray) -> FloatArray:
-    """Return the shape that rigid points have in the median ``(K, 3)``.
+    """Return the median shape of rigid points ``(K, 3)``.
 
-    points: ``(F, K, 3)``, all seen.
+    points: ``(F, K, 3)``, all visible.
     """
     shape = np.median(points - points[:, :1], axis=0)
     for _ in range(SHAPE_ITERATIONS):

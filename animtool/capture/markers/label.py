@@ -1,4 +1,4 @@
-"""Points without names given the names of markers, by a trial at rest and by motion."""
+"""Labelling of unnamed points, from a trial at rest and their motion."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 
 from animtool.capture.markers.chains import chained, merged
-from animtool.capture.markers.geometry import Distances, distances, fitted
+from animtool.capture.markers.geometry import MarkerDistances, distances, fitted
 from animtool.capture.markers.naming import Naming, searched
 from animtool.capture.markers.runs import RunLabels
 from animtool.capture.markers.tracklets import Tracklets, follow
-from animtool.capture.markers.twins import Exchange, exchanged_in, told_apart
+from animtool.capture.markers.twins import Exchange, distinguish_twins, exchanged_in
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import span_label
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.record import dataclass
 from animtool.motion.markers import Markers
 
-# Which runs of a cloud are which markers, to begin with: groups that stay rigid.
+# Initial labelling of runs: groups that stay rigid.
 
-# A distance that varies less is one within a segment [m].
+# Distances that vary less are within a segment [m].
 RIGID = 0.006
 # How far the shape of a group of four may be off, for it to be named first [m].
 SEED = 0.003
@@ -30,78 +30,80 @@ SEED = 0.003
 # near [m]; and how many runs a run is grouped with.
 NEAREST, FARTHEST, COMPANY = 0.002, 0.006, 7
 MAX_GROUPS = 400
-# Groups that naming is begun with, of which the one that explains most is taken.
+# Number of seed groups, of which the one that explains most is taken.
 STARTS, GROUPS = 3, 12
-# How often runs are joined to chains: longer ones are known better.
+# Iterations of joining runs to chains.
 ROUNDS = 2
 
 
 def identify(
     points: FloatArray, shape: FloatArray, rest: FloatArray
 ) -> IntArray | None:
-    """Return which marker each run of a window is ``(R,)``; None where nothing fits."""
+    """Return the marker of each run of a window ``(R,)``; None if nothing fits."""
     chain = np.arange(points.shape[1])
     for _ in range(ROUNDS):
         moving = distances(points)
-        seen = np.isfinite(points[..., 0]).astype(np.float64)
-        again = chained(moving, seen.T @ seen)
+        visible = np.isfinite(points[..., 0]).astype(np.float64)
+        again = chained(moving, visible.T @ visible)
         points, chain = merged(points, again), again[chain]
     moving = distances(points)
-    seen = np.isfinite(points[..., 0]).astype(np.float64)
+    visible = np.isfinite(points[..., 0]).astype(np.float64)
     groups = _fours(moving)
     seeds = _seeds(points, groups, moving, shape, rest, NEAREST)
     if not seeds:
         seeds = _seeds(points, groups, moving, shape, rest, FARTHEST)
-    begun = Naming(moving, seen.T @ seen, rest)
+    begun = Naming(moving, visible.T @ visible, rest)
     best: Naming | None = None
     for seed in [_agreeing(seeds, begun.together), *seeds[:STARTS]]:
         if not seed:
             continue
         naming = begun.copy()
         for point, marker in seed.items():
-            naming.put(point, marker)
+            naming.assign(point, marker)
         naming.grow()
         if best is None or naming.total() > best.total():
             best = naming
-    return None if best is None else searched(best, rest, seeds[:GROUPS]).given[chain]
+    return (
+        None if best is None else searched(best, rest, seeds[:GROUPS]).names_of[chain]
+    )
 
 
 def _agreeing(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, int]:
-    """Return the markers of groups that do not contradict each other, best first."""
-    given: dict[int, int] = {}
+    """Return the markers of mutually consistent groups, best first."""
+    names: dict[int, int] = {}
     for seed in seeds:
-        if any(given.get(point, marker) != marker for point, marker in seed.items()):
+        if any(names.get(point, marker) != marker for point, marker in seed.items()):
             continue
-        both = given | seed
+        both = names | seed
         points, markers = np.array(list(both)), np.array(list(both.values()))
         clash = together[np.ix_(points, points)] & (markers[:, None] == markers)
         np.fill_diagonal(clash, False)
         if not clash.any():
-            given = both
-    return given
+            names = both
+    return names
 
 
 def _seeds(
     points: FloatArray,
     groups: list[tuple[int, ...]],
-    moving: Distances,
+    moving: MarkerDistances,
     shape: FloatArray,
     rest: FloatArray,
     tolerance: float,
 ) -> list[dict[int, int]]:
-    """Return groups of rigid runs with the markers that they may be, best first."""
-    found = []
+    """Return groups of rigid runs with their candidate markers, best first."""
+    seeds = []
     for group in groups:
         for markers in _matches(group, moving.mean, rest, tolerance):
-            off = _misfit(points[:, group], shape[list(markers)])
+            off = _shape_error(points[:, group], shape[list(markers)])
             if off < SEED:
-                found.append((off, dict(zip(group, markers, strict=True))))
-    found.sort(key=lambda entry: entry[0])
-    return [pairs for _, pairs in found]
+                seeds.append((off, dict(zip(group, markers, strict=True))))
+    seeds.sort(key=lambda entry: entry[0])
+    return [pairs for _, pairs in seeds]
 
 
-def _fours(moving: Distances) -> list[tuple[int, ...]]:
-    """Return groups of four runs of which any two are rigid, the most rigid first."""
+def _fours(moving: MarkerDistances) -> list[tuple[int, ...]]:
+    """Return groups of four mutually rigid runs, the most rigid first."""
     spread = np.where(np.isfinite(moving.spread), moving.spread, np.inf)
     np.fill_diagonal(spread, np.inf)
     worst: dict[tuple[int, ...], float] = {}
@@ -118,14 +120,14 @@ def _fours(moving: Distances) -> list[tuple[int, ...]]:
 
 
 def _matches(
-    group: tuple[int, ...], apart: FloatArray, rest: FloatArray, tolerance: float
+    group: tuple[int, ...], lengths: FloatArray, rest: FloatArray, tolerance: float
 ) -> list[tuple[int, ...]]:
-    """Return the markers whose distances at rest are those of a group of runs."""
-    first, second = np.nonzero(np.abs(rest - apart[group[1], group[0]]) < tolerance)
+    """Return the markers whose rest distances match those of a group of runs."""
+    first, second = np.nonzero(np.abs(rest - lengths[group[1], group[0]]) < tolerance)
     partial = np.stack([first, second], axis=1)
     partial = partial[first != second]
     for k in range(2, len(group)):
-        off = np.abs(rest[partial] - apart[group[k], group[:k]][None, :, None])
+        off = np.abs(rest[partial] - lengths[group[k], group[:k]][None, :, None])
         fits: BoolArray = np.asarray((off < tolerance).all(axis=1))
         fits[np.arange(len(partial))[:, None], partial] = False
         row, marker = np.nonzero(fits)
@@ -133,14 +135,14 @@ def _matches(
     return [tuple(markers) for markers in partial.tolist()]
 
 
-def _misfit(points: FloatArray, shape: FloatArray) -> float:
-    """Return how far a shape is off points, mirrored ones included [m]."""
-    whole = points[np.isfinite(points).all(axis=(1, 2))][::8]
-    if not len(whole):
+def _shape_error(points: FloatArray, shape: FloatArray) -> float:
+    """Return the error of a shape on points, rejecting mirror images [m]."""
+    complete = points[np.isfinite(points).all(axis=(1, 2))][::8]
+    if not len(complete):
         return np.inf
-    rotation, shift = fitted(whole, shape)
+    rotation, shift = fitted(complete, shape)
     fit = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
-    return float(np.sqrt(np.median(((fit - whole) ** 2).sum(axis=-1).mean(axis=1))))
+    return float(np.sqrt(np.median(((fit - complete) ** 2).sum(axis=-1).mean(axis=1))))
 
 
 # Runs that are named first are as long [frame], in a part of a take as long [s].
@@ -150,14 +152,14 @@ BASE = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """Markers whose names could as well be exchanged.
+    """Markers whose names could be exchanged.
 
     Attributes:
         markers: Their names.
-        first: First frame in which all of them are seen, from 0.
+        first: First frame in which all of them are visible, from 0.
         last: Last such frame.
-        score: How much speaks for the exchange [nat]: 0 where as much as for the names
-            that were given, below 0 less.
+        score: Evidence for the exchange [nat]: 0 if as much as for the names
+            assigned, below 0 less.
     """
 
     markers: tuple[str, ...]
@@ -168,18 +170,18 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True)
 class LabelReport:
-    """What labelling did.
+    """Result of labelling.
 
     Attributes:
         frames: Number of frames.
         markers: Number of names.
-        points: Points seen, all frames together.
+        points: Visible points over all frames.
         labelled: Those that got a name.
-        rejected: Those that are none of the markers.
-        runs: Points joined to runs without a gap.
-        missing: Names that no point got in any frame.
-        coverage: Share of frames in which each name has a point.
-        doubts: Markers that neither distances nor shapes tell apart.
+        rejected: Those that are not markers.
+        runs: Number of gapless runs.
+        missing: Names without a point in any frame.
+        coverage: Fraction of frames in which each name has a point.
+        doubts: Markers that neither distances nor shapes distinguish.
         notices: Warnings.
     """
 
@@ -195,19 +197,19 @@ class LabelReport:
     notices: list[Fault] = field(default_factory=list)
 
     @property
-    def share(self) -> float:
-        """Share of the points that have a name [1]."""
+    def fraction(self) -> float:
+        """Fraction of the points that have a name [1]."""
         return self.labelled / max(1, self.points)
 
 
 def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
-    """Return a cloud with the names of a trial at rest.
+    """Return a point cloud labelled with the names of a trial at rest.
 
-    Points are joined to runs by how they move. Runs whose distance does not change are
-    on one segment: groups of them are found in the trial by their distances and their
-    handedness, and then, run by run, what is known best is added. Runs after a gap get
-    the name whose place, by the distances to those that have one, they are at. What is
-    at no marker's place gets none.
+    Points are joined to runs by their motion. Runs at constant distance are on one
+    segment: groups of them are matched to the trial by distances and handedness; then
+    the clearest run is added, one after another. Runs after a gap get the name whose
+    position, by distances to named runs, they have. Points at no marker's position stay
+    unnamed.
 
     Args:
         cloud: Points in any order, which may change from frame to frame.
@@ -220,24 +222,24 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
     names, rest = _template(static)
     rate = float(cloud.clock.rate)
     tracklets = follow(cloud.positions, rate)
-    given = _first_names(cloud, tracklets, rest)
-    if given is None:
+    first = _first_names(cloud, tracklets, rest)
+    if first is None:
         message = "no group of points moves like a segment of the trial"
         hint = "does it show the same subject, with the same markers and unit?"
         raise OptionError(Fault("MKR021", message, hint=hint))
-    apart = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
-    work = RunLabels(cloud.positions, tracklets, rate, given, apart)
-    names_of, exchanges, pairs = told_apart(work.by_marker(), rest)
-    work.given = np.where(work.given >= 0, names_of[work.given], -1)
+    lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
+    work = RunLabels(cloud.positions, tracklets, rate, first, lengths)
+    names_of, exchanges, pairs = distinguish_twins(work.by_marker(), rest)
+    work.names_of = np.where(work.names_of >= 0, names_of[work.names_of], -1)
     for pair in pairs:
         _exchange_parts(work, rest, pair)
-    work.settle()
-    return _labelled(cloud, names, tracklets, work.given, exchanges)
+    work.name_runs()
+    return _labelled(cloud, names, tracklets, work.names_of, exchanges)
 
 
 def _template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
     """Return names and mean positions ``(M, 3)`` of the markers of a trial at rest."""
-    known = np.flatnonzero(static.seen.any(axis=0))
+    known = np.flatnonzero(static.visible.any(axis=0))
     known = np.array([i for i in known.tolist() if not static.names[i].startswith("*")])
     if len(known) < 4:
         message = f"the trial has {len(known)} labelled markers; labelling needs 4"
@@ -250,14 +252,14 @@ def _labelled(
     cloud: Markers,
     names: tuple[str, ...],
     tracklets: Tracklets,
-    given: IntArray,
+    first: IntArray,
     exchanges: list[Exchange],
 ) -> tuple[Markers, LabelReport]:
-    """Return a cloud by name."""
+    """Return the cloud by name."""
     frames = len(cloud)
     slots = np.full((frames, len(names)), -1)
     ids = tracklets.ids
-    marker = np.where(ids >= 0, given[ids], -1)
+    marker = np.where(ids >= 0, first[ids], -1)
     frame, slot = np.nonzero(marker >= 0)
     slots[frame, marker[frame, slot]] = slot
 
@@ -279,7 +281,7 @@ def _labelled(
     coverage = (slots >= 0).mean(axis=0)
     points, got = int((ids >= 0).sum()), int((slots >= 0).sum())
     shares = dict(zip(names, coverage.tolist(), strict=True))
-    missing = [name for name, share in shares.items() if not share]
+    missing = [name for name, fraction in shares.items() if not fraction]
     notices = []
     if missing:
         message = f"no points were found for {', '.join(missing)}"
@@ -295,20 +297,20 @@ def _labelled(
 
 
 def _doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
-    """Return exchanges by name, with the frames in which they would be seen."""
-    found = []
+    """Return possible exchanges by name, with the frames in which they would show."""
+    doubts = []
     for exchange in exchanges:
         markers = list(exchange.markers)
-        seen = np.flatnonzero(labelled.seen[:, markers].all(axis=1))
-        if len(seen):
+        visible = np.flatnonzero(labelled.visible[:, markers].all(axis=1))
+        if len(visible):
             names = tuple(labelled.names[marker] for marker in markers)
             score = round(exchange.score, 3)
-            found.append(Doubt(names, int(seen[0]), int(seen[-1]), score))
-    return found
+            doubts.append(Doubt(names, int(visible[0]), int(visible[-1]), score))
+    return doubts
 
 
 def _doubted(doubts: list[Doubt], cloud: Markers) -> Fault:
-    """Return the warning that some markers are not told apart."""
+    """Return the warning that some markers cannot be distinguished."""
     parts = []
     for doubt in doubts:
         first, last = cloud.clock.times[[doubt.first, doubt.last]]
@@ -325,23 +327,20 @@ def _doubted(doubts: list[Doubt], cloud: Markers) -> Fault:
 def _first_names(
     cloud: Markers, tracklets: Tracklets, rest: FloatArray
 ) -> IntArray | None:
-    """Return the markers of the longer runs of a part of a take; None where none fits.
-
-    -1 for the other runs.
-    """
+    """Return the markers of a part's longer runs, -1 for others; None if none fits."""
     frames, runs = _base(tracklets, len(cloud), float(cloud.clock.rate))
-    apart = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
+    lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
     points = _window(cloud.positions, tracklets, runs, frames)
-    found = identify(points, rest, apart)
-    if found is None:
+    names = identify(points, rest, lengths)
+    if names is None:
         return None
-    given = np.full(len(tracklets.first), -1)
-    given[runs] = found
-    return given
+    first = np.full(len(tracklets.first), -1)
+    first[runs] = names
+    return first
 
 
 def _base(tracklets: Tracklets, frames: int, rate: float) -> tuple[slice, IntArray]:
-    """Return the frames that are looked at first, and their longer runs."""
+    """Return the frames that are labelled first, and their longer runs."""
     first, last = tracklets.first, tracklets.last
     length = min(frames, max(MIN_RUN, int(BASE * rate)))
     best, count = 0, -1
@@ -370,11 +369,11 @@ def _window(
 
 
 def _exchange_parts(work: RunLabels, rest: FloatArray, pair: tuple[int, int]) -> None:
-    """Exchange two names in the parts of a take in which shapes say so.
+    """Exchange two names in the parts of a take whose shapes require it.
 
-    A part ends where a gap of both markers lets nothing tell whose runs go on.
+    A part ends at a gap of both markers, where continuity is lost.
     """
-    runs = np.flatnonzero(np.isin(work.given, pair))
+    runs = np.flatnonzero(np.isin(work.names_of, pair))
     first, last = work.tracklets.first, work.tracklets.last
     runs = runs[np.argsort(first[runs], kind="stable")]
     ends = np.maximum.accumulate(last[runs])
@@ -385,4 +384,4 @@ def _exchange_parts(work: RunLabels, rest: FloatArray, pair: tuple[int, int]) ->
     for part in parts:
         frames = slice(int(first[part].min()), int(last[part].max()) + 1)
         if exchanged_in(marked[frames], rest, pair):
-            work.given[part] = sum(pair) - work.given[part]
+            work.names_of[part] = sum(pair) - work.names_of[part]

@@ -1,4 +1,4 @@
-"""Names of points that explain all distances between them best."""
+"""Assignment of names to points that explains all their distances best."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from animtool.capture.markers.chains import alike_of, evidence
-from animtool.capture.markers.geometry import Distances
+from animtool.capture.markers.chains import evidence, likelihoods
+from animtool.capture.markers.geometry import MarkerDistances
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 
-# What a point is named for at least, in all its distances together [nat].
+# Least total evidence for naming a point [nat].
 WORTH = 1.0
-# Points that stay as near are named in twos [m], with so many others each.
+# Spread of pairs that are named together [m], and partners of each point.
 RIGID, PARTNERS = 0.006, 3
-# Names taken away and given anew, and what has to be gained by it [nat].
+# Trials of reassigning names, and their least gain [nat].
 TRIALS, GAIN = 40, 0.05
-# Markers found for less than this, of what was seen longest, and points without a name
-# that were seen for longer than that, have names around them given anew: how often, how
-# far [m], how much is left to chance [nat], and how often all names are.
+# Markers named for less than this fraction of the longest visible one, and unnamed
+# points visible for longer than that, have the names around them reassigned: number of
+# restarts, radius [m], random bias [nat], and probability of restarting from scratch.
 LACKING, LONG, RESTARTS, RADIUS, BIAS, EMPTY_START = (
     0.5,
     0.3,
@@ -29,81 +29,81 @@ LACKING, LONG, RESTARTS, RADIUS, BIAS, EMPTY_START = (
     (0.5, 6.0),
     0.4,
 )
-# Markers about one whose name is in doubt [m].
+# Radius around a doubtful marker [m].
 AROUND = 0.3
-# Names of markers so near at rest are exchanged in threes, and two and two [m].
+# Markers this near at rest are exchanged in triples and double pairs [m].
 NEAR = 0.28
-# How far below the best names may be, before exchanges, for those to be tried [nat].
+# Exchanges are tried if names are within this of the best [nat].
 WITHIN = 10.0
 MAX_CHANGES = 40
 
 
 class Naming:
-    """Names of points, and what the distances of all that have one say of each name.
+    """Names of points, and the evidence of named points for each name.
 
     Attributes:
-        given: Which marker each point is ``(R,)``; -1 for none.
+        names_of: Marker of each point ``(R,)``; -1 for none.
     """
 
     def __init__(
-        self, moving: Distances, overlap: FloatArray, rest: FloatArray
+        self, moving: MarkerDistances, overlap: FloatArray, rest: FloatArray
     ) -> None:
-        """Take what is known of distances.
+        """Start without names.
 
-        moving: Of the points. overlap: Frames in which pairs are seen ``(R, R)``. rest:
-        Of the markers ``(M, M)`` [m].
+        moving: Distances of the points. overlap: Frames in which pairs are visible
+        ``(R, R)``. rest: Distances of the markers ``(M, M)`` [m].
         """
         count, markers = len(overlap), len(rest)
         self.together: BoolArray = overlap > 0
-        # A pair counts by how long it was seen, of what could be.
-        share = overlap / max(1.0, float(overlap.max()))
-        self.length = np.diag(share).copy()
-        np.fill_diagonal(share, 0.0)
-        self.says = said_of(moving, share, rest)
-        # Points that are not seen together and have one name should be one marker.
+        # A pair's weight is its visible fraction.
+        overlap_fraction = overlap / max(1.0, float(overlap.max()))
+        self.length = np.diag(overlap_fraction).copy()
+        np.fill_diagonal(overlap_fraction, 0.0)
+        self.pair_scores = pair_evidence(moving, overlap_fraction, rest)
+        # Points never visible together that share a name should be one marker.
         part = np.minimum(self.length[:, None], self.length) * ~self.together
-        linked = (part * alike_of(moving, overlap)).astype(np.float32)
+        linked = (part * likelihoods(moving, overlap)).astype(np.float32)
         for name in range(markers):
-            self.says[:, :, name, name] += linked
-        self.pairs = _rigid_pairs(moving, share)
+            self.pair_scores[:, :, name, name] += linked
+        self.pairs = _rigid_pairs(moving, overlap_fraction)
         self.moves = exchanges(rest)
-        self.given = np.full(count, -1)
-        self.said = np.zeros((count, markers))
+        self.names_of = np.full(count, -1)
+        self.scores = np.zeros((count, markers))
         self.taken = np.zeros((count, markers), np.int64)
 
     def copy(self) -> Naming:
-        """Return names that can be changed without changing these."""
+        """Return a copy that can be changed independently."""
         other = object.__new__(Naming)
         other.__dict__.update(self.__dict__)
-        for name in ("given", "said", "taken"):
+        for name in ("names_of", "scores", "taken"):
             setattr(other, name, getattr(self, name).copy())
         return other
 
     def total(self) -> float:
-        """Return how well names explain all distances [nat]."""
-        named = np.flatnonzero(self.given >= 0)
-        return 0.5 * float(self.said[named, self.given[named]].sum())
+        """Return the log-likelihood of all distances given the names [nat]."""
+        named = np.flatnonzero(self.names_of >= 0)
+        return 0.5 * float(self.scores[named, self.names_of[named]].sum())
 
-    def put(self, point: int, marker: int) -> None:
-        """Give a point a name, or take it with -1."""
-        before = int(self.given[point])
+    def assign(self, point: int, marker: int) -> None:
+        """Name a point; -1 removes its name."""
+        before = int(self.names_of[point])
         for name, sign in ((before, -1), (marker, 1)):
             if name >= 0:
-                self.said += sign * self.says[point, :, name]
+                self.scores += sign * self.pair_scores[point, :, name]
                 self.taken[self.together[point], name] += sign
-        self.given[point] = marker
+        self.names_of[point] = marker
 
     def grow(self, bias: FloatArray | float = 0.0) -> None:
-        """Name points one by one, or two rigid ones, those that are clearest first.
+        """Name points one by one, or in rigid pairs, the clearest first.
 
-        Points that are seen together are not the same marker.
+        Points visible together are never the same marker.
 
-        bias: What speaks for names besides ``(R, M)`` [nat].
+        bias: Additional evidence for names ``(R, M)`` [nat].
         """
-        rows = np.arange(len(self.given))
+        rows = np.arange(len(self.names_of))
         while True:
-            score = np.where(self.taken > 0, -np.inf, self.said + bias)
-            score[self.given >= 0] = -np.inf
+            score = np.where(self.taken > 0, -np.inf, self.scores + bias)
+            score[self.names_of >= 0] = -np.inf
             pair = self._pair(score)
             marker = score.argmax(axis=1)
             best = score[rows, marker]
@@ -114,22 +114,22 @@ class Naming:
             clear[worth] = (best - rival)[worth]
             point = int(clear.argmax())
             if pair and pair[0] > max(0.0, clear[point]):
-                self.put(*pair[1])
-                self.put(*pair[2])
+                self.assign(*pair[1])
+                self.assign(*pair[2])
             elif clear[point] > 0.0:
-                self.put(point, int(marker[point]))
+                self.assign(point, int(marker[point]))
             else:
                 return
 
     def _pair(self, score: FloatArray) -> Any:
-        """Return how clear two rigid points are [nat], and the points with names."""
+        """Return the clearest rigid pair: its evidence [nat], and points with names."""
         first, second = self.pairs
-        free = (self.given[first] < 0) & (self.given[second] < 0)
+        free = (self.names_of[first] < 0) & (self.names_of[second] < 0)
         first, second = first[free], second[free]
         if not len(first):
             return None
         both = score[first][:, :, None] + score[second][:, None, :]
-        both = (both + self.says[first, second]).reshape(len(first), -1)
+        both = (both + self.pair_scores[first, second]).reshape(len(first), -1)
         rows = np.arange(len(first))
         top = both.argmax(axis=1)
         best = both[rows, top].copy()
@@ -146,72 +146,71 @@ class Naming:
         return float(clear[row]), (int(first[row]), i), (int(second[row]), j)
 
     def improve(self, most: float = -np.inf) -> None:
-        """Give points, and markers, other names where distances then fit better.
+        """Rename points, and exchange markers, while that fits distances better.
 
-        most: Below this by far, exchanges are not tried.
+        most: Exchanges are not tried far below this total [nat].
         """
         for _ in range(MAX_CHANGES):
-            moved = self._move()
+            changed = self._move()
             if self.total() < most - WITHIN:
                 return
             names = self._exchanges()
             if names is None:
-                if not moved:
+                if not changed:
                     return
                 continue
-            for point in np.flatnonzero(self.given >= 0).tolist():
-                new = int(names[self.given[point]])
-                if new != self.given[point]:
-                    self.put(point, new)
+            for point in np.flatnonzero(self.names_of >= 0).tolist():
+                new = int(names[self.names_of[point]])
+                if new != self.names_of[point]:
+                    self.assign(point, new)
 
     def _move(self) -> bool:
-        """Give points a free name that fits better; return whether there were any."""
-        moved = False
-        for point in range(len(self.given)):
-            now = int(self.given[point])
+        """Give points a better free name; return whether any changed."""
+        changed = False
+        for point in range(len(self.names_of)):
+            now = int(self.names_of[point])
             taken = self.taken[point].copy()
             here = 0.0
             if now >= 0:
                 taken[now] -= 1
-                here = float(self.said[point, now])
-            score = np.where(taken > 0, -np.inf, self.said[point])
+                here = float(self.scores[point, now])
+            score = np.where(taken > 0, -np.inf, self.scores[point])
             other = int(score.argmax())
             least = here + GAIN if now >= 0 else WORTH * self.length[point]
             if other != now and score[other] > least:
-                self.put(point, other)
-                moved = True
+                self.assign(point, other)
+                changed = True
             elif now >= 0 and here < 0.0:
-                self.put(point, -1)
-                moved = True
-        return moved
+                self.assign(point, -1)
+                changed = True
+        return changed
 
     def _exchanges(self) -> IntArray | None:
-        """Return which name each marker should have ``(M,)``; None where as it is.
+        """Return a better permutation of the names ``(M,)``; None if there is none.
 
-        Exchanges of any two markers are looked at, and of near ones those of three, and
-        of two and two.
+        All pairs of markers are tried, and triples and double pairs of near ones.
         """
-        named = np.flatnonzero(self.given >= 0)
-        have, first = np.unique(self.given[named], return_index=True)
-        count = self.said.shape[1]
-        rows = self.says[named[first]]
+        named = np.flatnonzero(self.names_of >= 0)
+        have, first = np.unique(self.names_of[named], return_index=True)
+        count = self.scores.shape[1]
+        rows = self.pair_scores[named[first]]
         more = np.setdiff1d(np.arange(len(named)), first)
         for point in named[more].tolist():
-            rows[np.searchsorted(have, self.given[point])] += self.says[point]
-        says: FloatArray = np.zeros((count,) * 4, self.says.dtype)
-        says[np.ix_(have, have)] = rows[:, named[first]]
+            rows[np.searchsorted(have, self.names_of[point])] += self.pair_scores[point]
+        pair_scores: FloatArray = np.zeros((count,) * 4, self.pair_scores.dtype)
+        pair_scores[np.ix_(have, have)] = rows[:, named[first]]
         for point in named[more].tolist():
-            says[have, self.given[point]] += rows[:, point]
-        says[np.arange(count), np.arange(count)] = 0.0
+            pair_scores[have, self.names_of[point]] += rows[:, point]
+        pair_scores[np.arange(count), np.arange(count)] = 0.0
         names = np.arange(count)
         for _ in range(MAX_CHANGES):
-            # What each marker by each name would say, with the names of all others.
+            # Evidence of each marker for each name, given the names of all others.
             alone = np.zeros((count, count))
             for other in have.tolist():
-                alone += says[:, other, :, names[other]]
+                alone += pair_scores[:, other, :, names[other]]
             best, gain = None, GAIN
             for old, new in self.moves:
-                value = gain_of(says, alone, names, old, new)
+                value = gain_of(pair_scores, alone, names, old, new)
                 top = int(value.argmax()) if len(value) else 0
                 if len(value) and value[top] > gain:
                     best, gain = (old[top], new[top]), float(value[top])
@@ -221,62 +220,64 @@ class Naming:
         return names if (names != np.arange(count)).any() else None
 
     def doubt(self, tried: set[tuple[int, int]]) -> tuple[int, int] | None:
-        """Return the point, and the other marker, that names speak most against."""
-        rows = np.arange(len(self.given))
-        named = self.given >= 0
-        now = np.where(named, self.said[rows, self.given], 0.0)
-        regret = self.said - now[:, None]
-        regret[rows[named], self.given[named]] = -np.inf
+        """Return the point, and another marker, with the most evidence for renaming."""
+        rows = np.arange(len(self.names_of))
+        named = self.names_of >= 0
+        now = np.where(named, self.scores[rows, self.names_of], 0.0)
+        regret = self.scores - now[:, None]
+        regret[rows[named], self.names_of[named]] = -np.inf
         for point, marker in tried:
             regret[point, marker] = -np.inf
         point, marker = divmod(int(regret.argmax()), regret.shape[1])
         return (point, marker) if regret[point, marker] > 0.0 else None
 
     def eject(self, point: int, marker: int, around: BoolArray) -> None:
-        """Give a point a name, take it from those in the way, and name them anew.
+        """Name a point, remove conflicting names, and assign those again.
 
-        around: Markers whose names are given anew too ``(M,)``.
+        around: Markers whose names are assigned again too ``(M,)``.
         """
-        barred = self.together[point] & (self.given == marker)
-        barred |= (self.given >= 0) & around[self.given]
+        barred = self.together[point] & (self.names_of == marker)
+        barred |= (self.names_of >= 0) & around[self.names_of]
         for other in np.flatnonzero(barred).tolist():
-            self.put(other, -1)
-        self.put(point, marker)
+            self.assign(other, -1)
+        self.assign(point, marker)
         self.grow()
 
     def lacking(self) -> IntArray:
-        """Return the markers of which no point, or little, was found.
+        """Return the markers with no or few points.
 
-        All of them, where it is a point seen for long that lacks a name.
+        All of them, if an unnamed point is visible for long.
         """
-        found = np.zeros(self.said.shape[1])
-        named = self.given >= 0
-        np.add.at(found, self.given[named], self.length[named])
-        lacking = np.flatnonzero(found < LACKING)
+        lengths = np.zeros(self.scores.shape[1])
+        named = self.names_of >= 0
+        np.add.at(lengths, self.names_of[named], self.length[named])
+        lacking = np.flatnonzero(lengths < LACKING)
         if not len(lacking) and (self.length[~named] > LONG).any():
-            return np.arange(len(found))
+            return np.arange(len(lengths))
         return lacking
 
     def restart(
         self, around: BoolArray, seed: dict[int, int], bias: FloatArray
     ) -> None:
-        """Take the names of some markers ``(M,)`` away, and name anew from a seed."""
-        for point in np.flatnonzero((self.given >= 0) & around[self.given]).tolist():
-            self.put(point, -1)
+        """Remove names of some markers ``(M,)``, and assign them again from a seed."""
+        for point in np.flatnonzero(
+            (self.names_of >= 0) & around[self.names_of]
+        ).tolist():
+            self.assign(point, -1)
         for point, marker in seed.items():
-            self.put(point, marker)
+            self.assign(point, marker)
         self.grow(bias)
 
 
 def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) -> Naming:
-    """Return names that explain more, found by taking some away and naming anew.
+    """Return better names, found by removing some and assigning them again.
 
-    What is taken away is the name that distances speak for, of a point that has another
-    one, and where that is not enough those of all markers about the two.
+    A conflicting name is removed first; if that is not enough, all names around the two
+    markers.
     """
     best = _redoubted(best, rest)
     most = best.total()
-    # What lacks a point is where another one is named as it.
+    # A marker without a point is often confused with another one.
     rng = np.random.default_rng(0)
     for _ in range(RESTARTS):
         lacking = best.lacking()
@@ -286,10 +287,10 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
         around = rest[centre] < rng.uniform(*RADIUS)
         if len(lacking) < len(rest) and rng.random() < 0.5:
             around |= (rest[lacking] < AROUND).any(axis=0)
-        chance = rng.uniform(*BIAS) * best.length[:, None]
-        bias = rng.normal(0.0, 1.0, best.said.shape) * chance
+        offsets = rng.uniform(*BIAS) * best.length[:, None]
+        bias = rng.normal(0.0, 1.0, best.scores.shape) * offsets
         other = best.copy()
-        # Now and then all begins anew, with another group.
+        # Sometimes restart from scratch with another group.
         seed = (
             seeds[int(rng.integers(len(seeds)))] if rng.random() < EMPTY_START else {}
         )
@@ -303,7 +304,7 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
 
 
 def _redoubted(best: Naming, rest: FloatArray) -> Naming:
-    """Return names in which those that distances speak against most were tried."""
+    """Return names after trying the most doubtful ones again."""
     best.improve()
     most = best.total()
     tried: set[tuple[int, int]] = set()
@@ -314,8 +315,8 @@ def _redoubted(best: Naming, rest: FloatArray) -> Naming:
         tried.add(move)
         point, marker = move
         about = rest[marker] < AROUND
-        if best.given[point] >= 0:
-            about = about | (rest[best.given[point]] < AROUND)
+        if best.names_of[point] >= 0:
+            about = about | (rest[best.names_of[point]] < AROUND)
         for around in (np.zeros(len(rest), bool), about):
             other = best.copy()
             other.eject(point, marker, around)
@@ -327,11 +328,13 @@ def _redoubted(best: Naming, rest: FloatArray) -> Naming:
     return best
 
 
-def said_of(moving: Distances, share: FloatArray, rest: FloatArray) -> FloatArray:
-    """Return what each pair of points says of each two names ``(R, R, M, M)``."""
-    count, markers = len(share), len(rest)
-    # Single precision: the table is large, and nats need no more.
-    says: Any = np.zeros((count, count, markers, markers), np.float32)
+def pair_evidence(
+    moving: MarkerDistances, overlap: FloatArray, rest: FloatArray
+) -> FloatArray:
+    """Return the evidence of point pairs for name pairs ``(R, R, M, M)`` [nat]."""
+    count, markers = len(overlap), len(rest)
+    # Single precision: the table is large, and evidence needs no more.
+    pair_scores: Any = np.zeros((count, count, markers, markers), np.float32)
     for point in range(count - 1):
         others = slice(point + 1, count)
         table = evidence(
@@ -339,15 +342,17 @@ def said_of(moving: Distances, share: FloatArray, rest: FloatArray) -> FloatArra
             moving.spread[point, others],
             rest.reshape(1, -1),
         ).reshape(-1, markers, markers)
-        table *= share[point, others, None, None]
-        says[point, others] = table
-        says[others, point] = table.transpose(0, 2, 1)
-    return np.asarray(says)
+        table *= overlap[point, others, None, None]
+        pair_scores[point, others] = table
+        pair_scores[others, point] = table.transpose(0, 2, 1)
+    return np.asarray(pair_scores)
 
 
-def _rigid_pairs(moving: Distances, share: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return the pairs of points that stay rigid, of those nearest to be so."""
-    known = (share > 0) & np.isfinite(moving.spread)
+def _rigid_pairs(
+    moving: MarkerDistances, overlap: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """Return pairs of points that stay rigid, among the most rigid of each."""
+    known = (overlap > 0) & np.isfinite(moving.spread)
     spread = np.where(known, moving.spread, np.inf)
     company = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
     pairs = {
@@ -361,30 +366,34 @@ def _rigid_pairs(moving: Distances, share: FloatArray) -> tuple[IntArray, IntArr
 
 
 def gain_of(
-    says: FloatArray, alone: FloatArray, names: IntArray, old: IntArray, new: IntArray
+    pair_scores: FloatArray,
+    alone: FloatArray,
+    names: IntArray,
+    old: IntArray,
+    new: IntArray,
 ) -> FloatArray:
-    """Return what is gained where markers take the names of others ``(N,)`` [nat]."""
+    """Return the gain of exchanging markers' names ``(N,)`` [nat]."""
     was, will = names[old], names[new]
     value = (alone[old, will] - alone[old, was]).sum(axis=1)
     for a, b in combinations(range(old.shape[1]), 2):
         one, two = old[:, a], old[:, b]
-        value += says[one, two, will[:, a], will[:, b]]
-        value += says[one, two, was[:, a], was[:, b]]
-        value -= says[one, two, will[:, a], was[:, b]]
-        value -= says[one, two, was[:, a], will[:, b]]
+        value += pair_scores[one, two, will[:, a], will[:, b]]
+        value += pair_scores[one, two, was[:, a], was[:, b]]
+        value -= pair_scores[one, two, will[:, a], was[:, b]]
+        value -= pair_scores[one, two, was[:, a], will[:, b]]
     return np.asarray(value)
 
 
 def exchanges(rest: FloatArray) -> list[tuple[IntArray, IntArray]]:
-    """Return exchanges: the markers ``(N, K)``, and whose name each takes."""
+    """Return exchanges: markers ``(N, K)``, and the marker whose name each takes."""
     near = rest < NEAR
     first, second = np.triu_indices(len(rest), 1)
     two = np.stack([first, second], axis=1)
     close = two[near[first, second]]
     one, other = np.triu_indices(len(close), 1)
     four = np.concatenate([close[one], close[other]], axis=1)
-    apart = (close[one][:, :, None] != close[other][:, None, :]).all(axis=(1, 2))
-    four = four[apart]
+    disjoint = (close[one][:, :, None] != close[other][:, None, :]).all(axis=(1, 2))
+    four = four[disjoint]
     row, third = np.nonzero(near[close].any(axis=1))
     three = np.concatenate([close[row], third[:, None]], axis=1)
     three = three[(three[:, 2] != three[:, 0]) & (three[:, 2] != three[:, 1])]

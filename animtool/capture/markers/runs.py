@@ -1,44 +1,44 @@
-"""Runs of points, and which marker each is, by the distances between markers."""
+"""Naming of runs of points by the distances between markers."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from animtool.capture.markers.geometry import Distances, distances
+from animtool.capture.markers.geometry import MarkerDistances, distances
 from animtool.capture.markers.tracklets import Tracklets
 from animtool.core.array_types import FloatArray, IntArray
 
-# By so much a distance may be off: noise, and skin over bone [m].
+# Tolerance of a distance: noise, and skin over bone [m].
 TOLERANCE = 0.006
 # How far markers that are not on one segment may be off, of how much they vary.
 SPREADS = 1.5
-# What a pair may count at most, so that one that is wrong does not decide.
+# Largest cost of a pair, so that a wrong one does not decide.
 WORST = 9.0
 # Weight of a distance falls with how much it varies [m].
 WEIGHT_SPREAD = 0.02
-# Frames of a run that are looked at.
+# Frames sampled of a run.
 SAMPLES = 24
 # Mean cost above which a run is no marker: those of ghosts are above 5.5, those of
 # markers below 2.
 GHOST = 4.0
-# Between the best name and the second best one, for a run that is named early.
+# Least margin over the second best name for an early assignment.
 MARGIN = 1.5
-# A run is joined to one before or after it over this long a gap [s].
+# Longest gap for comparing a run with those before and after it [s].
 BRIDGE = 0.3
-# How often what was learnt of distances is learnt anew.
+# Iterations of learning distances.
 ROUNDS = 2
 # How a marker moves over a gap [m], [m/s^2], [m/s], and what that counts at most.
-NOISE, ACCELERATION, DRIFT, MAX_JUMP = 0.004, 60.0, 0.3, 2.0
-# Of markers that were never seen together it is known that they stay about as near.
+NOISE, ACCELERATION, DRIFT, MAX_STEP = 0.004, 60.0, 0.3, 2.0
+# Assumed relative spread of markers never visible together.
 UNSEEN_SPREAD = 0.25
 
 
 class RunLabels:
-    """Runs of a cloud, and which marker each is.
+    """Runs of a cloud, and their markers.
 
     Attributes:
-        given: Which marker each run is ``(T,)``; -1 for none.
-        marked: Positions of the markers ``(F, M, 3)`` as far as runs have names.
+        names_of: Marker of each run ``(T,)``; -1 for none.
+        marked: Positions of the markers ``(F, M, 3)`` from named runs.
     """
 
     def __init__(
@@ -46,30 +46,30 @@ class RunLabels:
         positions: FloatArray,
         tracklets: Tracklets,
         rate: float,
-        given: IntArray,
+        names_of: IntArray,
         rest: FloatArray,
     ) -> None:
-        """Take runs and what is known of them.
+        """Start from runs and their known names.
 
-        rest: Distances of the markers in a trial at rest ``(M, M)``; NaN where unknown.
+        rest: Marker distances in a trial at rest ``(M, M)``; NaN where unknown.
         """
         self.positions, self.tracklets, self.rate = positions, tracklets, rate
         self.rest = rest
         self.runs = len(tracklets.first)
-        self.given = given.copy()
+        self.names_of = names_of.copy()
         self.marked = self.by_marker()
 
     def by_marker(self) -> FloatArray:
-        """Return the positions that have a name ``(F, M, 3)``."""
+        """Return the named positions ``(F, M, 3)``."""
         ids = self.tracklets.ids
-        marker = np.where(ids >= 0, self.given[ids], -1)
+        marker = np.where(ids >= 0, self.names_of[ids], -1)
         points = np.full((len(ids), len(self.rest), 3), np.nan)
         frame, slot = np.nonzero(marker >= 0)
         points[frame, marker[frame, slot]] = self.positions[frame, slot]
         return points
 
-    def settle(self) -> None:
-        """Name the other runs, those that are clearest first."""
+    def name_runs(self) -> None:
+        """Name the remaining runs, the clearest first."""
         for _ in range(ROUNDS):
             self._relearn()
             self._reject()
@@ -79,28 +79,28 @@ class RunLabels:
         self._reject()
 
     def _relearn(self) -> None:
-        """Take what the runs that have a name say of distances, and forget costs."""
+        """Update the distances from the named runs, and reset the costs."""
         self.marked = self.by_marker()
         self.learnt = _learnt(self.rest, distances(self.marked))
         self.costs = np.full((self.runs, len(self.rest)), np.inf)
         self.stale = np.ones(self.runs, bool)
 
     def _reject(self) -> None:
-        """Take the name from runs that are not where their marker would be."""
-        for run in np.flatnonzero(self.given >= 0).tolist():
-            marker = int(self.given[run])
+        """Remove names from runs that are not at their marker's position."""
+        for run in np.flatnonzero(self.names_of >= 0).tolist():
+            marker = int(self.names_of[run])
             begin, end, path = self._span(run)
             costs = self._shape_costs(path, begin, end)
             if costs[marker] > min(GHOST, costs.min() + MARGIN):
-                self.given[run] = -1
+                self.names_of[run] = -1
                 self.marked[begin:end, marker] = np.nan
 
     def _step(self, *, forced: bool) -> bool:
-        """Name runs by those that have a name; return whether there were any."""
-        for run in np.flatnonzero(self.stale & (self.given < 0)).tolist():
+        """Name runs from named ones; return whether any were named."""
+        for run in np.flatnonzero(self.stale & (self.names_of < 0)).tolist():
             self.costs[run] = self._costs(run)
         self.stale[:] = False
-        runs = np.flatnonzero(self.given < 0)
+        runs = np.flatnonzero(self.names_of < 0)
         if not len(runs):
             return False
         order = np.partition(self.costs[runs], 1, axis=1)
@@ -119,7 +119,7 @@ class RunLabels:
             touched = (named[:, 0] <= last[run]) & (named[:, 1] >= first[run])
             if touched.any() if forced else not self._is_free(run, marker):
                 continue
-            self.given[run] = marker
+            self.names_of[run] = marker
             begin, end, path = self._span(run)
             self.marked[begin:end, marker] = path
             named = np.vstack([named, (begin - reach, end + reach)])
@@ -132,57 +132,57 @@ class RunLabels:
         return not np.isfinite(self.marked[begin:end, marker, 0]).any()
 
     def _span(self, run: int) -> tuple[int, int, FloatArray]:
-        """Return the frames of a run, and its positions."""
+        """Return the frames and positions of a run."""
         begin, end = int(self.tracklets.first[run]), int(self.tracklets.last[run]) + 1
         return begin, end, self.tracklets.trajectory(self.positions, run)
 
     def _costs(self, run: int) -> FloatArray:
-        """Return how badly a run fits each marker; infinite where it is taken."""
+        """Return the cost of a run being each marker; infinite if it is taken."""
         begin, end, path = self._span(run)
-        cost = self._shape_costs(path, begin, end) + self._jumps(path, begin, end)
+        cost = self._shape_costs(path, begin, end) + self._step_costs(path, begin, end)
         cost[np.isfinite(self.marked[begin:end, :, 0]).any(axis=0)] = np.inf
         return cost
 
     def _shape_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
-        """Return how far a run is from where each marker would be, by distances."""
+        """Return the cost of a run's distances for each marker."""
         sample = np.unique(np.linspace(0, end - begin - 1, SAMPLES).astype(np.int64))
         others = self.marked[begin + sample]
-        apart = np.linalg.norm(others - path[sample][:, None], axis=-1)  # (S, M)
-        # The run itself may have a name already.
-        known = np.isfinite(apart) & (apart > 0.0)
+        lengths = np.linalg.norm(others - path[sample][:, None], axis=-1)  # (S, M)
+        # The run itself may already have a name.
+        known = np.isfinite(lengths) & (lengths > 0.0)
         spread = self.learnt.spread
         weight = np.nan_to_num(1.0 / (1.0 + (spread / WEIGHT_SPREAD) ** 2))
         np.fill_diagonal(weight, 0.0)
         allowed = TOLERANCE + SPREADS * spread
-        off = (np.nan_to_num(apart)[:, None] - self.learnt.mean[None]) / allowed[None]
+        off = (np.nan_to_num(lengths)[:, None] - self.learnt.mean[None]) / allowed[None]
         worth = np.minimum(np.nan_to_num(off) ** 2, WORST)
         weights = weight[None] * known[:, None]
-        share = weights.sum(axis=(0, 2))
+        weight_sum = weights.sum(axis=(0, 2))
         total = (worth * weights).sum(axis=(0, 2))
-        return np.where(share > 0, total / np.maximum(share, 1e-9), np.inf)
+        return np.where(weight_sum > 0, total / np.maximum(weight_sum, 1e-9), np.inf)
 
-    def _jumps(self, path: FloatArray, begin: int, end: int) -> FloatArray:
-        """Return how far a run is from where each marker was before and will be."""
+    def _step_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
+        """Return the cost of a run's distance from each marker before and after it."""
         reach = int(BRIDGE * self.rate)
         before = self.marked[max(begin - reach, 0) : begin][::-1]
         after = self.marked[end : end + reach]
         cost = np.zeros(len(self.rest))
         for window, point in ((before, path[0]), (after, path[-1])):
-            seen = np.isfinite(window[..., 0])
-            for marker in np.flatnonzero(seen.any(axis=0)).tolist():
-                gap = int(seen[:, marker].argmax())
+            visible = np.isfinite(window[..., 0])
+            for marker in np.flatnonzero(visible.any(axis=0)).tolist():
+                gap = int(visible[:, marker].argmax())
                 at, speed = window[gap, marker], np.zeros(3)
-                if gap + 3 < len(window) and seen[gap + 3, marker]:
+                if gap + 3 < len(window) and visible[gap + 3, marker]:
                     speed = (at - window[gap + 3, marker]) / 3.0
                 off = np.linalg.norm(point - at - speed * (gap + 1))
                 time = (gap + 1) / self.rate
                 allowed = NOISE + 0.5 * ACCELERATION * time**2 + DRIFT * time
                 cost[marker] += (off / allowed) ** 2
-        return np.minimum(cost, MAX_JUMP)
+        return np.minimum(cost, MAX_STEP)
 
 
-def _learnt(rest: FloatArray, moving: Distances) -> Distances:
-    """Return distances of the take, and where it shows none, those of the trial."""
+def _learnt(rest: FloatArray, moving: MarkerDistances) -> MarkerDistances:
+    """Return the distances of the take, or of the trial where unknown."""
     known = np.isfinite(moving.mean)
     mean = np.where(known, moving.mean, rest)
-    return Distances(mean, np.where(known, moving.spread, UNSEEN_SPREAD * rest))
+    return MarkerDistances(mean, np.where(known, moving.spread, UNSEEN_SPREAD * rest))

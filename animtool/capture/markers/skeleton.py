@@ -1,4 +1,4 @@
-"""Where markers would be if they were fixed to a skeleton that is solved to a take."""
+"""Marker positions on a skeleton that is solved to the take."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ DRIFT = (0.004, 0.008, 0.02)
 
 
 @dataclass(frozen=True, slots=True)
-class Subject:
-    """Who wears the markers.
+class MarkerSubject:
+    """The subject wearing the markers.
 
     Attributes:
         rig: A rig of about the subject's build.
         template: Where the markers are on it, to a few centimetres.
-        static: A take of the subject standing in about the rest pose, if there is one.
+        static: A take of the subject standing in about the rest pose; or None.
         options: How to solve.
     """
 
@@ -40,7 +40,7 @@ class Subject:
 
 @dataclass(frozen=True, slots=True)
 class SkeletonMarkers:
-    """The M markers of F frames, as the joints of a skeleton carry them.
+    """M markers in F frames as fixed to the joints of a skeleton.
 
     Attributes:
         positions: ``(F, M, 3)`` [m], in the world of the take; NaN for markers that
@@ -48,12 +48,12 @@ class SkeletonMarkers:
         rotations: Of the joints that carry them ``(F, M, 3, 3)``.
         origins: Of those joints ``(F, M, 3)`` [m].
         parents: Rotations of the joints above those ``(F, M, 3, 3)``.
-        joints: Which joint carries each marker ``(M,)``; -1 for markers that the
+        joints: Joint of each marker ``(M,)``; -1 for markers that the
             template lacks.
-        above_joint: Which joint is above each ``(J,)``; -1 for the root.
+        above_joint: Parent of each joint ``(J,)``; -1 for the root.
         free: Which joints turn about any axis ``(J,)``.
-        known: Frames with markers enough to tell the pose ``(F,)``.
-        notices: What calibration and solve say.
+        known: Frames with enough markers for the pose ``(F,)``.
+        notices: Notices of calibration and solve.
     """
 
     positions: FloatArray
@@ -67,30 +67,30 @@ class SkeletonMarkers:
     notices: tuple[Fault, ...]
 
     def tells(self, marker: int, frames: slice) -> bool:
-        """Return whether the skeleton says where a marker is in all of some frames."""
+        """Return whether the skeleton gives a marker's position in all given frames."""
         has = np.isfinite(self.positions[frames, marker]).all()
         return bool(has and self.known[frames].all())
 
     def above(self, marker: int) -> bool:
-        """Return whether there is a joint above that of a marker."""
+        """Return whether a marker's joint has a parent."""
         joint = int(self.joints[marker])
         return joint >= 0 and int(self.above_joint[joint]) >= 0
 
-    def mates(self, marker: int, seen: BoolArray) -> list[int]:
-        """Return the markers on the same joint that are seen ``(M,)``."""
-        same = (self.joints == self.joints[marker]) & seen
+    def mates(self, marker: int, visible: BoolArray) -> list[int]:
+        """Return the visible markers on the same joint ``(M,)``."""
+        same = (self.joints == self.joints[marker]) & visible
         same[marker] = False
         return [int(mate) for mate in np.flatnonzero(same)]
 
-    def drift(self, marker: int, seen: BoolArray) -> float:
-        """Return how fast a marker strays from where the skeleton has it [m/s].
+    def drift(self, marker: int, visible: BoolArray) -> float:
+        """Return how fast a marker strays from its position on the skeleton [m/s].
 
-        Other markers that are seen hold its joint: three places on it or below do, one
-        on it or below where it is a hinge. The fewer, the more of its pose is a guess.
+        Other visible markers determine its joint: three on it or below, or one if it is
+        a hinge. With fewer, more of its pose is guessed.
         """
         joint = int(self.joints[marker])
-        mates = len(self.mates(marker, seen))
-        joints = self.joints[seen & (self.joints >= 0)]
+        mates = len(self.mates(marker, visible))
+        joints = self.joints[visible & (self.joints >= 0)]
         below = int((self.above_joint[joints] == joint).sum())
         if mates >= 2 or (not self.free[joint] and mates + below):
             return 0.0
@@ -99,30 +99,32 @@ class SkeletonMarkers:
         return DRIFT[1] if mates or below > 1 else DRIFT[2]
 
 
-def skeleton_markers(markers: Markers, subject: Subject) -> SkeletonMarkers:
-    """Return the markers of a take on the skeleton of a subject.
+def skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:
+    """Return the markers of a take on a subject's skeleton.
 
-    Bones and offsets are calibrated to the take, and then its poses are solved.
+    Bones and offsets are calibrated to the take, then its poses are solved.
 
     Raises:
         OptionError: As of `animtool.capture.solve.calibrate`.
     """
-    found = calibrate(
+    calibration = calibrate(
         markers,
         subject.rig,
         subject.template,
         static=subject.static,
         options=subject.options,
     )
-    solve = solve_markers(markers, found.rig, found.template, subject.options)
+    solve = solve_markers(
+        markers, calibration.rig, calibration.template, subject.options
+    )
     take = solve.take()
     world, model = take.world(), solve.model
     turned = np.einsum("feij,ej->fei", world.linear[:, model.joints], model.offsets)
     points = world.positions[:, model.joints] + turned
     rotations = world.rotations[:, model.joints]
-    turn = up_from_up(model.rig.up, markers.up)
-    if turn is not None:
-        back = so3.conjugate(np.array(turn))
+    rotation = up_from_up(model.rig.up, markers.up)
+    if rotation is not None:
+        back = so3.conjugate(np.array(rotation))
         points, rotations = so3.rotate(back, points), so3.multiply(back, rotations)
     shape = len(markers), len(markers.names)
     positions = np.full((*shape, 3), np.nan)
@@ -133,7 +135,7 @@ def skeleton_markers(markers: Markers, subject: Subject) -> SkeletonMarkers:
     at = world.positions[:, model.joints]
     above_joint = np.asarray(model.rig.parents, np.int64)
     over = world.rotations[:, np.maximum(above_joint[model.joints], 0)]
-    if turn is not None:
+    if rotation is not None:
         at, over = so3.rotate(back, at), so3.multiply(back, over)
     origins[:, model.columns] = at
     above[:, model.columns] = so3.to_matrix(over)
@@ -141,7 +143,7 @@ def skeleton_markers(markers: Markers, subject: Subject) -> SkeletonMarkers:
     joints[model.columns] = model.joints
     known = np.ones(len(markers), np.bool_)
     known[solve.score.sparse] = False
-    notices = (*found.notices, *solve.notices)
+    notices = (*calibration.notices, *solve.notices)
     hinges = {JointType.PIN, JointType.FIXED, JointType.PRISMATIC}
     free = np.array([joint.type not in hinges for joint in model.rig.joints])
     return SkeletonMarkers(

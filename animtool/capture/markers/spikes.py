@@ -1,4 +1,4 @@
-"""Positions that are off for a few frames: found against the motion around them.
+"""Spikes: positions that are off for a few frames against the motion around them.
 
 References:
     Wahba, G., "Spline Models for Observational Data", SIAM, 1990, chapter 1.
@@ -19,26 +19,25 @@ from animtool.motion.markers import Markers
 
 # Longer ones are motion [frame].
 MAX_LENGTH = 4
-# Frames on either side that say where a marker should be.
+# Frames on either side that predict a marker.
 AROUND = 7
-# A curve of a marker's motion needs more positions than its polynomial has terms.
+# Least positions for fitting the curve.
 DEGREE = 2
 MIN_SUPPORT = DEGREE + 3
 # How rough a motion is: variance of its third differences, of that of its noise.
 ROUGHNESS = tuple(10.0**power for power in range(-4, 3))
-# What is off by less is noise or motion [m], and so is what is off by so many times
-# what it usually is by.
+# Least size of a spike [m], and over the typical deviation.
 LEAST, TIMES = 0.006, 8.0
-# With positions on one side only, the curve goes on as it likes: so many times more.
+# Factor on these with positions on one side only.
 ONE_SIDED = 2.0
 # How far the frames around may be off the curve through them, of what is a spike.
 SMOOTH = 0.35
-# A spike that is a frame longer has to explain so much more of what is off.
+# Penalty per frame of a spike's length.
 PENALTY = 60.0
 # Half the frames that say how well a curve fits about a frame, and which share of them
 # is better: others are spikes, and what they upset.
 LOCAL, BETTER = 24, 0.4
-# A spike can hide others beside it, which are seen when it is gone.
+# A spike can hide neighbours, which are found once it is removed.
 ROUNDS = 6
 
 
@@ -50,7 +49,7 @@ class Spike:
         marker: Its name.
         first: First frame, from 0.
         last: Last frame.
-        size: How far it is off at most [m].
+        size: Its largest deviation [m].
     """
 
     marker: str
@@ -63,19 +62,19 @@ def find_spikes(markers: Markers) -> list[Spike]:
     """Return the spikes of all markers, by marker and frame.
 
     A spike is up to four frames long. Its frames are far off the smooth curve through
-    the frames around, those beyond a gap too, and the others are near that. How smooth
-    a curve is, and how much is far, is what the motion of the marker mostly shows.
+    the frames around, also across gaps, and the others are near it. The marker's
+    typical motion determines smoothness and threshold.
     """
-    found = []
+    spikes = []
     for index, name in enumerate(markers.names):
         path = markers.positions[:, index]
         for first, last, size in _spikes(path):
-            found.append(Spike(name, first, last, size))
-    return found
+            spikes.append(Spike(name, first, last, size))
+    return spikes
 
 
-def without_spikes(markers: Markers, spikes: list[Spike]) -> Markers:
-    """Return markers in which spikes are gaps."""
+def remove_spikes(markers: Markers, spikes: list[Spike]) -> Markers:
+    """Return markers with spikes replaced by gaps."""
     positions = markers.positions.copy()
     for spike in spikes:
         column = markers.names.index(spike.marker)
@@ -85,37 +84,37 @@ def without_spikes(markers: Markers, spikes: list[Spike]) -> Markers:
 
 def _spikes(path: FloatArray) -> list[tuple[int, int, float]]:
     """Return first frame, last frame and size of the spikes of a marker ``(F, 3)``."""
-    seen = np.isfinite(path[:, 0])
-    if int(seen.sum()) < 2 * AROUND + 1:
+    visible = np.isfinite(path[:, 0])
+    if int(visible.sum()) < 2 * AROUND + 1:
         return []
-    path = np.where(seen[:, None], path, 0.0)
-    rough, noise = _model(path, seen)
-    found: list[tuple[int, int, float]] = []
+    path = np.where(visible[:, None], path, 0.0)
+    rough, noise = _model(path, visible)
+    spikes: list[tuple[int, int, float]] = []
     for _ in range(ROUNDS):
-        new = _round(path, seen, rough, noise)
+        new = _round(path, visible, rough, noise)
         if not new:
             break
-        found += new
+        spikes += new
         for first, last, _ in new:
-            seen[first : last + 1] = False
-    return sorted(found)
+            visible[first : last + 1] = False
+    return sorted(spikes)
 
 
 def _round(
-    path: FloatArray, seen: BoolArray, rough: float, noise: FloatArray
+    path: FloatArray, visible: BoolArray, rough: float, noise: FloatArray
 ) -> list[tuple[int, int, float]]:
-    """Return spikes that do not touch each other, the clearest of each place."""
+    """Return separate spikes, the clearest of overlapping ones."""
     candidates = []
-    usual: FloatArray | None = None
+    level: FloatArray | None = None
     for length in range(1, MAX_LENGTH + 1):
-        starts, off, gain, rest = _deviation(path, seen, length, rough)
+        starts, off, gain, rest = _deviation(path, visible, length, rough)
         if not len(starts):
             continue
-        factor = np.where(_one_sided(seen, starts, length), ONE_SIDED, 1.0)
+        factor = np.where(_one_sided(visible, starts, length), ONE_SIDED, 1.0)
         scale = noise[length - 1]
-        if usual is None:
-            usual = _usual(starts, gain / (3.0 * scale**2), len(path))
-        about = usual[starts]
+        if level is None:
+            level = _local_level(starts, gain / (3.0 * scale**2), len(path))
+        about = level[starts]
         limit = (factor * TIMES) ** 2 * 3.0 * length
         clear = gain / (scale**2 * about)
         flags = (off >= factor * LEAST) & (clear > limit)
@@ -126,32 +125,32 @@ def _round(
     candidates.sort()
     scale = noise[0] ** 2
     taken = np.zeros(len(path), bool)
-    found = []
+    spikes = []
     for _, first, length, size in candidates:
         if taken[first : first + length].any():
             continue
-        if not _is_upset(path, seen, first, length, rough, scale):
+        if not _is_upset(path, visible, first, length, rough, scale):
             taken[max(first - AROUND, 0) : first + length + AROUND] = True
-            found.append((first, first + length - 1, size))
-    return found
+            spikes.append((first, first + length - 1, size))
+    return spikes
 
 
 def _is_upset(
     path: FloatArray,
-    seen: BoolArray,
+    visible: BoolArray,
     first: int,
     length: int,
     rough: float,
     scale: float,
 ) -> bool:
-    """Return whether a span is off only for the fewer frames between it and a gap."""
+    """Return whether a span is off only because of the few frames before a gap."""
     begin, end = max(first - AROUND, 0), first + length
-    before = begin + np.flatnonzero(seen[begin:first])
-    after = end + np.flatnonzero(seen[end : end + AROUND])
+    before = begin + np.flatnonzero(visible[begin:first])
+    after = end + np.flatnonzero(visible[end : end + AROUND])
     for side in (before, after):
         if not 0 < len(side) < length:
             continue
-        other = seen[begin : end + AROUND].copy()
+        other = visible[begin : end + AROUND].copy()
         other[side - begin] = False
         starts, off, gain, _ = _deviation(
             path[begin : end + AROUND], other, length, rough
@@ -164,9 +163,9 @@ def _is_upset(
     return False
 
 
-def _one_sided(seen: BoolArray, starts: IntArray, length: int) -> BoolArray:
-    """Return which spans have no position before or none after them nearby."""
-    padded = np.concatenate([np.zeros(AROUND, bool), seen, np.zeros(AROUND, bool)])
+def _one_sided(visible: BoolArray, starts: IntArray, length: int) -> BoolArray:
+    """Return which spans have no nearby position before or after them."""
+    padded = np.concatenate([np.zeros(AROUND, bool), visible, np.zeros(AROUND, bool)])
     sums = np.concatenate([[0], np.cumsum(padded)])
     before = sums[starts + AROUND] - sums[starts]
     end = starts + AROUND + length
@@ -174,8 +173,8 @@ def _one_sided(seen: BoolArray, starts: IntArray, length: int) -> BoolArray:
     return np.asarray((before == 0) | (after == 0))
 
 
-def _usual(starts: IntArray, square: FloatArray, frames: int) -> FloatArray:
-    """Return how much more than mostly single frames are off about each ``(F,)``."""
+def _local_level(starts: IntArray, square: FloatArray, frames: int) -> FloatArray:
+    """Return the local noise level of single frames over the typical one ``(F,)``."""
     level = np.ones(frames)
     order = np.searchsorted(starts, np.arange(frames))
     low = np.maximum(order - LOCAL, 0)
@@ -187,26 +186,25 @@ def _usual(starts: IntArray, square: FloatArray, frames: int) -> FloatArray:
     windows = np.sort(padded[rows], axis=1)
     at = (BETTER * (high - low)).astype(np.int64)
     level = windows[np.arange(frames), np.minimum(at, width - 1)]
-    # Of a chi-squared of three, over three, that share is below 0.63.
+    # That fraction of a chi-squared of three, over three, is below 0.63.
     return np.maximum(np.where(np.isfinite(level), level / 0.63, 1.0), 1.0)
 
 
-def _model(path: FloatArray, seen: BoolArray) -> tuple[float, FloatArray]:
-    """Return how rough a motion is, and its noise by length of a span [m].
+def _model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArray]:
+    """Return the roughness of a motion, and its noise by span length [m].
 
-    That roughness is best by which positions are nearest to where those around have
-    them, in most frames.
+    It is the roughness that predicts most positions best from those around.
     """
     best = (np.inf, ROUGHNESS[0])
     for rough in ROUGHNESS:
-        _, off, _, _ = _deviation(path, seen, 2, rough, whole=True)
+        _, off, _, _ = _deviation(path, visible, 2, rough, complete=True)
         if len(off):
             best = min(best, (float(np.median(off)), rough))
     noise = np.zeros(MAX_LENGTH)
     for length in range(1, MAX_LENGTH + 1):
-        starts, _, gain, _ = _deviation(path, seen, length, best[1], whole=True)
+        starts, _, gain, _ = _deviation(path, visible, length, best[1], complete=True)
         if not len(starts):
-            starts, _, gain, _ = _deviation(path, seen, length, best[1])
+            starts, _, gain, _ = _deviation(path, visible, length, best[1])
         if len(starts):
             # The median of a chi-squared of k is about k - 2/3.
             noise[length - 1] = np.sqrt(np.median(gain) / (3 * length - 2 / 3))
@@ -215,24 +213,29 @@ def _model(path: FloatArray, seen: BoolArray) -> tuple[float, FloatArray]:
 
 
 def _deviation(
-    path: FloatArray, seen: BoolArray, length: int, rough: float, *, whole: bool = False
+    path: FloatArray,
+    visible: BoolArray,
+    length: int,
+    rough: float,
+    *,
+    complete: bool = False,
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Return spans, and by how much they are off the curve through the frames around.
+    """Return spans, and their deviation from the curve through frames around.
 
-    That is first frames ``(S,)``, the least that a frame of each is off [m], what
-    leaving the span out takes from the squares of the fit [m^2], and the mean square of
-    the rest. whole: Only spans around which all is seen.
+    They are first frames ``(S,)``, the least deviation of each span's frames [m], the
+    drop in the fit's sum of squares from leaving the span out [m^2], and the mean
+    square of the rest. complete: Only spans with all frames around visible.
     """
     size = length + 2 * AROUND
     padded = np.zeros(len(path) + 2 * AROUND, bool)
-    padded[AROUND : AROUND + len(path)] = seen
+    padded[AROUND : AROUND + len(path)] = visible
     windows = np.lib.stride_tricks.sliding_window_view(padded, size)
     spans = windows[:, AROUND : AROUND + length].all(axis=1)
     around = np.concatenate(
         [windows[:, :AROUND], windows[:, AROUND + length :]], axis=1
     )
     support = around.sum(axis=1)
-    spans &= support == 2 * AROUND if whole else support >= MIN_SUPPORT
+    spans &= support == 2 * AROUND if complete else support >= MIN_SUPPORT
     starts = np.flatnonzero(spans)
     values = np.zeros((len(path) + 2 * AROUND, 3))
     values[AROUND : AROUND + len(path)] = path
@@ -255,11 +258,11 @@ def _deviation(
 def _pattern(
     code: int, length: int, rough: float
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Return how positions around a span say where it is.
+    """Return how positions around a span predict it.
 
-    code: Which of the frames around are seen, a bit each. The result is which frames of
-    the window they are, their weights, the inverse of the variance of what is then off,
-    and the quadratic form that is the misfit of the positions themselves.
+    code: Bit mask of the visible frames around. The result is their indices in the
+    window, their weights, the inverse variance of the prediction error, and the
+    quadratic form of the positions' own misfit.
     """
     around = np.array([*range(AROUND), *range(AROUND + length, 2 * AROUND + length)])
     offsets = around[[bool(code >> k & 1) for k in range(2 * AROUND)]]

@@ -1,4 +1,4 @@
-"""Names of markers that were exchanged for a while: found and put right."""
+"""Repair of temporarily exchanged marker names."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from typing import Any
 
 import numpy as np
 
-from animtool.capture.markers.geometry import Distances, distances
+from animtool.capture.markers.geometry import MarkerDistances, distances
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths.runs import joined, runs
 from animtool.motion.markers import Markers
 
-# Frames that name a run; a change of fewer is a spike.
+# Least frames of an exchange; a shorter one is a spike.
 MIN_SWAP = 4
 # What a position may be off the line through those before it: noise [m], and what a
 # marker accelerates at least and at most, as times of what it mostly does [m/s^2]; a
 # marker without a speed yet moves [m/s].
 NOISE, ACCELERATION, SPEED = 0.003, 100.0, 3.0
 CALM, TIMES = 20.0, 6.0
-# A marker on a hand that is thrown: what is as near is looked at [m/s^2].
+# A marker on a throwing hand: candidates within reach are tested [m/s^2].
 MAX_ACCELERATION = 500.0
-# Longer after it was last seen, where a marker is says nothing [s].
+# Longest gap over which a marker's position is predicted [s].
 BRIDGE = 0.1
 # Samples that give the speed.
 PAST = 3
-# A jump of one marker is one to where another was if it is so many times nearer.
+# A jump goes to another marker's position if it is this many times nearer.
 NEARER = 2.5
 # Cost of a position that is anywhere, of a change of names, and of a frame that is
 # exchanged: where nothing else tells, the shorter part is.
@@ -56,42 +56,45 @@ class Swap:
     last: int
 
 
-def unswapped(markers: Markers) -> tuple[Markers, list[Swap]]:
-    """Return markers in which each has its own positions all along, and what was wrong.
+def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
+    """Return markers with exchanged spans repaired, and the swaps.
 
-    Two markers of which one jumps to where the other was expected are looked at over
-    the whole take: of all ways to exchange them in spans of frames, the one is taken in
-    which both move most smoothly and are as far from the others as they mostly are.
+    A pair of markers, one of which jumps to the other's expected position, is tested
+    over the full take: of all ways to exchange them in spans of frames, the one is
+    chosen in which both move most smoothly and keep their typical distances to the
+    others.
     """
     swaps: list[Swap] = []
     count = len(markers.names)
-    if count < 2 or not markers.seen.any():
+    if count < 2 or not markers.visible.any():
         return markers, swaps
     rate = float(markers.clock.rate)
     positions = markers.positions.copy()
     source = np.tile(np.arange(count), (len(markers), 1))
-    apart: Distances | None = None
-    found: dict[tuple[int, int], tuple[float, BoolArray]] = {}
-    settled: set[tuple[int, int]] = set()
+    lengths: MarkerDistances | None = None
+    crossings: dict[tuple[int, int], tuple[float, BoolArray]] = {}
+    done: set[tuple[int, int]] = set()
     while True:
         for a, b in _pairs(positions, rate):
-            if (a, b) not in found and (a, b) not in settled:
-                apart = apart or distances(positions)
-                found[a, b] = _crossed(positions, a, b, rate, apart)
-        # What is clearest first: of three, it says which of the others are.
-        best = max(found, key=lambda pair: (found[pair][0], pair), default=None)
-        if best is None or found[best][0] < CLEAR:
+            if (a, b) not in crossings and (a, b) not in done:
+                lengths = lengths or distances(positions)
+                crossings[a, b] = _crossed(positions, a, b, rate, lengths)
+        # The clearest first: among three markers it decides the others.
+        best = max(crossings, key=lambda pair: (crossings[pair][0], pair), default=None)
+        if best is None or crossings[best][0] < CLEAR:
             break
         pair = list(best)
-        for first, last in _spans(found[best][1], positions[:, pair]):
+        for first, last in _spans(crossings[best][1], positions[:, pair]):
             swaps.append(
                 Swap((markers.names[pair[0]], markers.names[pair[1]]), first, last)
             )
             span = slice(first, last + 1)
             positions[span, pair] = positions[span, pair[::-1]]
             source[span, pair] = source[span, pair[::-1]]
-        settled.add(best)
-        found = {other: of for other, of in found.items() if not set(other) & set(best)}
+        done.add(best)
+        crossings = {
+            other: of for other, of in crossings.items() if not set(other) & set(best)
+        }
     swaps.sort(key=lambda swap: (swap.first, swap.markers))
     return (_taken(markers, source) if swaps else markers), swaps
 
@@ -99,24 +102,24 @@ def unswapped(markers: Markers) -> tuple[Markers, list[Swap]]:
 def _expected(
     positions: FloatArray, rate: float, acceleration: float = ACCELERATION
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return where each marker is expected, how far off it may be [m], and if at all.
+    """Return each marker's expected position, its tolerance [m], and validity.
 
-    It goes on in a line through what was seen of it in the last frames before.
+    It is extrapolated linearly from the last visible frames.
     """
     frames, count, _ = positions.shape
-    seen = np.isfinite(positions[..., 0])
+    visible = np.isfinite(positions[..., 0])
     rows = np.arange(frames)[:, None]
-    last = np.maximum.accumulate(np.where(seen, rows, -1), axis=0)
+    last = np.maximum.accumulate(np.where(visible, rows, -1), axis=0)
     last = np.vstack([np.full((1, count), -1), last[:-1]])
     columns = np.arange(count)
     age = rows - last
     known = (last >= 0) & (age <= BRIDGE * rate + 1)
     at = positions[np.maximum(last, 0), columns]
     speed = np.zeros_like(at)
-    has = np.zeros(seen.shape, bool)
+    has = np.zeros(visible.shape, bool)
     for back in range(1, PAST):
         earlier = positions[np.maximum(last - back, 0), columns]
-        # The farthest sample of an unbroken run gives the speed.
+        # The farthest sample of a gapless run gives the speed.
         ok = (last >= back) & np.isfinite(earlier[..., 0]) & (has | (back == 1))
         speed[ok] = (at[ok] - earlier[ok]) / back
         has = ok if back == 1 else has
@@ -126,22 +129,22 @@ def _expected(
 
 
 def _pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
-    """Return pairs of which one jumps to where the other was, most often first."""
+    """Return pairs of which one jumps to the other's position, most frequent first."""
     expected, allowed, known = _expected(positions, rate)
-    seen = np.isfinite(positions[..., 0])
+    visible = np.isfinite(positions[..., 0])
     off = np.linalg.norm(positions - expected, axis=-1)
-    goes_on = seen & known & (off <= allowed)
+    goes_on = visible & known & (off <= allowed)
     counts: dict[tuple[int, int], int] = {}
-    frame, marker = np.nonzero(seen & ~goes_on)
+    frame, marker = np.nonzero(visible & ~goes_on)
     points = positions[frame, marker]
     away = np.linalg.norm(points[:, None] - expected[frame], axis=-1)
-    own = np.where(known, off, np.inf)[frame, marker]
+    miss = np.where(known, off, np.inf)[frame, marker]
     reach = allowed * (MAX_ACCELERATION / ACCELERATION)
     there = known[frame] & (away <= reach[frame]) & ~goes_on[frame]
-    there &= NEARER * away < own[:, None]
+    there &= NEARER * away < miss[:, None]
     there[np.arange(len(marker)), marker] = False
-    for jump, other in np.argwhere(there).tolist():
-        pair = tuple(sorted((int(marker[jump]), other)))
+    for k, other in np.argwhere(there).tolist():
+        pair = tuple(sorted((int(marker[k]), other)))
         counts[pair] = counts.get(pair, 0) + 1  # type: ignore[index,arg-type]
     return sorted(counts, key=lambda pair: (-counts[pair], pair))
 
@@ -151,48 +154,48 @@ class _Path:
     """One way to exchange two markers, up to a frame.
 
     Attributes:
-        cost: How unlikely it is.
-        state: 1 where it ends exchanged, else 0.
-        turns: Frames in which it changes.
-        past: Of both markers, where they were seen last: frames and positions.
+        cost: Negative log-likelihood.
+        state: 1 if it ends exchanged, else 0.
+        changes: Frames in which it changes.
+        past: Last visible frames and positions of both markers.
     """
 
     cost: float
     state: int
-    turns: tuple[int, ...]
+    changes: tuple[int, ...]
     past: tuple[list[Any], list[Any]]
 
 
 def _crossed(
-    positions: FloatArray, a: int, b: int, rate: float, apart: Distances
+    positions: FloatArray, a: int, b: int, rate: float, lengths: MarkerDistances
 ) -> tuple[float, BoolArray]:
     """Return the frames in which two markers have each other's names ``(F,)``.
 
-    And how much likelier that is than that they never have, as a logarithm.
+    Also returns the log-likelihood gain over no exchange.
 
-    Of the paths that end straight and those that end crossed the best is kept from
-    frame to frame, with where it saw both markers last.
+    Viterbi search: of the paths that end straight and those that end crossed, the best
+    is kept from frame to frame, with the last visible positions of both markers.
     """
     both = positions[:, [a, b]]
-    seen = np.isfinite(both[..., 0])
+    visible = np.isfinite(both[..., 0])
     acceleration = _acceleration(both, rate)
     expected, allowed, known = _expected(both, rate, acceleration)
     off = np.linalg.norm(both - expected, axis=-1)
-    smooth = ~seen | (known & (off <= allowed))
-    # Frames in which nothing begins, ends or jumps: both go on as they are named.
-    same = np.vstack([np.zeros((1, 2), bool), seen[1:] == seen[:-1]])
+    smooth = ~visible | (known & (off <= allowed))
+    # In frames without events, both keep their names.
+    same = np.vstack([np.zeros((1, 2), bool), visible[1:] == visible[:-1]])
     events = np.flatnonzero(~(smooth & same).all(axis=1)).tolist()
     events = sorted({0, *events})
     ends = [*events[1:], len(both)]
     never = _Path(0.0, 0, (), ([], []))
     paths = [never, _Path(CHANGE, 1, (0,), ([], []))]
-    places: list[list[Any]] = [
+    points: list[list[Any]] = [
         [at if has else None for at, has in zip(row, there, strict=True)]
-        for row, there in zip(both.tolist(), seen.tolist(), strict=True)
+        for row, there in zip(both.tolist(), visible.tolist(), strict=True)
     ]
     for start, end in zip(events, ends, strict=True):
-        shape = _shape(positions, a, b, start, end, apart)
-        length = int(seen[start:end].any(axis=1).sum())
+        shape = _shape(positions, a, b, start, end, lengths)
+        length = int(visible[start:end].any(axis=1).sum())
         worth = max(0.0, shape), max(0.0, -shape) + FRAME * length
 
         def later(
@@ -202,21 +205,21 @@ def _crossed(
             end: int = end,
             worth: tuple[float, float] = worth,
         ) -> _Path:
-            cost, turns, past = path.cost + worth[state], path.turns, path.past
+            cost, changes, past = path.cost + worth[state], path.changes, path.past
             if state != path.state:
-                cost, turns = cost + CHANGE, (*turns, start)
-            moved = []
+                cost, changes = cost + CHANGE, (*changes, start)
+            pasts = []
             for marker in (0, 1):
-                point = places[start][marker ^ state]
+                point = points[start][marker ^ state]
                 if start and point is not None:
                     cost += _off(past[marker], start, point, rate, acceleration)
                 new = [
-                    (frame, places[frame][marker ^ state])
+                    (frame, points[frame][marker ^ state])
                     for frame in range(max(start, end - PAST), end)
-                    if places[frame][marker ^ state] is not None
+                    if points[frame][marker ^ state] is not None
                 ]
-                moved.append([*past[marker], *new][-PAST:])
-            return _Path(cost, state, turns, (moved[0], moved[1]))
+                pasts.append([*past[marker], *new][-PAST:])
+            return _Path(cost, state, changes, (pasts[0], pasts[1]))
 
         never = later(never, 0)
         if start == 0:
@@ -228,13 +231,13 @@ def _crossed(
             ]
     best = min(paths, key=lambda path: path.cost)
     crossed = np.zeros(len(both), np.int64)
-    for turn in best.turns:
-        crossed[turn:] ^= 1
+    for change in best.changes:
+        crossed[change:] ^= 1
     return never.cost - best.cost, crossed.astype(bool)
 
 
 def _acceleration(both: FloatArray, rate: float) -> float:
-    """Return by how much two markers change their speed at most in most frames."""
+    """Return the typical largest acceleration of two markers [m/s^2]."""
     bent = np.linalg.norm(np.diff(both, 2, axis=0), axis=-1)
     known = bent[np.isfinite(bent)]
     if not len(known):
@@ -245,9 +248,9 @@ def _acceleration(both: FloatArray, rate: float) -> float:
 def _off(
     past: list[Any], frame: int, point: list[float], rate: float, acceleration: float
 ) -> float:
-    """Return the cost of a position after those that were seen before.
+    """Return the cost of a position after those visible before.
 
-    That is how unlikely it is (the negative logarithm), up to anywhere at all.
+    It is a negative log-likelihood, bounded by that of an arbitrary position.
     """
     if not past:
         return ANYWHERE
@@ -255,9 +258,9 @@ def _off(
     age = frame - last
     begin, first = next(entry for entry in past if last - entry[0] < PAST)
     run = last - begin
-    share = age / run if run else 0.0
+    ratio = age / run if run else 0.0
     square: float = sum(
-        (p - x - share * (x - y)) ** 2 for p, x, y in zip(point, at, first, strict=True)
+        (p - x - ratio * (x - y)) ** 2 for p, x, y in zip(point, at, first, strict=True)
     )
     time = age / rate
     allowed = NOISE + 0.5 * acceleration * time**2 + (0.0 if run else SPEED * time)
@@ -267,28 +270,33 @@ def _off(
 
 
 def _shape(
-    positions: FloatArray, a: int, b: int, start: int, end: int, apart: Distances
+    positions: FloatArray,
+    a: int,
+    b: int,
+    start: int,
+    end: int,
+    known_lengths: MarkerDistances,
 ) -> float:
-    """Return how much better two markers are as far from the others if exchanged."""
+    """Return how much better an exchange fits distances to the other markers."""
     if end - start < MIN_SWAP:
         return 0.0
     frames = np.unique(np.linspace(start, end - 1, SAMPLES).astype(np.int64))
     others = np.setdiff1d(np.arange(positions.shape[1]), (a, b))
     better = []
-    for own, other in ((a, b), (b, a)):
+    for one, other in ((a, b), (b, a)):
         lengths = np.linalg.norm(
-            positions[frames][:, others] - positions[frames, own][:, None], axis=-1
+            positions[frames][:, others] - positions[frames, one][:, None], axis=-1
         )
         worth = []
-        for marker in (own, other):
-            spread = apart.spread[marker, others]
-            mean = apart.mean[marker, others]
+        for marker in (one, other):
+            spread = known_lengths.spread[marker, others]
+            mean = known_lengths.mean[marker, others]
             off = (lengths - mean) / (TOLERANCE + SPREADS * spread)
             worth.append(np.minimum(off**2, 9.0))
         known = np.isfinite(worth[0] - worth[1])
         if known.any():
             scale = TOLERANCE + np.minimum(
-                apart.spread[own, others], apart.spread[other, others]
+                known_lengths.spread[one, others], known_lengths.spread[other, others]
             )
             weight = np.where(known, (TOLERANCE / scale) ** 2, 0.0)
             gain = np.where(known, worth[0] - worth[1], 0.0)
@@ -298,19 +306,19 @@ def _shape(
 
 
 def _spans(crossed: BoolArray, both: FloatArray) -> list[tuple[int, int]]:
-    """Return first and last frames of spans that are crossed and long enough.
+    """Return first and last frames of crossed spans that are long enough.
 
-    One that begins or ends where neither is seen does so in the middle of that.
+    One that begins or ends while neither is visible does so in the middle of that gap.
     """
-    seen = np.asarray(np.isfinite(both[..., 0]).any(axis=1))
+    visible = np.asarray(np.isfinite(both[..., 0]).any(axis=1))
     spans = []
-    # What is straight for a few frames between is a spike.
+    # A few straight frames between crossed ones are a spike.
     for first, end in joined(runs(crossed), MIN_SWAP):
-        frames = first + np.flatnonzero(seen[first:end])
+        frames = first + np.flatnonzero(visible[first:end])
         if len(frames) < MIN_SWAP:
             continue
-        before = np.flatnonzero(seen[: frames[0]])
-        after = np.flatnonzero(seen[frames[-1] + 1 :])
+        before = np.flatnonzero(visible[: frames[0]])
+        after = np.flatnonzero(visible[frames[-1] + 1 :])
         begin, last = int(frames[0]), int(frames[-1])
         if len(before):
             begin = (
@@ -323,15 +331,15 @@ def _spans(crossed: BoolArray, both: FloatArray) -> list[tuple[int, int]]:
 
 
 def _taken(markers: Markers, source: IntArray) -> Markers:
-    """Return markers whose values are those of others ``(F, M)``."""
+    """Return markers with values taken from other columns ``(F, M)``."""
 
-    def moved(values: Any) -> Any:
+    def exchanged(values: Any) -> Any:
         return None if values is None else np.take_along_axis(values, source, 1)
 
     return replace(
         markers,
         positions=np.take_along_axis(markers.positions, source[..., None], 1),
-        cameras=moved(markers.cameras),
-        residuals=moved(markers.residuals),
-        filled=moved(markers.filled),
+        cameras=exchanged(markers.cameras),
+        residuals=exchanged(markers.residuals),
+        filled=exchanged(markers.filled),
     )

@@ -1,4 +1,4 @@
-"""Points of a cloud followed over time, without names."""
+"""Points of a cloud tracked over time, without names."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 
-# A marker on a hand that is thrown changes its speed by about 100 g [m/s^2].
+# A marker on a throwing hand accelerates by about 100 g [m/s^2].
 MAX_ACCELERATION = 1000.0
 # Noise of two positions, and of the speed between them [m].
 NOISE = 0.004
-# No marker of a person is faster [m/s]: the reach of a point without a past.
+# Largest speed of a marker [m/s]: the reach of a new point.
 MAX_SPEED = 12.0
-# Frames of the past that predict the next position.
+# Past frames that predict the next position.
 PAST = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Tracklets:
-    """Points of a cloud joined to runs without a gap.
+    """Points of a cloud joined to gapless runs.
 
     Attributes:
-        ids: Which run each point of each frame is of ``(F, P)``; -1 where none is seen.
+        ids: Run of each point in each frame ``(F, P)``; -1 if not visible.
         first: First frame of each run ``(T,)``.
         last: Last frame of each run ``(T,)``.
     """
@@ -39,18 +39,18 @@ class Tracklets:
 
 
 def follow(positions: FloatArray, rate: float) -> Tracklets:
-    """Return the runs of points, frame by frame, by where each is expected.
+    """Return the runs of points, tracked frame by frame.
 
-    A point goes on as a run where each is the nearest of the other's, within what a
-    marker may accelerate, and clearly nearer than any second one. What is in doubt
-    ends a run: names join runs again, over gaps too.
+    A point continues a run if each is the other's nearest, within what a marker may
+    accelerate, and clearly nearer than any second one. Ambiguities end a run: labelling
+    joins runs again, also over gaps.
 
     positions: ``(F, P, 3)`` [m]. rate: [frame/s].
     """
     from scipy.spatial.distance import cdist
 
     frames, count, _ = positions.shape
-    seen = np.asarray(np.isfinite(positions).all(axis=-1))
+    visible = np.asarray(np.isfinite(positions).all(axis=-1))
     ids = np.full((frames, count), -1)
     first: list[int] = []
     last: list[int] = []
@@ -60,7 +60,7 @@ def follow(positions: FloatArray, rate: float) -> Tracklets:
     age = np.zeros(0, np.int64)
     open_runs = np.zeros(0, np.int64)
     for frame in range(frames):
-        slots = np.flatnonzero(seen[frame])
+        slots = np.flatnonzero(visible[frame])
         points = positions[frame, slots]
         expected, radius = _expected(past, age, reach, fresh)
         near = cdist(expected, points) / radius[:, None]
@@ -89,10 +89,10 @@ def follow(positions: FloatArray, rate: float) -> Tracklets:
 def _expected(
     past: FloatArray, age: IntArray, reach: float, fresh: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where each run is expected next, and how far off it may be [m]."""
+    """Return each run's expected next position, and its tolerance [m]."""
     now, one, two = past[:, 0], past[:, 1], past[:, 2]
     linear = 2.0 * now - one
-    # Half of the way to a parabola: noise of a whole one is seven times larger.
+    # Halfway to a parabola: a full one has seven times the noise.
     curved = 0.5 * (linear + 3.0 * now - 3.0 * one + two)
     expected = np.where(
         (age >= 3)[:, None], curved, np.where((age == 2)[:, None], linear, now)
@@ -100,16 +100,16 @@ def _expected(
     return expected, np.where(age == 1, fresh, reach)
 
 
-# A second candidate is no rival where it is so many times farther.
+# A second candidate is no rival if it is this many times farther.
 CLEAR = 2.0
-# Below this share of the reach, positions are as good as the same.
+# Positions nearer than this fraction of the reach are equal.
 CERTAIN = 0.05
 
 
 def _mutual(near: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return pairs of run and point that are each other's nearest, without rivals.
+    """Return pairs of run and point that are mutually nearest, without rivals.
 
-    near: Distances, of what is allowed ``(R, P)``.
+    near: Distances over the tolerance ``(R, P)``.
     """
     if not near.size:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)

@@ -1,4 +1,4 @@
-"""Markers that distances hardly tell apart: told by how their neighbours lie."""
+"""Markers that distances barely distinguish: told apart by their neighbours."""
 
 from __future__ import annotations
 
@@ -7,60 +7,60 @@ from itertools import combinations
 import numpy as np
 
 from animtool.capture.markers.geometry import distances, fitted
-from animtool.capture.markers.naming import exchanges, gain_of, said_of
+from animtool.capture.markers.naming import exchanges, gain_of, pair_evidence
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 
-# An exchange that distances speak against by more is not looked at [nat].
+# Exchanges with more evidence against them are ignored [nat].
 AGAINST = 6.0
-# Markers around those exchanged, of which any two give them a frame.
+# Neighbours, any two of which define a frame with the exchanged markers.
 AROUND = 5
-# Two pairs are exchanged at once where they are so near [m].
+# Two pairs this near are exchanged together [m].
 NEAR_DISTANCE = 0.26
-# Frames looked at, and those of them that are nearest to the pose of the trial [1].
+# Frames sampled, and the fraction nearest to the trial's pose [1].
 SAMPLES, BEST, MIN_SAMPLES = 120, 0.1, 8
 # Shapes are off by as much for noise alone [m]; a shape that is off e times more is
 # spoken against by so much [nat].
 NOISE, SHAPES = 0.001, 10.0
-# An exchange is made for more than this, and is in doubt for more than that [nat].
-MADE, DOUBTED = 0.05, -0.8
-# In a part of a take, more than this [nat].
+# Least gain of an exchange, and of one in doubt [nat].
+MIN_GAIN, DOUBTED = 0.05, -0.8
+# Least gain in part of a take [nat].
 IN_PART = 2.0
 MAX_EXCHANGES = 12
 
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """An exchange of names that fits a take about as well as what was chosen.
+    """A name exchange that fits a take about as well as the chosen names.
 
     Attributes:
         markers: Those exchanged.
-        score: How much speaks for it [nat]; below 0.
+        score: Evidence for it [nat]; below 0.
     """
 
     markers: tuple[int, ...]
     score: float
 
 
-def told_apart(
+def distinguish_twins(
     positions: FloatArray, shape: FloatArray
 ) -> tuple[IntArray, list[Exchange], list[tuple[int, int]]]:
-    """Return which name each marker should have ``(M,)``, and what stays in doubt.
+    """Return the name of each marker ``(M,)``, and the exchanges that stay in doubt.
 
-    The pairs are those that distances leave open, by the names that they should have.
+    The pairs are those that distances leave open, by their final names.
 
-    Exchanges of markers that distances do not rule out are looked at: what distances
-    say of them, and how far the shape at rest is off the points, by any two markers
-    beside them, in the frames in which it is least so, turned but not mirrored.
+    Exchanges that distances do not rule out are compared by distances and by shape: the
+    error of the rest shape on the points, with any two neighbouring markers, in the
+    best frames, rotated but not mirrored.
 
-    positions: By the names they have ``(F, M, 3)``. shape: At rest ``(M, 3)`` [m].
+    positions: By current names ``(F, M, 3)``. shape: At rest ``(M, 3)`` [m].
     """
     rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
-    seen = np.isfinite(positions[..., 0]).astype(np.float64)
-    overlap = seen.T @ seen
-    share = overlap / max(1.0, float(overlap.max()))
-    np.fill_diagonal(share, 0.0)
-    says = said_of(distances(positions), share, rest)
+    visible = np.isfinite(positions[..., 0]).astype(np.float64)
+    overlap = visible.T @ visible
+    fraction = overlap / max(1.0, float(overlap.max()))
+    np.fill_diagonal(fraction, 0.0)
+    pair_scores = pair_evidence(distances(positions), fraction, rest)
     moves = _near_only(exchanges(rest), rest)
     names = np.arange(len(shape))
     known: dict[tuple[int, ...], float] = {}
@@ -69,11 +69,11 @@ def told_apart(
     for _ in range(MAX_EXCHANGES):
         alone = np.zeros(rest.shape)
         for other, name in enumerate(names.tolist()):
-            alone += says[:, other, :, name]
-        best, most = None, MADE
+            alone += pair_scores[:, other, :, name]
+        best, most = None, MIN_GAIN
         doubts, pairs = [], []
         for old, new in moves:
-            gains = gain_of(says, alone, names, old, new)
+            gains = gain_of(pair_scores, alone, names, old, new)
             for row in np.flatnonzero(gains > -AGAINST).tolist():
                 if old.shape[1] == 2:
                     a, b = names[old[row]].tolist()
@@ -98,22 +98,22 @@ def told_apart(
 def exchanged_in(
     positions: FloatArray, shape: FloatArray, pair: tuple[int, int]
 ) -> bool:
-    """Return whether shapes say clearly that two markers are exchanged in some frames.
+    """Return whether shapes clearly show two markers exchanged in some frames.
 
-    positions: Of these frames, by the names they have ``(F, M, 3)``.
+    positions: Of these frames, by current names ``(F, M, 3)``.
     """
     names = np.arange(len(shape))
     then = names.copy()
     then[list(pair)] = pair[::-1]
     rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
-    says = _shape_says(positions, shape, rest, list(pair), names, then, {})
-    return SHAPES * says > IN_PART
+    pair_scores = _shape_says(positions, shape, rest, list(pair), names, then, {})
+    return SHAPES * pair_scores > IN_PART
 
 
 def _near_only(
     moves: list[tuple[IntArray, IntArray]], rest: FloatArray
 ) -> list[tuple[IntArray, IntArray]]:
-    """Return exchanges without those of two pairs that have nothing to do."""
+    """Return exchanges without those of two unrelated pairs."""
     kept = []
     for old, new in moves:
         near = np.ones(len(old), bool)
@@ -133,7 +133,7 @@ def _shape_says(
     then: IntArray,
     known: dict[tuple[int, ...], float],
 ) -> float:
-    """Return how much shapes speak for other names, a mean over neighbours [nat]."""
+    """Return the shape evidence for other names, a mean over neighbours [nat]."""
     distance = rest[now[changed]][:, now].min(axis=0)
     distance[changed] = np.inf
     nearest = np.argsort(distance, kind="stable")[:AROUND]
@@ -152,12 +152,12 @@ def _shape_says(
 
 
 def _off(positions: FloatArray, group: list[int], shape: FloatArray) -> float:
-    """Return how far a shape is off points in the frames that fit it best [m]."""
+    """Return the error of a shape on points in the frames that fit it best [m]."""
     points = positions[:, group]
-    whole = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
-    if len(whole) < MIN_SAMPLES:
+    complete = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
+    if len(complete) < MIN_SAMPLES:
         return np.inf
-    points = points[whole[:: max(1, len(whole) // SAMPLES)]]
+    points = points[complete[:: max(1, len(complete) // SAMPLES)]]
     rotation, shift = fitted(points, shape)
     fit = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
     off = np.sqrt(((fit - points) ** 2).sum(axis=-1).mean(axis=1))

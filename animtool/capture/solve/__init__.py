@@ -1,4 +1,4 @@
-"""From markers to the motion of a rig: calibration and the solve."""
+"""Marker solve: calibration, and the motion of a rig."""
 
 from __future__ import annotations
 

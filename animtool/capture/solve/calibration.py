@@ -1,9 +1,9 @@
 """Bone lengths and marker offsets of a subject, from a static and a motion take.
 
-Scales s of the bones and offsets o of the markers are found together with the poses of
-some frames: reweighted Gauss-Newton, the poses' part of each step taken out (the Schur
-complement of bundle adjustment: B. Triggs et al., Bundle adjustment, a modern
-synthesis, 2000, section 6.1), with what is likely of a body as priors.
+Bone scales s and marker offsets o are solved together with the poses of some frames:
+reweighted Gauss-Newton, with the poses eliminated from each step (the Schur complement
+of bundle adjustment: B. Triggs et al., Bundle adjustment, a modern synthesis, 2000,
+section 6.1), and anthropometric priors.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from animtool.capture.solve.model import (
     MIN_MARKERS,
     MarkerProblem,
     marker_model,
-    seen_markers,
+    visible_markers,
 )
 from animtool.capture.solve.run import check_units, in_world_of
 from animtool.capture.solve.sampling import (
@@ -28,7 +28,7 @@ from animtool.capture.solve.sampling import (
     misses_of,
     sampled_frames,
     sampled_poses,
-    usual_noise,
+    typical_noise,
 )
 from animtool.capture.templates.match import match_markers
 from animtool.capture.templates.template import MarkerTemplate
@@ -43,7 +43,7 @@ from animtool.rig.kinematics import forward
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import JointType, Pose, Rig
 
-# Frames of the motion and of the static take that are looked at.
+# Frames sampled of the motion and of the static take.
 MOTION_FRAMES, STATIC_FRAMES = 120, 10
 # What is likely: how far bones are from the overall scale, that from 1, left bones from
 # right ones [1], markers from where the template has them, by an axis [m].
@@ -51,13 +51,13 @@ BONES, OVERALL, SIDES, OFFSETS = 0.07, 0.25, 0.004, 0.008
 # How near the rest pose a subject stands in a static take, and joints are elsewhere,
 # where no marker says otherwise [rad].
 STANDING, MOVING = 0.08, 1.5
-# Steps, and the change of the parameters that ends them: bones [1], offsets [m].
-ROUNDS, STILL = 25, 2e-4
-# How far markers of a template for everyone may be off at first [m].
+# Most steps, and the converged change of bones [1] and offsets [m].
+ROUNDS, CONVERGED = 25, 2e-4
+# Initial noise for a generic template [m].
 GENERIC = 0.03
-# A bone whose scale is known no better is named.
+# A bone whose scale is less certain is reported.
 UNSURE = 0.5
-# Fewer frames say too little.
+# Least number of frames.
 MIN_FRAMES = 10
 
 
@@ -68,13 +68,13 @@ class Calibration:
     Attributes:
         rig: The rig with the subject's bones.
         template: The template with the subject's offsets.
-        scales: Of each joint's bone from its parent, against the rig given ``(J,)``.
-        shifts: How far each marker went from its offset ``(M,)`` [m]; NaN where the
+        scales: Of each joint's bone from its parent, over the input rig's ``(J,)``.
+        shifts: Shift of each marker from its offset ``(M,)`` [m]; NaN if the
             capture lacks it.
-        noise: How far markers are off, as a standard deviation of an axis ``(E,)`` [m].
+        noise: Standard deviation of markers per axis ``(E,)`` [m].
         rounds: Steps taken.
-        frames: Frames that were looked at.
-        converged: Whether the steps came to an end.
+        frames: Number of frames used.
+        converged: Whether the steps converged.
         notices: Warnings.
     """
 
@@ -87,7 +87,7 @@ class Calibration:
     frames: int
     converged: bool
     notices: tuple[Fault, ...] = ()
-    json_keys: ClassVar[str] = "rounds frames converged bones shifts=moved"
+    json_keys: ClassVar[str] = "rounds frames converged bones shifts=marker_shifts"
 
     @property
     def bones(self) -> dict[str, float]:
@@ -95,8 +95,8 @@ class Calibration:
         return dict(zip(self.rig.names, self.scales.tolist(), strict=True))
 
     @property
-    def moved(self) -> dict[str, float]:
-        """How far each marker went from its offset [m]."""
+    def marker_shifts(self) -> dict[str, float]:
+        """Shift of each marker from its template offset [m]."""
         return dict(zip(self.template.names, self.shifts.tolist(), strict=True))
 
 
@@ -114,8 +114,8 @@ def calibrate(
         markers: A take in which every joint moves.
         rig: A rig of about the subject's build.
         template: Where markers are on it, to a few centimetres.
-        static: A take of the subject standing in about the rest pose; it says what is
-            no turn of a joint but a marker that was put on elsewhere.
+        static: A take of the subject standing in about the rest pose; it tells
+            marker placement from joint rotation.
         options: Noise and subject.
 
     Raises:
@@ -127,13 +127,13 @@ def calibrate(
     the others.
     """
     options = options or SolveOptions()
-    found = _Calibrating(markers, rig, template, static, options)
-    rounds, converged = found.run()
-    return found.result(rounds, converged)
+    solver = _Calibrating(markers, rig, template, static, options)
+    rounds, converged = solver.run()
+    return solver.result(rounds, converged)
 
 
 class _Calibrating:
-    """Bones, offsets and poses on their way."""
+    """State of a calibration: bones, offsets and poses."""
 
     def __init__(
         self,
@@ -146,14 +146,14 @@ class _Calibrating:
         self.template, self.options = template, options
         match = match_markers(template, markers.names, options.subject)
         model = marker_model(rig, template, match.columns)
-        self.model = model.changed(without_limits(model), model.offsets)
-        self.given = rig
+        self.model = model.changed(unlimited_rig(model), model.offsets)
+        self.source_rig = rig
         motion = in_world_of(rig, markers)[:, self.model.columns]
         parts = [motion[sampled_frames(motion, MOTION_FRAMES)]]
         if static is not None:
-            still = self._named_alike(in_world_of(rig, static), static.names)
-            parts.insert(0, still[sampled_frames(still, STATIC_FRAMES)])
-        self.still = 0 if static is None else len(parts[0])
+            static_frames = self._in_model_order(in_world_of(rig, static), static.names)
+            parts.insert(0, static_frames[sampled_frames(static_frames, STATIC_FRAMES)])
+        self.static_frames = 0 if static is None else len(parts[0])
         self.positions = np.concatenate(parts)
         if len(self.positions) < MIN_FRAMES:
             message = (
@@ -166,14 +166,16 @@ class _Calibrating:
         self.base = self.model.rig.rest_translations
         self.offsets0 = self.model.offsets
         self.scales = np.full(len(self.bones), self._overall())
-        self.held = np.array([m.fixed for m in self.model.template.markers], np.bool_)
-        size = np.where(self.held, 1.0, self.scales[0])
+        self.fixed = np.array([m.fixed for m in self.model.template.markers], np.bool_)
+        size = np.where(self.fixed, 1.0, self.scales[0])
         self.offsets = size[:, None] * self.offsets0
         self.noise = np.full(len(self.model.joints), max(GENERIC, options.noise))
         self.surety = np.zeros(len(self.bones))
 
-    def _named_alike(self, positions: FloatArray, names: tuple[str, ...]) -> FloatArray:
-        """Return the markers of another take in the order of the model's."""
+    def _in_model_order(
+        self, positions: FloatArray, names: tuple[str, ...]
+    ) -> FloatArray:
+        """Return another take's markers in the order of the model."""
         match = match_markers(self.model.template, names, self.options.subject)
         out = np.full((len(positions), len(match.columns), 3), np.nan)
         has = match.columns >= 0
@@ -181,31 +183,34 @@ class _Calibrating:
         return out
 
     def _overall(self) -> float:
-        """Return how much larger the subject is than the rig."""
-        frames = self.positions[: max(self.still, 1)]
+        """Return the ratio of the subject's size to the rig's."""
+        frames = self.positions[: max(self.static_frames, 1)]
         rest = self.model.points(self.model.starts(frames))
-        seen = seen_markers(frames)[:, :, None]
-        if self.still == 0:
+        visible = visible_markers(frames)[:, :, None]
+        if self.static_frames == 0:
             return 1.0
 
         def spread(points: FloatArray) -> float:
-            own = np.where(seen, points, np.nan)
-            return float(np.nanstd(own, axis=1).mean())
+            known = np.where(visible, points, np.nan)
+            return float(np.nanstd(known, axis=1).mean())
 
         return min(max(spread(frames) / max(spread(rest), 1e-9), 0.2), 5.0)
 
     def run(self) -> tuple[int, bool]:
-        """Take steps until they are small; their number, and whether they ended."""
+        """Iterate to convergence; return the step count and whether it converged."""
         self._rebuild()
         poses = sampled_poses(self.model, self.positions, self.noise)
         for round_ in range(ROUNDS):
-            poses = self._settled(poses)
+            poses = self._fitted_poses(poses)
             step = self._step(poses)
             bones, shifts = step[: len(self.bones)], step[len(self.bones) :]
             self.scales = np.clip(self.scales + bones, 0.1, 10.0)
             self.offsets = self.offsets + shifts.reshape(-1, 3)
             self._rebuild()
-            if max(np.abs(bones).max(initial=0), np.abs(shifts).max(initial=0)) < STILL:
+            if (
+                max(np.abs(bones).max(initial=0), np.abs(shifts).max(initial=0))
+                < CONVERGED
+            ):
                 return round_ + 1, True
         return ROUNDS, False
 
@@ -214,19 +219,19 @@ class _Calibrating:
             scaled_rig(self.model.rig, self.bones, self.scales, self.base), self.offsets
         )
 
-    def _settled(self, poses: FloatArray) -> FloatArray:
-        """Return poses that fit the present bones; what is off says how noisy it is."""
+    def _fitted_poses(self, poses: FloatArray) -> FloatArray:
+        """Return poses fitted to the current bones, and update the noise."""
         options = FitOptions(1.0, math.inf, robust=ROBUST, rounds=6)
         targets = self.model.targets(self.positions, self.noise)
-        found = fit(self.model.problem, targets, poses, options, path=poses)
-        misses = misses_of(self.model, found.coordinates, self.positions)
-        usual = usual_noise(misses, self.options.noise)
-        # Down by steps: markers that are far off at first must not be given up.
-        self.noise = np.minimum(self.noise, np.maximum(usual, self.noise / 2))
-        return found.coordinates
+        fitted = fit(self.model.problem, targets, poses, options, path=poses)
+        misses = misses_of(self.model, fitted.coordinates, self.positions)
+        typical = typical_noise(misses, self.options.noise)
+        # Halved at most: markers far off at first must not be rejected.
+        self.noise = np.minimum(self.noise, np.maximum(typical, self.noise / 2))
+        return fitted.coordinates
 
     def _step(self, poses: FloatArray) -> FloatArray:
-        """Return the change of scales and offsets ``(B + 3 E,)``, poses following."""
+        """Return the step of scales and offsets ``(B + 3 E,)``, poses eliminated."""
         problem, model = self.model.problem, self.model
         targets = chain_targets(problem, model.targets(self.positions, self.noise))
         chain = problem.chain
@@ -239,26 +244,26 @@ class _Calibrating:
         )
         columns = self._columns(poses)
         off = np.linalg.norm(residuals.reshape(count, -1, 3), axis=2)
-        share = np.repeat(1 / (1 + (off / ROBUST) ** 2), 3, axis=1)
-        residuals = residuals * share
-        slopes = slopes * share[:, :, None]
-        columns = columns * share[:, :, None]
+        weight = np.repeat(1 / (1 + (off / ROBUST) ** 2), 3, axis=1)
+        residuals = residuals * weight
+        slopes = slopes * weight[:, :, None]
+        columns = columns * weight[:, :, None]
         normal = np.swapaxes(slopes, 1, 2) @ slopes
-        held = np.full((count, degrees), MOVING**-2.0)
-        held[: self.still] = STANDING**-2.0
-        normal += np.eye(degrees) * held[:, :, None]
+        fixed = np.full((count, degrees), MOVING**-2.0)
+        fixed[: self.static_frames] = STANDING**-2.0
+        normal += np.eye(degrees) * fixed[:, :, None]
         felt = np.swapaxes(slopes, 1, 2)
-        # What poses take of parameters and residuals alike.
+        # The poses' part of parameters and residuals.
         taken = np.linalg.solve(normal, felt @ columns)
-        pull = held * self._from_rest(poses)
-        own = np.linalg.solve(
+        pull = fixed * self._from_rest(poses)
+        pose_step = np.linalg.solve(
             normal,
             (felt @ residuals[:, :, None])[:, :, 0][:, :, None] - pull[:, :, None],
         )[:, :, 0]
         rows = columns.reshape(-1, columns.shape[2])
         mixed = (felt @ columns).reshape(-1, columns.shape[2])
         matrix = rows.T @ rows - mixed.T @ taken.reshape(mixed.shape)
-        right = rows.T @ residuals.ravel() - mixed.T @ own.ravel()
+        right = rows.T @ residuals.ravel() - mixed.T @ pose_step.ravel()
         prior, drawn = self._prior()
         self.surety = np.diag(matrix)[: len(self.bones)] / (
             np.diag(matrix)[: len(self.bones)] + BONES**-2.0
@@ -266,17 +271,17 @@ class _Calibrating:
         return np.linalg.solve(matrix + prior, right + drawn)
 
     def _from_rest(self, poses: FloatArray) -> FloatArray:
-        """Return how far poses are from rest ``(F, D)``, but for where the root is."""
+        """Return the deviation of poses from rest ``(F, D)``, root motion excluded."""
         chain = self.model.problem.chain
         start = chain.from_rig(self.model.starts(self.positions))
-        own = chain.from_rig(poses)
-        away = difference(chain, start, own)
-        # The root goes where it goes.
+        coordinates = chain.from_rig(poses)
+        away = difference(chain, start, coordinates)
+        # The root is free.
         away[:, : min(6, away.shape[1])] = 0.0
         return away
 
     def _columns(self, poses: FloatArray) -> FloatArray:
-        """Return how weighted markers follow the parameters ``(F, 3 E, B + 3 E)``."""
+        """Return derivatives of weighted markers ``(F, 3 E, B + 3 E)``."""
         model, rig = self.model, self.model.rig
         local = model.local(poses)
         world = forward(rig, local.translations, local.rotations)
@@ -294,21 +299,21 @@ class _Calibrating:
             if not model.template.markers[e].fixed:
                 out[:, e, :, first : first + 3] = world.linear[:, j]
         weights = model.template.weights / self.noise
-        seen = seen_markers(self.positions)
-        out *= (seen * weights)[:, :, None, None]
+        visible = visible_markers(self.positions)
+        out *= (visible * weights)[:, :, None, None]
         return out.reshape(count, 3 * markers, -1)
 
     def _prior(self) -> tuple[FloatArray, FloatArray]:
-        """Return what is likely of scales and offsets: matrix, and what it draws to."""
+        """Return the prior of scales and offsets: normal matrix and right side."""
         bones, size = len(self.bones), len(self.bones) + self.offsets.size
         matrix, drawn = np.zeros((size, size)), np.zeros(size)
         # Bones about an overall scale that is itself about 1, which is summed out.
-        own = np.eye(bones) / BONES**2
+        precision = np.eye(bones) / BONES**2
         total = bones / BONES**2 + OVERALL**-2.0
-        own -= np.ones((bones, bones)) / BONES**4 / total
+        precision -= np.ones((bones, bones)) / BONES**4 / total
         away = self.scales - 1.0
-        matrix[:bones, :bones] = own
-        drawn[:bones] = -own @ away
+        matrix[:bones, :bones] = precision
+        drawn[:bones] = -precision @ away
         for left, right in self._pairs():
             difference = self.scales[left] - self.scales[right]
             for a, sign in ((left, 1.0), (right, -1.0)):
@@ -322,55 +327,59 @@ class _Calibrating:
         of_bones = self._carriers()[:, None, :] * self.offsets0[:, :, None]
         left_over[:, :bones] = -of_bones.reshape(-1, bones)
         away = self.offsets.ravel() - of_bones.reshape(-1, bones) @ self.scales
-        # Those on landmarks stay, whatever the bones do.
-        held = np.repeat(self.held, 3)
-        left_over[held, :bones] = 0.0
-        away[held] = 0.0
+        # Fixed markers do not scale with bones.
+        fixed = np.repeat(self.fixed, 3)
+        left_over[fixed, :bones] = 0.0
+        away[fixed] = 0.0
         matrix += left_over.T @ left_over / OFFSETS**2
         drawn -= left_over.T @ away / OFFSETS**2
         return matrix, drawn
 
     def _carriers(self) -> FloatArray:
-        """Return the share of each bone in the size of a marker's joint ``(E, B)``.
+        """Return the weight of each bone in the size of a marker's joint ``(E, B)``.
 
-        A joint is as large as the bones that begin there; one at an end as all of them.
+        A joint scales with the bones that begin there; an end joint with the bone to
+        it, else with all bones.
         """
         rig = self.model.rig
         into = np.array([group[0] for group in self.bones])
         parents = np.array([rig.joints[group[0]].parent for group in self.bones])
         out = np.zeros((len(self.model.joints), len(self.bones)))
         for e, j in enumerate(self.model.joints.tolist()):
-            own = parents == j if (parents == j).any() else into == j
-            out[e, own if own.any() else slice(None)] = 1.0
+            begins = parents == j if (parents == j).any() else into == j
+            out[e, begins if begins.any() else slice(None)] = 1.0
         return np.asarray(out / out.sum(axis=1, keepdims=True))
 
     def _pairs(self) -> list[tuple[int, int]]:
-        """Return the numbers of bones that are left and right of each other."""
+        """Return the indices of left and right bones."""
         rig = self.model.rig
         stated = [(j.name, j.mirror) for j in rig.joints if j.mirror]
         partners = pair_sides(rig.names, rig.parents, stated).partners
-        place = {j: b for b, group in enumerate(self.bones) for j in group}
+        bone_of = {j: b for b, group in enumerate(self.bones) for j in group}
         return [
-            (place[j], place[int(k)])
+            (bone_of[j], bone_of[int(k)])
             for j, k in enumerate(partners)
-            if j < k and j in place and int(k) in place and place[j] != place[int(k)]
+            if j < k
+            and j in bone_of
+            and int(k) in bone_of
+            and bone_of[j] != bone_of[int(k)]
         ]
 
     def result(self, rounds: int, converged: bool) -> Calibration:
-        """Return what was found."""
+        """Return the calibration."""
         rig = self.model.rig
         scales = np.ones(len(rig.joints))
         for b, group in enumerate(self.bones):
             scales[list(group)] = self.scales[b]
-        found = {m.name: m for m in self.model.template.markers}
+        calibrated = {m.name: m for m in self.model.template.markers}
         shifts = np.full(len(self.template.markers), np.nan)
         markers = []
         for m, marker in enumerate(self.template.markers):
-            own = found.get(marker.name)
-            if own is not None:
-                shifts[m] = np.linalg.norm(np.subtract(own.offset, marker.offset))
+            match = calibrated.get(marker.name)
+            if match is not None:
+                shifts[m] = np.linalg.norm(np.subtract(match.offset, marker.offset))
             markers.append(
-                marker if own is None else replace(marker, offset=own.offset)
+                marker if match is None else replace(marker, offset=match.offset)
             )
         notices = []
         if not converged:
@@ -390,7 +399,7 @@ class _Calibrating:
             message += listed(unseen, 8)
             notices.append(Fault("SOL105", message, None, (), None, Severity.NOTE))
         return Calibration(
-            with_bones(self.given, scales),
+            with_bones(self.source_rig, scales),
             replace(self.template, markers=tuple(markers), document=None),
             scales,
             shifts,
@@ -403,7 +412,7 @@ class _Calibrating:
 
 
 def _bones(rig: Rig) -> list[tuple[int, ...]]:
-    """Return the joints whose bones scale, each by itself: all but roots."""
+    """Return the joints whose bones scale independently: all but roots."""
     return [
         (j,)
         for j, joint in enumerate(rig.joints)
@@ -411,10 +420,10 @@ def _bones(rig: Rig) -> list[tuple[int, ...]]:
     ]
 
 
-def without_limits(model: MarkerProblem) -> Rig:
-    """Return a model's rig; pins that markers tell the angle of have no limits.
+def unlimited_rig(model: MarkerProblem) -> Rig:
+    """Return a model's rig without limits on pins that markers determine.
 
-    One that stands at its limit could not say that it is the marker that is elsewhere.
+    A joint at its limit could not tell a displaced marker from its own angle.
     """
     rig = model.rig
     moves = np.zeros(len(rig.joints), np.int64)
@@ -432,7 +441,7 @@ def without_limits(model: MarkerProblem) -> Rig:
 def scaled_rig(
     rig: Rig, bones: list[tuple[int, ...]], scales: FloatArray, base: FloatArray
 ) -> Rig:
-    """Return a rig whose bones are so many times as long as a base ``(J, 3)``."""
+    """Return a rig with bones scaled from a base ``(J, 3)``."""
     joints = list(rig.joints)
     for group, scale in zip(bones, scales.tolist(), strict=True):
         for j in group:
@@ -442,9 +451,9 @@ def scaled_rig(
 
 
 def with_bones(rig: Rig, scales: FloatArray) -> Rig:
-    """Return a rig with bones ``(J,)`` times as long; surfaces stay bound as they were.
+    """Return a rig with bones scaled ``(J,)``; surfaces stay bound.
 
-    The end of a bone that carries no joint goes with the joint's own bone.
+    The tip of a bone without a child joint scales with the joint's own bone.
     """
     joints, bind = [], dict(rig.bind)
     for joint, scale in zip(rig.joints, scales.tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""A rig with markers on it: what is solved for, and where frames are looked for."""
+"""A rig with markers: the IK problem of a marker solve, and its start poses."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from animtool.rig.joints import (
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import JointType, Rig
 
-# Fewer say nothing of how a body is turned.
+# Least markers that determine a rotation.
 MIN_MARKERS = 3
-# How much less a marker says of the pose of the root for each joint between.
+# Weight of a marker for the root's pose, per joint between.
 LESS_BY_JOINT = 0.3
 
 
@@ -57,48 +57,48 @@ class MarkerProblem:
     def targets(self, positions: FloatArray, noise: FloatArray) -> Targets:
         """Return the targets of markers ``(F, E, 3)`` [m], NaN where one is missing.
 
-        noise: How far each marker may be off, where its weight is 1 ``(E,)`` [m].
+        noise: Standard deviation of each marker at weight 1 ``(E,)`` [m].
         """
-        seen = seen_markers(positions)
-        weights = np.zeros((*seen.shape, len(KINDS)))
-        weights[:, :, 0] = seen * self.template.weights * self.problem.length / noise
-        return Targets(np.where(seen[:, :, None], positions, 0.0), weights=weights)
+        visible = visible_markers(positions)
+        weights = np.zeros((*visible.shape, len(KINDS)))
+        weights[:, :, 0] = visible * self.template.weights * self.problem.length / noise
+        return Targets(np.where(visible[:, :, None], positions, 0.0), weights=weights)
 
     def starts(self, positions: FloatArray) -> FloatArray:
-        """Return the rest pose moved onto markers ``(F, E, 3)`` as a whole ``(F, Q)``.
+        """Return rest poses rigidly aligned to markers ``(F, E, 3)``: ``(F, Q)``.
 
         Markers near the root count most.
         """
         rig = self.rig
         q = np.zeros((len(positions), self.problem.coordinates))
         slices = coordinate_slices(rig)
-        for place, joint in zip(slices, rig.joints, strict=True):
+        for columns, joint in zip(slices, rig.joints, strict=True):
             if joint.type in {JointType.BALL, JointType.FREE}:
-                q[:, place.stop - 1] = 1.0
+                q[:, columns.stop - 1] = 1.0
         root = self._root()
         if root is None:
             return q
         depths = np.array([len(rig.upwards(j)) for j in self.joints])
         near = LESS_BY_JOINT ** (depths - depths.min())
-        seen = seen_markers(positions)
-        turn, at = rigid_motions(
+        visible = visible_markers(positions)
+        rotation, at = rigid_motions(
             self.points(q[:1])[0],
-            np.where(seen[:, :, None], positions, 0.0),
-            seen * near * self.template.weights,
+            np.where(visible[:, :, None], positions, 0.0),
+            visible * near * self.template.weights,
         )
         rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
-        rest_at, rest_turn = rest.positions[0, root], rest.rotations[0, root]
-        # world = T(rest) R(rest) motion: what is left of the world's turn.
-        world_turn = so3.multiply(turn, rest_turn)
-        world_at = so3.rotate(turn, rest_at) + at
-        back = so3.conjugate(rest_turn)
-        place = slices[root]
-        q[:, place.start : place.start + 3] = so3.rotate(back, world_at - rest_at)
-        q[:, place.start + 3 : place.stop] = so3.multiply(back, world_turn)
+        rest_at, rest_rotation = rest.positions[0, root], rest.rotations[0, root]
+        # world = T(rest) R(rest) motion: the remaining rotation.
+        world_rotation = so3.multiply(rotation, rest_rotation)
+        world_at = so3.rotate(rotation, rest_at) + at
+        back = so3.conjugate(rest_rotation)
+        columns = slices[root]
+        q[:, columns.start : columns.start + 3] = so3.rotate(back, world_at - rest_at)
+        q[:, columns.start + 3 : columns.stop] = so3.multiply(back, world_rotation)
         return q
 
     def _root(self) -> int | None:
-        """Return the free joint at the root; None where it is fixed to the world."""
+        """Return the free root joint; None if the rig is fixed to the world."""
         roots = [j for j in self.rig.roots if self.rig.joints[j].type is JointType.FREE]
         return roots[0] if len(roots) == 1 else None
 
@@ -107,7 +107,7 @@ class MarkerProblem:
         return local_from_coordinates(self.rig, coordinates)
 
     def points(self, coordinates: FloatArray) -> FloatArray:
-        """Return where the markers are in poses ``(F, Q)``: ``(F, E, 3)`` [m]."""
+        """Return marker positions in poses ``(F, Q)``: ``(F, E, 3)`` [m]."""
         local = self.local(coordinates)
         world = forward(self.rig, local.translations, local.rotations)
         linear = world.linear[:, self.joints]
@@ -128,17 +128,17 @@ class MarkerProblem:
 def marker_model(
     rig: Rig, template: MarkerTemplate, columns: IntArray
 ) -> MarkerProblem:
-    """Return the model of the markers that a capture has.
+    """Return the model of the markers in a capture.
 
     Args:
-        rig: Its joints; where a file does not say what they can do, they turn.
+        rig: The rig; joints without a type in the file rotate.
         template: M markers.
-        columns: Of each marker its index in the capture ``(M,)``, -1 where it is
+        columns: Index of each marker in the capture ``(M,)``, -1 if it is
             missing, as `animtool.capture.templates.match_markers` finds them.
 
     Raises:
-        OptionError: The rig lacks a joint (MKT001), fewer than 3 markers are there
-            (SOL003), or none is moved by a joint (IK003).
+        OptionError: The rig lacks a joint (MKT001), the capture has fewer than 3
+            markers (SOL003), or no joint moves any (IK003).
     """
     rig = with_types(rig)
     joints = template.joints(rig)
@@ -164,29 +164,32 @@ def _built(rig: Rig, template: MarkerTemplate, columns: IntArray) -> MarkerProbl
 def rigid_motions(
     points: FloatArray, positions: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the rotation ``(F, 4)`` and way ``(F, 3)`` that take points to others.
+    """Return rotations ``(F, 4)`` and translations ``(F, 3)`` between point sets.
 
-    The least weighted sum of squares (W. Kabsch, 1976).
+    They minimise the weighted sum of squares (W. Kabsch, 1976).
 
     Args:
         points: ``(E, 3)``.
         positions: ``(F, E, 3)``.
-        weights: ``(F, E)``; where all are 0, nothing turns.
+        weights: ``(F, E)``; if all are 0, the rotation is identity.
     """
     total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-    share = weights / total
-    middle = share @ points
-    wanted = np.einsum("fe,fei->fi", share, positions)
+    fractions = weights / total
+    middle = fractions @ points
+    centre = np.einsum("fe,fei->fi", fractions, positions)
     spread = np.einsum(
-        "fe,fei,fej->fij", share, points - middle[:, None], positions - wanted[:, None]
+        "fe,fei,fej->fij",
+        fractions,
+        points - middle[:, None],
+        positions - centre[:, None],
     )
     left, _, right = np.linalg.svd(spread)
     mirror = np.sign(np.linalg.det(left @ right))
     left[:, :, 2] *= np.where(mirror == 0, 1.0, mirror)[:, None]
     rotation = so3.from_matrix(np.swapaxes(left @ right, 1, 2))
-    return rotation, wanted - so3.rotate(rotation, middle)
+    return rotation, centre - so3.rotate(rotation, middle)
 
 
-def seen_markers(positions: FloatArray) -> BoolArray:
+def visible_markers(positions: FloatArray) -> BoolArray:
     """Return which markers of ``(F, E, 3)`` have a position ``(F, E)``."""
     return np.asarray(np.isfinite(positions).all(axis=2))

@@ -1,4 +1,4 @@
-"""How well markers were solved."""
+"""Fit of solved markers."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths.runs import runs
 
-# Share of a frame's markers that must fit for it not to be poor.
-MIN_FITTED_SHARE = 0.5
+# Least fraction of fitting markers in a frame that is not poor.
+MIN_FITTED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class MarkerScore:
-    """How well one marker fits.
+    """Fit of one marker.
 
     Attributes:
         name: In the template.
-        rms: How far it is off its place on the bone [m], outliers left out; NaN where
-            it is never seen.
-        seen: Share of frames in which it has a position.
-        outliers: Share of these in which that is none of the marker's.
+        rms: Distance from its position on the bone [m], without outliers; NaN if
+            it is never visible.
+        seen: Fraction of frames in which it has a position.
+        outliers: Fraction of these in which the position is not the marker's.
     """
 
     name: str
@@ -53,18 +53,18 @@ class ExchangedLabels:
 
 @dataclass
 class SolveScore:
-    """How well the markers of F frames fit; complete when all are solved.
+    """Fit of the markers of F frames; complete when all are solved.
 
     Attributes:
         names: Of the E markers.
         frames: F.
-        noise: How far each marker is off as a rule ``(E,)`` [m].
+        noise: Typical deviation of each marker ``(E,)`` [m].
         rms: Over the markers of each frame that fit ``(F,)`` [m], NaN without any.
         sparse: Frames with fewer than 3 markers, by index.
         poor: Frames most of whose markers do not fit, by index.
-        searched: Frames that were looked for anew, by index.
-        markers: By marker.
-        exchanged: Labels that were mixed up.
+        searched: Frames that were searched again, by index.
+        markers: Fit by marker.
+        exchanged: Exchanged labels.
         total: Over all markers that fit [m].
     """
 
@@ -80,15 +80,15 @@ class SolveScore:
     total: float = field(init=False, default=float("nan"))
     _misses: FloatArray = field(init=False, repr=False)
     _taken: IntArray = field(init=False, repr=False)
-    _seen: BoolArray = field(init=False, repr=False)
+    _visible: BoolArray = field(init=False, repr=False)
     _begun: BoolArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Make room for the frames."""
+        """Allocate arrays for the frames."""
         shape = self.frames, len(self.names)
         self._misses = np.zeros(shape)
         self._taken = np.broadcast_to(np.arange(shape[1]), shape).copy()
-        self._seen = np.zeros(shape, np.bool_)
+        self._visible = np.zeros(shape, np.bool_)
         self._begun = np.zeros(shape[0], np.bool_)
 
     def add(
@@ -97,19 +97,21 @@ class SolveScore:
         misses: FloatArray,
         taken: IntArray,
         searched: BoolArray,
-        seen: BoolArray,
+        visible: BoolArray,
     ) -> None:
-        """Note what was found of some frames ``(N, E)``, from one on."""
+        """Record the fit of frames ``(N, E)``, starting at one."""
         rows = slice(first, first + len(misses))
         self._misses[rows], self._taken[rows] = misses, taken
-        self._begun[rows], self._seen[rows] = searched, seen
+        self._begun[rows], self._visible[rows] = searched, visible
 
     def finish(self) -> None:
-        """Sum up."""
-        own = np.arange(len(self.names))
-        # A marker that took the position of another label has one.
+        """Compute the totals."""
+        indices = np.arange(len(self.names))
+        # A marker with another label's position counts as visible.
         has = np.where(
-            self._taken == own, self._seen, (self._taken >= 0) & (self._taken != own)
+            self._taken == indices,
+            self._visible,
+            (self._taken >= 0) & (self._taken != indices),
         )
         fits = has & (self._misses <= ROBUST * self.noise)
         squares = np.where(fits, self._misses**2, 0.0)
@@ -119,21 +121,21 @@ class SolveScore:
             self.total = float(np.sqrt(squares.sum() / fits.sum()))
         counts = has.sum(axis=1)
         self.sparse = np.flatnonzero(counts < MIN_MARKERS)
-        lost = fits.sum(axis=1) < MIN_FITTED_SHARE * counts
+        lost = fits.sum(axis=1) < MIN_FITTED * counts
         self.poor = np.flatnonzero((counts >= MIN_MARKERS) & lost)
         self.searched = np.flatnonzero(self._begun)
         self.markers = [
             MarkerScore(
                 name,
                 float(by_marker[e]),
-                float(self._seen[:, e].mean()),
+                float(self._visible[:, e].mean()),
                 1.0 - float(fits[:, e].sum()) / max(int(has[:, e].sum()), 1),
             )
             for e, name in enumerate(self.names)
         ]
         self.exchanged = [
             ExchangedLabels(self.names[e], self.names[label], first, end - 1)
-            for e in own.tolist()
+            for e in indices.tolist()
             for label in np.unique(self._taken[:, e]).tolist()
             if label not in (e, -1)
             for first, end in runs(self._taken[:, e] == label)

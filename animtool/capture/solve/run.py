@@ -1,4 +1,4 @@
-"""The solve of a whole capture, window by window."""
+"""The solve of a capture, window by window."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.capture.solve.model import (
     MIN_MARKERS,
     MarkerProblem,
     marker_model,
-    seen_markers,
+    visible_markers,
 )
 from animtool.capture.solve.report import SolveScore
 from animtool.capture.solve.sampling import (
@@ -21,7 +21,7 @@ from animtool.capture.solve.sampling import (
     misses_of,
     sampled_frames,
     sampled_poses,
-    usual_noise,
+    typical_noise,
 )
 from animtool.capture.templates.match import MarkerMatch, match_markers
 from animtool.capture.templates.template import MarkerTemplate
@@ -44,16 +44,16 @@ Progress = Callable[[float], None] | None
 # Frames that are solved at once, and how far the solve looks ahead of them: beyond
 # that, what a joint does next says nothing of a frame. Fixed, so that results are the
 # same however a take is read.
-WINDOW, AHEAD = 600, 120
-# Frames before a window, whose poses stay and whose speed goes on.
+WINDOW, LOOKAHEAD = 600, 120
+# Frames before a window, whose poses are fixed and whose speed continues.
 BEHIND = 2
-# Frames by themselves that say how far markers are off.
+# Independent frames for the noise estimate.
 SAMPLES = 24
-# Markers that are this many times as far apart as the rig's are in other units.
+# Ratio of marker distances to the rig's that means other units.
 OTHER_UNITS = 30.0
-# Markers that are farther off as a rule are not on this rig [m].
+# Typical deviation above which markers do not belong to this rig [m].
 STRANGE = 0.01
-# Where the noise is looked for from, and when it is found.
+# Initial noise, and its convergence ratio.
 FAR, ROUNDS, SETTLED = 0.02, 4, 0.7
 
 
@@ -63,14 +63,14 @@ class MarkerSolve:
 
     Attributes:
         model: Rig and markers that are solved for.
-        match: Which marker of the capture is which.
+        match: The template's markers in the capture.
         positions: Of the model's markers ``(F, E, 3)`` [m], in the rig's world; NaN
             where one is missing.
         markers: The capture.
-        noise: How far each marker is off, as a standard deviation of an axis ``(E,)``
+        noise: Standard deviation of each marker per axis ``(E,)``
             [m].
         options: How to solve.
-        score: What is found; complete once `blocks` are drawn.
+        score: The fit; complete once `blocks` are consumed.
         notices: Warnings.
     """
 
@@ -84,16 +84,16 @@ class MarkerSolve:
     notices: list[Fault] = field(default_factory=list)
 
     def blocks(self, progress: Progress = None) -> Iterator[Motion]:
-        """Yield the motion of one window of frames after the other."""
+        """Yield the motion of one window of frames after another."""
         last: FloatArray | None = None
-        turns: FloatArray | None = None
+        rotations: FloatArray | None = None
         count = len(self.positions)
         for first in range(0, count, WINDOW):
             end = min(first + WINDOW, count)
             coordinates = self._window(first, end, last)
             last = coordinates[-BEHIND:]
-            motion = self._motion(coordinates, turns)
-            turns = motion.rotations.values[-1]
+            motion = self._motion(coordinates, rotations)
+            rotations = motion.rotations.values[-1]
             yield motion
             if progress is not None:
                 progress(end / count)
@@ -101,21 +101,21 @@ class MarkerSolve:
         self._name_frames()
 
     def take(self, progress: Progress = None) -> Take:
-        """Return the whole take."""
+        """Return the full take."""
         motion = Motion.concatenate(list(self.blocks(progress)))
         motion = motion.map(Channel.compact)
         rig, clock = self.model.rig, self.markers.clock
         return driven_take(Take(rig, clock, motion, tuple(self.notices)))
 
     def _window(self, first: int, end: int, last: FloatArray | None) -> FloatArray:
-        """Return the poses of frames, those before them given."""
+        """Return the poses of frames that continue those before them."""
         behind = 0 if last is None else len(last)
-        ahead = min(end + AHEAD, len(self.positions))
-        positions = self.positions[first - behind : ahead]
+        lookahead = min(end + LOOKAHEAD, len(self.positions))
+        positions = self.positions[first - behind : lookahead]
         starts = self.model.starts(positions)
         if last is not None:
             starts[:behind] = last
-        found = fit(
+        fitted = fit(
             self.model.problem,
             self.model.targets(positions, self.noise),
             starts,
@@ -127,33 +127,35 @@ class MarkerSolve:
             path=None if last is None else starts,
             first=behind,
         )
-        own = slice(behind, behind + end - first)
+        kept = slice(behind, behind + end - first)
         self.score.add(
             first,
-            found.misses[own],
-            found.taken[own],
-            found.searched[own],
-            seen_markers(positions[own]),
+            fitted.misses[kept],
+            fitted.taken[kept],
+            fitted.searched[kept],
+            visible_markers(positions[kept]),
         )
-        return found.coordinates[own]
+        return fitted.coordinates[kept]
 
-    def _motion(self, coordinates: FloatArray, turns: FloatArray | None) -> Motion:
+    def _motion(
+        self, coordinates: FloatArray, quaternions: FloatArray | None
+    ) -> Motion:
         rig = self.model.rig
         local = self.model.local(coordinates)
-        moved = sorted({rig.index(name) for name in self.model.problem.joints})
-        slides = [j for j in moved if rig.joints[j].type in {"free", "prismatic"}]
-        rotations = so3.align_signs(local.rotations[:, moved], turns)
+        driven = sorted({rig.index(name) for name in self.model.problem.joints})
+        slides = [j for j in driven if rig.joints[j].type in {"free", "prismatic"}]
+        rotations = so3.align_signs(local.rotations[:, driven], quaternions)
         return Motion(
             Channel(
                 rig.rest_translations,
                 np.array(slides, np.int64),
                 local.translations[:, slides],
             ),
-            Channel(rig.rest_rotations, np.array(moved, np.int64), rotations),
+            Channel(rig.rest_rotations, np.array(driven, np.int64), rotations),
         )
 
     def _name_frames(self) -> None:
-        """Warn of frames that too few markers, or none that fit, say anything of."""
+        """Warn about frames with too few markers, or none that fit."""
         clock = self.markers.clock
         for code, frames, what in (
             ("SOL101", self.score.sparse, f"fewer than {MIN_MARKERS} markers are seen"),
@@ -178,12 +180,12 @@ def solve_markers(
     template: MarkerTemplate,
     options: SolveOptions | None = None,
 ) -> MarkerSolve:
-    """Return the solve of a capture; drawing its blocks does the work.
+    """Return the solve of a capture; iterating its blocks does the work.
 
     Args:
         markers: F frames of labelled markers.
-        rig: The subject's: see `animtool.capture.solve.calibrate`.
-        template: Where its markers are.
+        rig: The subject's rig: see `animtool.capture.solve.calibrate`.
+        template: Its markers.
         options: How to solve.
 
     Raises:
@@ -211,9 +213,9 @@ def solve_markers(
         message += f"template: {listed(match.missing, 8)}"
         notices.append(Fault("SOL103", message, severity=Severity.WARNING))
     noise = sampled_noise(model, sample, options.noise)
-    usual = float(np.median(noise))
-    if usual > STRANGE:
-        message = f"markers are {length_text(usual)} off their positions on the rig"
+    median = float(np.median(noise))
+    if median > STRANGE:
+        message = f"markers are {length_text(median)} off their positions on the rig"
         hint = f"{argument('calibrate', True)} fits bones and offsets to the subject"
         notices.append(Fault("SOL107", message, hint=hint, severity=Severity.WARNING))
     score = SolveScore(model.template.names, len(positions), noise)
@@ -221,16 +223,17 @@ def solve_markers(
 
 
 def sampled_noise(model: MarkerProblem, sample: FloatArray, least: float) -> FloatArray:
-    """Return how far markers of ``(F, E, 3)`` are off, by an axis ``(E,)`` [m].
+    """Return the noise of markers ``(F, E, 3)``, per axis ``(E,)`` [m].
 
-    Far off first, such that a rig that is not the subject's is told from wrong labels.
+    It starts from a large value, so that a rig of another subject is told from wrong
+    labels.
     """
     noise = np.full(len(model.joints), FAR)
     for _ in range(ROUNDS):
         misses = misses_of(model, sampled_poses(model, sample, noise), sample)
-        found = usual_noise(misses, least)
-        settled = bool((found > SETTLED * noise).all())
-        noise = found
+        estimate = typical_noise(misses, least)
+        settled = bool((estimate > SETTLED * noise).all())
+        noise = estimate
         if settled:
             break
     return noise
@@ -238,21 +241,21 @@ def sampled_noise(model: MarkerProblem, sample: FloatArray, least: float) -> Flo
 
 def in_world_of(rig: Rig, markers: Markers) -> FloatArray:
     """Return positions ``(F, M, 3)`` with the up axis of a rig [m]."""
-    turn = up_from_up(rig.up, markers.up)
-    if turn is None:
+    rotation = up_from_up(rig.up, markers.up)
+    if rotation is None:
         return markers.positions
-    return so3.rotate(np.array(turn), markers.positions)
+    return so3.rotate(np.array(rotation), markers.positions)
 
 
 def check_units(model: MarkerProblem, sample: FloatArray) -> None:
-    """Refuse markers ``(F, E, 3)`` that are in other units than a rig (SOL005)."""
+    """Refuse markers ``(F, E, 3)`` in other units than the rig (SOL005)."""
     rest = model.points(model.starts(sample[:1]))[0]
     ratios = []
     for frame in sample:
-        seen = np.isfinite(frame).all(axis=1)
-        own, wanted = rest[seen], frame[seen]
-        spread = np.linalg.norm(own - own.mean(axis=0), axis=1).mean()
-        other = np.linalg.norm(wanted - wanted.mean(axis=0), axis=1).mean()
+        visible = np.isfinite(frame).all(axis=1)
+        rest_points, frame_points = rest[visible], frame[visible]
+        spread = np.linalg.norm(rest_points - rest_points.mean(axis=0), axis=1).mean()
+        other = np.linalg.norm(frame_points - frame_points.mean(axis=0), axis=1).mean()
         ratios.append(other / max(float(spread), 1e-9))
     ratio = float(np.median(ratios))
     if 1 / OTHER_UNITS < ratio < OTHER_UNITS:

@@ -1,4 +1,4 @@
-"""Frames of a capture by themselves: poses that fit, and what markers miss there."""
+"""Independent frames of a capture: fitted poses and marker residuals."""
 
 from __future__ import annotations
 
@@ -6,64 +6,64 @@ import math
 
 import numpy as np
 
-from animtool.capture.solve.model import MIN_MARKERS, MarkerProblem, seen_markers
+from animtool.capture.solve.model import MIN_MARKERS, MarkerProblem, visible_markers
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.ik.fit import FitOptions, fit
 
 # Median length of three numbers of standard deviation 1.
 MEDIAN_LENGTH = 1.538
-# A marker that is off by so many times what is usual counts less and less.
+# Residuals beyond this many deviations are downweighted.
 ROBUST = 8.0
-# A marker that is seen in fewer frames is as far off as the others.
+# A marker visible in fewer frames takes the others' noise.
 FEW = 5
 
 
 def sampled_frames(positions: FloatArray, count: int) -> IntArray:
-    """Return frames of ``(F, E, 3)`` that are evenly apart and have most markers."""
-    seen = seen_markers(positions).sum(axis=1)
+    """Return evenly spaced frames of ``(F, E, 3)`` with the most markers."""
+    counts = visible_markers(positions).sum(axis=1)
     parts = np.array_split(np.arange(len(positions)), min(count, len(positions)))
-    best = [part[int(np.argmax(seen[part]))] for part in parts if len(part)]
-    return np.array([f for f in best if seen[f] >= MIN_MARKERS], np.int64)
+    best = [part[int(np.argmax(counts[part]))] for part in parts if len(part)]
+    return np.array([f for f in best if counts[f] >= MIN_MARKERS], np.int64)
 
 
 def sampled_poses(
     model: MarkerProblem, positions: FloatArray, noise: FloatArray
 ) -> FloatArray:
-    """Return poses ``(F, Q)`` of frames that are each looked for by themselves."""
+    """Return poses ``(F, Q)`` of frames solved independently."""
     starts = model.starts(positions)
     targets = model.targets(positions, noise)
     points, weights = np.asarray(targets.positions), np.asarray(targets.weights)
     options = FitOptions(1.0, math.inf, robust=ROBUST)
-    found = np.zeros_like(starts)
+    poses = np.zeros_like(starts)
     for f in range(len(positions)):
         one = slice(f, f + 1)
-        own = type(targets)(points[one], weights=weights[one])
-        found[f] = fit(model.problem, own, starts[one], options).coordinates[0]
-    return found
+        target = type(targets)(points[one], weights=weights[one])
+        poses[f] = fit(model.problem, target, starts[one], options).coordinates[0]
+    return poses
 
 
-def usual_noise(misses: FloatArray, least: float) -> FloatArray:
-    """Return the standard deviation of an axis of each marker ``(E,)`` [m].
+def typical_noise(misses: FloatArray, least: float) -> FloatArray:
+    """Return the standard deviation per axis of each marker ``(E,)`` [m].
 
-    One that hardly misses, as its joints have no other to serve, is taken to be half as
-    far off as the others.
+    A marker with tiny residuals, as the only one on its joints, is assumed to be half
+    as noisy as the others.
 
     Args:
         misses: ``(F, E)`` [m], NaN where a marker is missing.
-        least: No marker is nearer [m].
+        least: Lower bound [m].
     """
-    seen = np.isfinite(misses)
-    usual = float(np.median(misses[seen])) / MEDIAN_LENGTH if seen.any() else least
-    own = np.full(misses.shape[1], usual)
-    has = seen.sum(axis=0) >= FEW
-    own[has] = np.nanmedian(misses[:, has], axis=0) / MEDIAN_LENGTH
-    return np.asarray(np.maximum(own, max(least, usual / 2)))
+    known = np.isfinite(misses)
+    median = float(np.median(misses[known])) / MEDIAN_LENGTH if known.any() else least
+    noise = np.full(misses.shape[1], median)
+    has = known.sum(axis=0) >= FEW
+    noise[has] = np.nanmedian(misses[:, has], axis=0) / MEDIAN_LENGTH
+    return np.asarray(np.maximum(noise, max(least, median / 2)))
 
 
 def misses_of(
     model: MarkerProblem, coordinates: FloatArray, positions: FloatArray
 ) -> FloatArray:
-    """Return how far markers are off poses ``(F, E)`` [m], NaN where missing."""
+    """Return the residuals of markers in poses ``(F, E)`` [m], NaN where missing."""
     return np.asarray(
         np.linalg.norm(model.points(coordinates) - positions, axis=2), np.float64
     )

@@ -1,4 +1,4 @@
-"""A capture of markers as a source of motion: the solve, window by window."""
+"""A marker capture as a source of motion, solved window by window."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from animtool.motion.take import TakeStream
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
-# What a good solve leaves of a marker, skin moving [m], and of wrong labels [1].
-USUAL_MISS, USUAL_OUTLIERS = 0.005, 0.01
+# Typical residual of a good solve, with skin motion [m], and outliers [1].
+TYPICAL_MISS, TYPICAL_OUTLIERS = 0.005, 0.01
 
 
 def open_markers_source(
@@ -43,18 +43,18 @@ def open_markers_source(
     """Open a file of markers as the motion of a rig.
 
     Args:
-        path: Markers; with ``cameras`` what these see of them, an npz of pixels.
-        rig: Whose motion it is; None is the rig that the template names.
-        template: Where the markers are.
-        cameras: Calibrations of the cameras, which triangulate the markers.
+        path: Markers; with ``cameras`` their observations, an npz of pixels.
+        rig: The rig to animate; None is the rig that the template names.
+        template: The markers' joints and offsets.
+        cameras: Camera calibrations, for triangulation.
         unit: Of the markers, or of the calibrations.
-        up: Which axis points up there.
-        fps: The frame rate, where the file has a wrong one or none.
-        progress: Told the share done.
+        up: The up axis of these.
+        fps: The frame rate, if the file has a wrong one or none.
+        progress: Called with the fraction done.
 
     Raises:
         FormatError: A file is malformed.
-        OptionError: No template is given (SOL007), no rig is (SOL008), or the markers
+        OptionError: The template (SOL007) or rig (SOL008) is missing, or the markers
             do not fit them, as of `animtool.capture.solve.solve_markers`.
     """
     if cameras is None:
@@ -79,7 +79,7 @@ def open_markers_source(
 
 
 def named_rig(template: MarkerTemplate, rig: Path | None, path: Path) -> Path:
-    """Return the rig that is given, or the one that a template names (else SOL008)."""
+    """Return the given rig, or the one that a template names (else SOL008)."""
     if rig is not None:
         return rig
     if template.rig is not None:
@@ -99,7 +99,7 @@ def triangulated(
     up: UpAxis | None = None,
     fps: Any = None,
 ) -> Markers:
-    """Return the markers that cameras see, with what is said of the cameras.
+    """Return triangulated markers, with the notices about cameras.
 
     Raises:
         FormatError: A file cannot be read.
@@ -110,19 +110,19 @@ def triangulated(
     from animtool.capture.cameras.observations import read_observations
     from animtool.capture.cameras.triangulate import triangulate
 
-    found = triangulate(
+    result = triangulate(
         read_observations(path, fps=fps), load_all_cameras([cameras], unit=unit, up=up)
     )
-    error = f"reprojection {found.error_px:.3g} px ({found.error_mm:.3g} mm)"
-    message = f"{counted(len(found.cameras), 'camera')}: {error}"
+    error = f"reprojection {result.error_px:.3g} px ({result.error_mm:.3g} mm)"
+    message = f"{counted(len(result.cameras), 'camera')}: {error}"
     note = Fault("SOL106", message, str(path), severity=Severity.NOTE)
-    return replace(found.markers, notices=(*found.notices, note))
+    return replace(result.markers, notices=(*result.notices, note))
 
 
-def at_file(path: Path, made: Callable[[], Any]) -> Any:
-    """Return what a function makes; faults without a file get that of the markers."""
+def at_file(path: Path, read: Callable[[], Any]) -> Any:
+    """Return a function's result; faults without a file get the markers' path."""
     try:
-        return made()
+        return read()
     except (FormatError, OptionError) as error:
         faults = [f if f.path else replace(f, path=str(path)) for f in error.faults]
         raise type(error)(faults) from error
@@ -131,7 +131,7 @@ def at_file(path: Path, made: Callable[[], Any]) -> Any:
 def solve_stream(
     solve: MarkerSolve, path: Path, progress: Callable[[float], None] | None
 ) -> TakeStream:
-    """Return the motion of a solve as a stream; notices complete when it is read."""
+    """Return a solve's motion as a stream; notices complete once it is read."""
     markers, rig = solve.markers, solve.model.rig
     clock = markers.clock
     stream = TakeStream(
@@ -160,12 +160,12 @@ def solve_stream(
 
 
 def solve_scores(solve: MarkerSolve) -> PassScores:
-    """Return how well a solve fits, as reports and batches list it."""
+    """Return the scores of a solve, as reports and batches list them."""
     score = solve.score
     outliers = float(np.mean([each.outliers for each in score.markers]))
     scores = (
-        Score("marker", score.total, ScoreUnit.LENGTH, USUAL_MISS),
-        Score("outliers", outliers, ScoreUnit.SHARE, USUAL_OUTLIERS),
+        Score("marker", score.total, ScoreUnit.LENGTH, TYPICAL_MISS),
+        Score("outliers", outliers, ScoreUnit.FRACTION, TYPICAL_OUTLIERS),
     )
     return PassScores(scores, pass_name="solve")
 

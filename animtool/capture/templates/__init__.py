@@ -1,4 +1,4 @@
-"""Marker templates: which marker is on which joint, and where."""
+"""Marker templates: the joint and offset of each marker."""
 
 from __future__ import annotations
 

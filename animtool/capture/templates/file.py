@@ -17,7 +17,7 @@ from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Vector, key
 from animtool.documents.references import missing_hint, referred
 
-# Farther from its joint no marker of a body is; a larger number is in another unit [m].
+# Largest distance of a marker from its joint; larger numbers are in another unit [m].
 MAX_OFFSET = 10.0
 
 
@@ -94,8 +94,8 @@ def template_of_document(document: Document) -> MarkerTemplate:
             if name in taken:
                 message = f"two markers are called {name!r}"
                 hint = f"rename it here, or in marker_set[{taken[name]}]"
-                place = ("aliases", int(where[8:-1])) if "[" in where else ("name",)
-                document.add("MKT002", ("marker_set", i, *place), message, hint)
+                key_path = ("aliases", int(where[8:-1])) if "[" in where else ("name",)
+                document.add("MKT002", ("marker_set", i, *key_path), message, hint)
             taken.setdefault(name, i)
         x, y, z = (value * unit for value in entry.offset)
         if max(abs(x), abs(y), abs(z)) > MAX_OFFSET:

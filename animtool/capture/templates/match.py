@@ -1,4 +1,4 @@
-"""Finding the markers of a template among those of a capture."""
+"""Matching of a template's markers to those of a capture."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ SHOWN = 6
 
 @dataclass(frozen=True, slots=True)
 class MarkerMatch:
-    """Where the markers of a template are in a capture.
+    """Indices of a template's markers in a capture.
 
     Attributes:
-        columns: Of each marker of the template, its index in the capture ``(M,)``; -1
-            where the capture lacks it.
+        columns: Index of each template marker in the capture ``(M,)``; -1
+            if the capture lacks it.
         missing: Names of the template's markers that the capture lacks.
         unused: Names in the capture that the template does not know.
         subject: The prefix that the names have before a colon; empty for none.
@@ -39,10 +39,10 @@ class MarkerMatch:
 def match_markers(
     template: MarkerTemplate, names: Sequence[str], subject: str | None = None
 ) -> MarkerMatch:
-    """Return where a template's markers are among the names of a capture.
+    """Return the indices of a template's markers among the names of a capture.
 
-    A name fits with or without the prefix of its subject (``Ann:LFHD``), and by its
-    aliases. Points without label do not fit.
+    A name matches with or without its subject prefix (``Ann:LFHD``), and by its
+    aliases. Unlabelled points do not match.
 
     Args:
         template: The markers.
@@ -51,7 +51,7 @@ def match_markers(
             without prefix.
 
     Raises:
-        OptionError: No name fits (SOL001), or names of several subjects do (SOL002).
+        OptionError: No name matches (SOL001), or names of several subjects do (SOL002).
 
     >>> from animtool.capture.templates.template import TemplateMarker
     >>> template = MarkerTemplate((TemplateMarker("LFHD", "head"),))
@@ -59,13 +59,13 @@ def match_markers(
     [1]
     """
     labelled = [name for name in names if not name.startswith("*")]
-    found = {each: _columns(template, names, each) for each in _subjects(labelled)}
-    fitting = {each: c for each, c in found.items() if (c >= 0).any()}
+    matches = {each: _columns(template, names, each) for each in _subjects(labelled)}
+    fitting = {each: c for each, c in matches.items() if (c >= 0).any()}
     if subject is not None:
-        if subject not in found:
+        if subject not in matches:
             message = f"no marker is of the subject {subject!r}"
-            raise OptionError(Fault("SOL001", message, hint=nearest(subject, found)))
-        fitting = {subject: found[subject]}
+            raise OptionError(Fault("SOL001", message, hint=nearest(subject, matches)))
+        fitting = {subject: matches[subject]}
         labelled = [name for name in labelled if _split(name)[0] == subject]
     if len(fitting) > 1:
         count = counted(len(fitting), "subject")
@@ -86,7 +86,7 @@ def match_markers(
 
 
 def _subjects(names: Iterable[str]) -> list[str]:
-    """Return the prefixes of names, empty for those without."""
+    """Return the prefixes of names; empty for names without."""
     return list(dict.fromkeys(_split(name)[0] for name in names))
 
 
@@ -97,17 +97,17 @@ def _split(name: str) -> tuple[str, str]:
 
 def _columns(template: MarkerTemplate, names: Sequence[str], subject: str) -> IntArray:
     """Return the index of each marker among the names of a subject; -1 without one."""
-    own = {
+    exact = {
         i: bare
         for i, (prefix, bare) in enumerate(map(_split, names))
         if prefix == subject and not names[i].startswith("*")
     }
     columns = np.full(len(template.markers), -1, np.int64)
     taken: set[int] = set()
-    # As it is written first, whatever its case then.
+    # Exact spelling first, then ignoring case.
     for spelled in (str, str.casefold):
         index: dict[str, int] = {}
-        for i, bare in own.items():
+        for i, bare in exact.items():
             index.setdefault(spelled(bare), i)
         for m, marker in enumerate(template.markers):
             for name in (marker.name, *marker.aliases):
@@ -121,7 +121,7 @@ def _columns(template: MarkerTemplate, names: Sequence[str], subject: str) -> In
 def _unmatched(
     template: MarkerTemplate, labelled: Sequence[str], names: Sequence[str]
 ) -> Fault:
-    """Return the fault of a capture without any marker of a template."""
+    """Return the fault of a capture that has no marker of a template."""
     message = "no marker has a name of the template"
     if not labelled:
         message = f"none of its {counted(len(names), 'point')} has a label"

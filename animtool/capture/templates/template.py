@@ -17,7 +17,7 @@ from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
 
 # Decimals of an offset in a file that is written [m]: a hundredth of a millimetre is
-# below what cameras tell apart.
+# below what cameras resolve.
 OFFSET_DECIMALS = 6
 
 
@@ -26,12 +26,12 @@ class TemplateMarker:
     """One marker.
 
     Attributes:
-        name: As a capture calls it, without the name of the subject.
+        name: Its name in captures, without the subject prefix.
         joint: Name of the joint that carries it.
-        offset: Where it is in the joint's frame [m].
-        weight: How much it counts in a solve; 0 is not at all.
+        offset: Position in the joint's frame [m].
+        weight: Weight in a solve; 0 ignores it.
         fixed: Whether calibration keeps its offset.
-        aliases: Other names that captures give it.
+        aliases: Other names in captures.
     """
 
     name: str
@@ -44,12 +44,12 @@ class TemplateMarker:
 
 @dataclass(frozen=True, slots=True)
 class MarkerTemplate:
-    """Which markers are on the joints of a rig.
+    """Markers on the joints of a rig.
 
     Attributes:
         markers: M of them, unique by name and alias.
-        rig: The rig file that it names, resolved; None where it names none.
-        document: The file it was read from; None where it is from none.
+        rig: The rig file it names, resolved; None for none.
+        document: The file it was read from; None for none.
     """
 
     markers: tuple[TemplateMarker, ...]
@@ -76,7 +76,7 @@ class MarkerTemplate:
 
         Raises:
             FormatError: The rig lacks a joint (MKT001), with every such marker of the
-                file; OptionError where the template is from none.
+                file; OptionError if the template is not from a file.
 
         >>> from animtool.rig.skeleton import Joint
         >>> rig = Rig("arm", (Joint("a", -1), Joint("b", 0)))
@@ -91,12 +91,12 @@ class MarkerTemplate:
             message = (
                 f"{marker.name!r} is on {marker.joint!r}, which {rig.name!r} lacks"
             )
-            place = ("marker_set", i, "joint")
+            key_path = ("marker_set", i, "joint")
             hint = nearest(marker.joint, index)
             faults.append(
-                Fault("MKT001", message, hint=hint, where=spelled(place))
+                Fault("MKT001", message, hint=hint, where=spelled(key_path))
                 if self.document is None
-                else self.document.fault("MKT001", place, message, hint)
+                else self.document.fault("MKT001", key_path, message, hint)
             )
         if faults:
             raise OptionError(faults) if self.document is None else FormatError(faults)
@@ -109,7 +109,7 @@ def template_text(template: MarkerTemplate, title: str, rig: str | None = None) 
     Args:
         template: The markers.
         title: Of the comment on the first line.
-        rig: Path of the rig file as the file is to name it; None names none.
+        rig: Path of the rig file to write; None writes none.
     """
     return "\n".join(_lines(template, title, rig)) + "\n"
 

@@ -166,7 +166,7 @@ class Budget:
         self.keys = fit_keys(
             self.track.samples,
             self.tolerance,
-            share=self.fraction,
+            tolerance_scale=self.fraction,
             anchors=anchors,
             within=self.track.within,
             straight=self.straight,

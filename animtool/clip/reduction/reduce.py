@@ -305,7 +305,7 @@ def _descendants(rig: Rig) -> BoolArray:
 def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
     """Return one frame of the values without keys."""
     joints = len(rig.joints)
-    constant = Channel.still
+    constant = Channel.static
     return Motion(
         constant(np.zeros((joints, 3)) if additive else rig.rest_translations),
         constant(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),

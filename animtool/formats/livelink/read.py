@@ -17,7 +17,7 @@ from animtool.core.units import unit_name
 from animtool.formats.livelink.columns import AXES, PARTS, Recording, read_recording
 from animtool.formats.livelink.timecodes import TimecodeFrames, row_frames
 from animtool.maths.euler import to_quaternion
-from animtool.maths.filters import put_between
+from animtool.maths.filters import fill_gaps
 from animtool.maths.so3 import align_signs, slerp
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
@@ -151,22 +151,22 @@ def _motion(
 ) -> Motion:
     times = frames.frames if dropped != "close" else np.arange(len(frames.frames))
     at = np.arange(int(times[-1]) + 1)
-    raw = put_between(recording.weights[frames.rows], times)
+    raw = fill_gaps(recording.weights[frames.rows], times)
     moved = links.apply(raw, len(rig.shapes))
     weights = np.stack(
         [_between(column, times, at, dropped) for column in moved.T], axis=-1
     ) if len(rig.shapes) else np.zeros((len(at), 0))  # fmt: skip
-    channel = Channel.still(rig.rest_rotations, len(at))
+    channel = Channel.static(rig.rest_rotations, len(at))
     for part, angles in _turned(recording).items():
         if part not in joints:
             continue
-        rotations = to_quaternion(put_between(angles[frames.rows], times), "YXZ")
+        rotations = to_quaternion(fill_gaps(angles[frames.rows], times), "YXZ")
         local = local_rotations(rig, joints[part], rotations)
         values = _slerped(align_signs(local), times, at, dropped)
         which = np.array([joints[part]])
         channel = channel.put(which, values[:, None])
     return Motion(
-        Channel.still(rig.rest_translations, len(at)),
+        Channel.static(rig.rest_translations, len(at)),
         channel.compact(),
         weights=Channel.from_dense(weights[..., None]) if len(rig.shapes) else None,
     )

@@ -30,7 +30,7 @@ from animtool.formats.row_times import (
     rounding_of,
 )
 from animtool.ik.sub_rig import following
-from animtool.maths.filters import put_between
+from animtool.maths.filters import fill_gaps
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.joints import local_from_coordinates
@@ -87,7 +87,7 @@ def read_mot(
         hint = "write inDegrees=yes or no in its header"
         warning = Severity.WARNING
         notices.append(Fault("MOF107", message, str(path), (), hint, warning))
-    values = put_between(table.values[:, at], table.times)
+    values = fill_gaps(table.values[:, at], table.times)
     if not degrees:
         turning = [one.is_angle for one in columns]
         values[:, turning] = np.degrees(values[:, turning])

@@ -1,4 +1,4 @@
-// Arrays as kernels see them, all C-contiguous: those of the caller, and those of a result.
+// C-contiguous arrays of kernels: arguments and results.
 #pragma once
 
 #include <array>
@@ -12,7 +12,7 @@
 
 namespace animtool {
 
-// An array of the caller's, who keeps it while a kernel runs.
+// An argument array, kept alive by the caller while a kernel runs.
 template <typename T, std::size_t N>
 class View {
  public:
@@ -37,11 +37,11 @@ class View {
 template <typename T, std::size_t N>
 using In = View<const T, N>;
 
-// One that a kernel fills.
+// An array of the caller that a kernel fills.
 template <typename T, std::size_t N>
 using Filled = View<T, N>;
 
-// An array of a result, not filled with any numbers.
+// A result array, uninitialised.
 template <typename T, std::size_t N>
 class Out {
  public:
@@ -66,7 +66,7 @@ class Out {
   Block<T> data_;
 };
 
-// Bytes of the caller's, and those of a result.
+// Bytes of arguments and of results.
 struct Text {
   std::string_view bytes;
 };

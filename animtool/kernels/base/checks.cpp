@@ -1,4 +1,4 @@
-// What arguments are refused for, and how that is told.
+// Checks of arguments, and their error messages.
 #include "base/checks.h"
 
 #include <cmath>
@@ -33,17 +33,17 @@ std::string shown(double value) {
 std::string shown(std::int64_t value) { return std::to_string(value); }
 std::string shown(std::uint64_t value) { return std::to_string(value); }
 
-void shape(const char* name, const std::size_t* found, std::size_t axes, const void* data,
+void shape(const char* name, const std::size_t* actual, std::size_t axes, const void* data,
            std::size_t alignment, std::initializer_list<std::size_t> sizes) {
   bool fits = axes == sizes.size();
-  const std::size_t* at = found;
+  const std::size_t* at = actual;
   for (const std::size_t size : sizes) {
     fits = fits && (size == ANY || *at == size);
     ++at;
   }
   if (!fits) {
     std::string there, asked;
-    for (std::size_t i = 0; i < axes; ++i) there += (i ? ", " : "") + text(found[i]);
+    for (std::size_t i = 0; i < axes; ++i) there += (i ? ", " : "") + text(actual[i]);
     for (const std::size_t size : sizes)
       asked += (asked.empty() ? "" : ", ") + (size == ANY ? "any" : text(size));
     refuse(name, "shape (" + there + ") is not (" + asked + ")");

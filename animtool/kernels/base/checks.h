@@ -37,7 +37,7 @@ std::string text(T value) {
 }
 
 // The shape, ANY for sizes that are free, and that numbers are where their type may be.
-void shape(const char* name, const std::size_t* found, std::size_t axes, const void* data,
+void shape(const char* name, const std::size_t* actual, std::size_t axes, const void* data,
            std::size_t alignment, std::initializer_list<std::size_t> sizes);
 
 template <class Array>

@@ -1,4 +1,4 @@
-// Cholesky's factor of a symmetric matrix, and what is solved with it.
+// Cholesky factor of a symmetric matrix, and solves with it.
 //
 // All subtract products in the same order: results depend on nothing but what is kept of the
 // pivots. Factors of bands take no root of a pivot, which is another rounding, and so are not
@@ -48,7 +48,7 @@ bool factor(double* a, std::size_t n, std::size_t stride, double* column, Least 
   return true;
 }
 
-// The rows of a matrix, as the following take them.
+// Row pointers of a matrix.
 struct Rows {
   const double* a;
   std::size_t stride;

@@ -1,4 +1,4 @@
-// Things that are joined to groups, which are named after the first in each.
+// Union-find: elements merged to groups, which are named by their first element.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Points sorted by keys of the cells that they are in.
+// Points sorted by the keys of their cells.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Memory for many numbers, not filled with any.
+// Uninitialised memory for many numbers.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Directions, and poses of rigid things.
+// Directions, and rigid transforms.
 #pragma once
 
 #include "base/quaternions.h"
@@ -11,13 +11,13 @@ using animtool::length;
 using animtool::load;
 using animtool::store;
 
-// A unit vector; the fallback where there is no direction.
+// A normalised vector; the fallback for zero length.
 inline Vec direction(Vec a, Vec fallback) {
   const double n = length(a);
   return n > 0 ? a * (1 / n) : fallback;
 }
 
-// A unit vector at right angles to a unit one.
+// A unit vector orthogonal to a unit vector.
 inline Vec across(Vec a) {
   const double in[3] = {a.x, a.y, a.z};
   double u[3], v[3];
@@ -25,7 +25,7 @@ inline Vec across(Vec a) {
   return load(u);
 }
 
-// world_from_local of a rigid thing.
+// A rigid transform world_from_local.
 struct Pose {
   Vec origin;
   double turn[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
@@ -44,7 +44,7 @@ struct Pose {
   Vec to_local(Vec world) const { return unrotated(world - origin); }
 };
 
-// A pose at both ends of a step: the origin goes straight, the turn is even.
+// Motion between two poses: linear translation, constant angular velocity.
 class Motion {
  public:
   Motion() = default;
@@ -59,61 +59,61 @@ class Motion {
     ik::product(last, inverse, between);
     ik::logarithm(between, turn);
     for (int i = 0; i < 4; ++i) first_[i] = first[i];
-    turn_ = load(turn);
+    rotation_ = load(turn);
     origin_ = load(start);
     travel_ = load(end) - origin_;
-    turns_ = length(turn_) > 0;
-    ik::to_matrix(first, still_.turn);
-    still_.origin = origin_;
-    moves_ = turns_ || length(travel_) > 0;
+    rotates_ = length(rotation_) > 0;
+    ik::to_matrix(first, unrotated_.turn);
+    unrotated_.origin = origin_;
+    moves_ = rotates_ || length(travel_) > 0;
   }
 
   bool moves() const { return moves_; }
   Vec travel() const { return travel_; }
-  Vec turn() const { return turn_; }
-  double angle() const { return length(turn_); }
+  Vec turn() const { return rotation_; }
+  double angle() const { return length(rotation_); }
 
-  // Where it is at a share of the step from 0 to 1.
-  Pose at(double share) const {
-    if (!moves_) return still_;
-    Pose pose = still_;
-    pose.origin = origin_ + travel_ * share;
-    if (turns_) {
-      const double vector[3] = {turn_.x * share, turn_.y * share, turn_.z * share};
-      double step[4], whole[4];
+  // The pose at a fraction of the step from 0 to 1.
+  Pose at(double fraction) const {
+    if (!moves_) return unrotated_;
+    Pose pose = unrotated_;
+    pose.origin = origin_ + travel_ * fraction;
+    if (rotates_) {
+      const double vector[3] = {rotation_.x * fraction, rotation_.y * fraction, rotation_.z * fraction};
+      double step[4], full[4];
       ik::exponential(vector, step);
-      ik::product(step, first_, whole);
-      ik::normalize(whole);
-      ik::to_matrix(whole, pose.turn);
+      ik::product(step, first_, full);
+      ik::normalize(full);
+      ik::to_matrix(full, pose.turn);
     }
     return pose;
   }
 
   // How a world point that it carries moves in the step at a share of it.
   Vec displacement(Vec point, const Pose& pose) const {
-    return travel_ + cross(turn_, point - pose.origin);
+    return travel_ + cross(rotation_, point - pose.origin);
   }
 
   // The same motion over a part of its step.
   Motion part(double from, double to) const {
     Motion result = *this;
     const Pose pose = at(from);
-    const double vector[3] = {turn_.x * from, turn_.y * from, turn_.z * from};
+    const double vector[3] = {rotation_.x * from, rotation_.y * from, rotation_.z * from};
     double step[4];
     ik::exponential(vector, step);
     ik::product(step, first_, result.first_);
     result.origin_ = pose.origin;
     result.travel_ = travel_ * (to - from);
-    result.turn_ = turn_ * (to - from);
-    result.still_ = pose;
+    result.rotation_ = rotation_ * (to - from);
+    result.unrotated_ = pose;
     return result;
   }
 
  private:
-  Vec origin_, travel_, turn_;
+  Vec origin_, travel_, rotation_;
   double first_[4] = {0, 0, 0, 1};
-  Pose still_;
-  bool turns_ = false, moves_ = false;
+  Pose unrotated_;
+  bool rotates_ = false, moves_ = false;
 };
 
 }  // namespace animtool::collide

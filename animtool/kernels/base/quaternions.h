@@ -49,8 +49,8 @@ inline void product(const double* a, const double* b, double* c) {
   c[0] = x, c[1] = y, c[2] = z, c[3] = w;
 }
 
-// A vector turned by a unit quaternion (a, w): v + w c + a x c, c being 2 a x v.
-inline void turn(const double* q, const double* v, double* out) {
+// Rotates a vector by a unit quaternion (a, w): v + w c + a x c, c being 2 a x v.
+inline void rotate_vector(const double* q, const double* v, double* out) {
   double across[3], again[3];
   cross(q, v, across);
   for (double& c : across) c *= 2;
@@ -92,7 +92,7 @@ inline void logarithm(const double* q, double* v) {
   for (int i = 0; i < 3; ++i) v[i] = factor * q[i];
 }
 
-// The rotation vector of a matrix; near half a turn by its largest column.
+// The rotation vector of a matrix; near 180 degrees from its largest column.
 inline void logarithm_of_matrix(const double* m, double* v) {
   const double cosine = (m[0] + m[4] + m[8] - 1) / 2;
   v[0] = (m[7] - m[5]) / 2, v[1] = (m[2] - m[6]) / 2, v[2] = (m[3] - m[1]) / 2;
@@ -114,7 +114,7 @@ inline void logarithm_of_matrix(const double* m, double* v) {
   logarithm(q, v);
 }
 
-// Two unit vectors at right angles to a unit one and to each other.
+// Two unit vectors orthogonal to a unit vector and to each other.
 inline void across(const double* a, double* u, double* v) {
   int least = std::fabs(a[1]) < std::fabs(a[0]) ? 1 : 0;
   if (std::fabs(a[2]) < std::fabs(a[least])) least = 2;

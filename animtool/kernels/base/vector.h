@@ -1,4 +1,4 @@
-// A vector in space, of numbers of any kind: one, or several side by side.
+// A 3D vector of scalars or of SIMD numbers.
 #pragma once
 
 #include <cmath>

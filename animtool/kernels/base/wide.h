@@ -1,4 +1,4 @@
-// Several numbers side by side, whichever way a processor holds them, and vectors of such.
+// SIMD numbers for any processor, and vectors of them.
 //
 // What works on them is a template over `On`: Plain is any processor, and base/quads.h has
 // Quads. Nothing of it is shared between source files that are built for other processors:
@@ -16,15 +16,15 @@
 
 namespace animtool {
 
-// Numbers that are worked on at once.
+// Numbers per SIMD vector.
 constexpr std::size_t WIDE = 4;
 // Up to this square of their distance two ends are at one place; one over more is finite.
-constexpr double ONE_PLACE = std::numeric_limits<double>::min();
+constexpr double COINCIDENT = std::numeric_limits<double>::min();
 
 struct Plain {};
 
-// Rows of N numbers and what is done with them. Rows that say where something is so are not 0
-// there; they are for `chosen`, `kept`, `either` and `bits`.
+// Rows of N numbers and their operations. Mask rows are nonzero where a condition holds; they
+// are for `chosen`, `kept`, `either` and `bits`.
 template <class T, std::size_t N, class On>
 struct Registers {
   struct Row {
@@ -85,9 +85,9 @@ struct Registers {
     return each([&](std::size_t l) { return T(a.at[l] != 0 || b.at[l] != 0); });
   }
   static unsigned bits(const Row& where) {
-    unsigned found = 0;
-    for (std::size_t l = 0; l < N; ++l) found |= (where.at[l] != 0 ? 1u : 0u) << l;
-    return found;
+    unsigned set_bits = 0;
+    for (std::size_t l = 0; l < N; ++l) set_bits |= (where.at[l] != 0 ? 1u : 0u) << l;
+    return set_bits;
   }
   // By halves, as registers do it.
   static T largest(Row a) {
@@ -177,7 +177,7 @@ struct Wide {
 
   // A value of two ends by the square of their distance: 0 where they are at one place.
   friend Wide where_apart(const Wide& square, const Wide& value) {
-    return kept(below(T(ONE_PLACE), square), value);
+    return kept(below(T(COINCIDENT), square), value);
   }
   // One over the square of a distance, 0 of ends at one place.
   friend Wide inverse(const Wide& square) { return where_apart(square, T(1) / square); }

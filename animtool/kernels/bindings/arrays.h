@@ -1,4 +1,4 @@
-// What kernels take and give, as Python has it: arrays of numpy, and bytes.
+// Conversion of kernel arguments and results: numpy arrays and bytes.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -18,34 +18,34 @@ using namespace nanobind::literals;
 // Kernels run without the lock of the interpreter.
 using Unlocked = nb::call_guard<nb::gil_scoped_release>;
 
-// An argument that is a member of what a kernel takes.
-template <class Given, class Member>
+// A keyword argument stored in a member of a kernel's argument struct.
+template <class Struct, class Member>
 struct Field {
   const char* name;
-  Member Given::*member;
+  Member Struct::*member;
 
   nb::arg arg() const { return nb::arg(name); }
 };
 
-// Binds a kernel that takes many things as one, or a class that is made of such.
-template <class Result, class Given, class... Members>
-void define(nb::module_& m, const char* name, Result (*kernel)(const Given&), const char* doc,
-            Field<Given, Members>... fields) {
+// Binds a kernel, or the constructor of a class, with a struct of arguments.
+template <class Result, class Struct, class... Members>
+void define(nb::module_& m, const char* name, Result (*kernel)(const Struct&), const char* doc,
+            Field<Struct, Members>... fields) {
   const auto call = [=](Members... members) {
-    Given given{};
-    ((given.*fields.member = members), ...);
-    return kernel(given);
+    Struct arguments{};
+    ((arguments.*fields.member = members), ...);
+    return kernel(arguments);
   };
   m.def(name, call, Unlocked(), fields.arg()..., doc);
 }
-template <class Made, class Given, class... Members>
-void define_made(nb::class_<Made>& made, Field<Given, Members>... fields) {
-  const auto make = [=](Made* room, Members... members) {
-    Given given{};
-    ((given.*fields.member = members), ...);
-    new (room) Made(given);
+template <class Class, class Struct, class... Members>
+void define_class(nb::class_<Class>& bound, Field<Struct, Members>... fields) {
+  const auto make = [=](Class* room, Members... members) {
+    Struct arguments{};
+    ((arguments.*fields.member = members), ...);
+    new (room) Class(arguments);
   };
-  made.def("__init__", make, fields.arg()...);
+  bound.def("__init__", make, fields.arg()...);
 }
 
 }  // namespace animtool
@@ -104,8 +104,8 @@ struct type_caster<animtool::Bytes> {
   using Value = animtool::Bytes;
   static constexpr auto Name = const_name("bytes");
 
-  static handle from_cpp(const Value& made, rv_policy, cleanup_list*) noexcept {
-    return bytes(made.bytes.data(), made.bytes.size()).release();
+  static handle from_cpp(const Value& bound, rv_policy, cleanup_list*) noexcept {
+    return bytes(bound.bytes.data(), bound.bytes.size()).release();
   }
 };
 

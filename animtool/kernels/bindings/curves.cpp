@@ -27,7 +27,7 @@ top. Ascending times are the quickest. Numbers are finite, keys no zeros.
 
 Returns quaternions ``(F, C, 4)``, signs those nearest to the frame before.)");
 
-  m.def("turn_steps", &turn_steps, Unlocked(), "rotations"_a,
+  m.def("rotation_steps", &rotation_steps, Unlocked(), "rotations"_a,
         R"(Shortest rotation vectors ``(F - 1, C, 3)`` from frame to frame, in body space.)");
 
   m.def("slerp", &slerp, Unlocked(), "starts"_a, "ends"_a, "shares"_a,

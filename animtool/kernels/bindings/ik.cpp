@@ -14,8 +14,8 @@ void bind_ik(nb::module_& m) {
   // misses is a length, and whether cyclic coordinate descent heeds it.
   m.attr("IK_GOAL_KINDS") = nb::tuple(nb::cast(ik_goal_kinds()));
 
-  m.def("place_ik_targets", &place_ik_targets, Unlocked(), "targets"_a, "frames"_a, "length"_a,
-        R"(Bring targets ``(B, E, W)`` to a chain, in place.
+  m.def("to_chain_targets", &to_chain_targets, Unlocked(), "targets"_a, "frames"_a, "length"_a,
+        R"(Convert targets ``(B, E, W)`` to the units and frames of a chain, in place.
 
 Lengths are divided by ``length``, rotations brought to length 1, one without length to
 the identity, and seen from the nodes: ``frames`` ``(E, 4)`` are node_from_joint.)");
@@ -52,7 +52,7 @@ iterations and descents ``(B, 3)``; time of each ``(B,)``.)",
 
   m.def("extend_ik_limbs", &extend_ik_limbs, Unlocked(), "limbs"_a, "limb_numbers"_a,
         "targets"_a,
-        R"(Targets ``(B, E, W)`` as far as limbs extend, arrays as for `solve_ik`.
+        R"(Return targets ``(B, E, W)`` within the limbs' extension, arrays as for `solve_ik`.
 
 ``limbs`` ``(L,)`` are their goals; ``limb_numbers`` ``(L, 7)``: root, reach, growth of that
 with the bones, share of the reach over which it eases out, most that the bones grow by.
@@ -62,22 +62,22 @@ Returns ``(sought, scales, eased)``: such targets; what the bones are multiplied
 
   m.def("arm_kind", &arm_kind, Unlocked(), "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a,
         "rest_weight"_a,
-        R"(Which closed form a chain has, arrays as for `solve_ik`.
+        R"(Return the closed form of a chain, arrays as for `solve_ik`.
 
 0 none, 1 six pins of which the last three meet, 2 six of which the middle ones are parallel.)");
 
   using R = RigSolverArrays;
   nb::class_<RigSolver> rig_solver(m, "RigSolver",
-                                   R"(Problems of one rig, arrays as for `solve_ik`.
+                                   R"(Solver of problems of one rig, arrays as for `solve_ik`.
 
-``goal_frames`` ``(E, 4)`` and ``length`` are those of `place_ik_targets`. The chain's
+``goal_frames`` ``(E, 4)`` and ``length`` are those of `to_chain_targets`. The chain's
 coordinates are ``columns`` ``(C,)`` of the rig's over ``scales``; those that turn all the way
 round stay in ``periods`` ``(C, 2)``; from ``balls`` ``(T,)`` on they are quaternions in
 ``ball_frames``. ``mimics`` ``(M, 2)`` are columns and those of their leaders,
 ``mimic_numbers`` gain and offset. ``limbs`` and ``limb_numbers`` as of `extend_ik_limbs`,
 ``limb_joints``: a joint of one's bones, and its goal. The rest as of `coordinates_to_local`.
 ``closed``: 0 none, 1 a limb of two bones, 2 an arm of six pins.)");
-  define_made(rig_solver, Field{"nodes", &R::nodes}, Field{"numbers", &R::numbers},
+  define_class(rig_solver, Field{"nodes", &R::nodes}, Field{"numbers", &R::numbers},
               Field{"goals", &R::goals}, Field{"goal_numbers", &R::goal_numbers},
               Field{"rest_weight", &R::rest_weight}, Field{"goal_frames", &R::goal_frames},
               Field{"length", &R::length}, Field{"columns", &R::columns},
@@ -107,18 +107,18 @@ first four as of `solve_ik` in the rig's terms; which goals are reached ``(B, E)
 are multiplied by ``(B, E)``; if ``placed`` where the joints are ``(B, J, 3)``, with linear
 parts ``(B, J, 3, 3)``, else none.)")
       .def("branches", &RigSolver::branches, Unlocked(), "start"_a, "targets"_a,
-           R"(All poses of an arm ``(N, Q)`` that reach the targets ``(E, W)``, nearest first.)");
+           R"(Return all poses of an arm ``(N, Q)`` that reach targets ``(E, W)``, nearest first.)");
 
   m.def("linearize_ik", &linearize_ik, Unlocked(), "nodes"_a, "numbers"_a, "goals"_a,
         "goal_numbers"_a, "starts"_a, "targets"_a, "steps"_a,
-        R"(Take steps ``(B, D)`` and look at the cost there, arrays as for `solve_ik`.
+        R"(Return costs after steps ``(B, D)``, arrays as for `solve_ik`.
 
 Returns ``(coordinates, residuals, Jacobians, curvatures)``: ``(B, Q)``; what is missing,
 weighted ``(B, M)``; minus its derivatives ``(B, M, D)``; and the Hessian of half the
 squared residual there, times the step ``(B, D)``.)");
 
   define(m, "smooth_ik", &smooth_ik,
-         R"(Make a path ``(F, Q)`` of one chain smoother, arrays as for `solve_ik`.
+         R"(Smooth a path ``(F, Q)`` of one chain, arrays as for `solve_ik`.
 
 Frames from ``first`` to ``end`` move, in at most ``rounds`` steps of all at once, so that
 ``anchor |q - path|^2 + speed |v|^2 + acceleration |a|^2`` summed over the frames goes
@@ -138,7 +138,7 @@ taken, and half the sum before and after them.)",
          Field{"rounds", &S::rounds});
 
   define(m, "fit_ik", &fit_ik,
-         R"(Fit a path ``(F, Q)`` of one chain to goals by weight, arrays as for `solve_ik`.
+         R"(Fit a path ``(F, Q)`` of one chain to weighted goals, arrays as for `solve_ik`.
 
 Frames from ``first`` to ``end`` move. If ``tracked``, each is first looked for from where
 those before it lead to, which draws it with ``rest_weight``; joints without a goal go the
@@ -161,7 +161,7 @@ Returns ``(coordinates, misses, searched, taken, rounds, before, after)``: ``(F,
 
   m.def("cheapest_ik_path", &cheapest_ik_path, Unlocked(), "nodes"_a, "numbers"_a, "paths"_a,
         "costs"_a, "drifts"_a, "easy"_a, "open"_a, "closed"_a,
-        R"(Which of K paths ``(K, L, Q)`` of a chain to be on in each frame ``(L,)``.
+        R"(Return the path to follow at each frame ``(L,)`` among K paths ``(K, L, Q)``.
 
 The way begins on the first path, unless ``open``, and ends there if ``closed``; the sum of
 the squared steps from frame to frame, less ``drifts`` ``(L - 1, D)``, and of ``costs`` ``(K, L)`` is

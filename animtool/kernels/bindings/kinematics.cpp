@@ -8,14 +8,14 @@ namespace animtool {
 void bind_kinematics(nb::module_& m) {
   m.def("euler_to_quaternion", &euler_to_quaternion, Unlocked(), "values"_a, "columns"_a,
         "axes"_a, "previous"_a,
-        R"(Turn Euler angles in degrees into quaternions ``(F, R, 4)``, x y z w.
+        R"(Convert Euler angles in degrees to quaternions ``(F, R, 4)``, x y z w.
 
 Rotation r multiplies turns about ``axes[r]`` (0 X, 1 Y, 2 Z) left to right by
 ``values[:, columns[r]]``; a column of -1 is no turn. Signs are those nearest to
 the frame before, the first frame's nearest to ``previous`` ``(R, 4)``.)");
 
   m.def("quaternion_to_euler", &quaternion_to_euler, Unlocked(), "quaternions"_a, "axes"_a,
-        R"(Turn quaternions ``(F, R, 4)`` into Euler angles ``(F, R, 3)`` in degrees.
+        R"(Convert quaternions ``(F, R, 4)`` to Euler angles ``(F, R, 3)`` in degrees.
 
 ``axes`` ``(R, 3)`` names X, Y and Z once each. Of the equal solutions, each frame
 takes the one nearest to the frame before; the first, the one nearest to zero.)");
@@ -40,18 +40,18 @@ first coordinate of each. Quaternions are brought to length 1.)");
                             Values t_values, Rest r_rest, Moving r_moving, Values r_values,
                             std::optional<std::tuple<Rest, Moving, Values>> scales,
                             Filled<double, 3> positions, Filled<double, 4> linear) {
-    MotionArrays given{parents, {t_rest, t_moving, t_values}, {r_rest, r_moving, r_values},
+    MotionArrays arrays{parents, {t_rest, t_moving, t_values}, {r_rest, r_moving, r_values},
                        std::nullopt, positions, linear};
     if (scales) {
       const auto& [rest, moving, values] = *scales;
-      given.scales = MotionChannel{rest, moving, values};
+      arrays.scales = MotionChannel{rest, moving, values};
     }
-    forward_motion(given);
+    forward_motion(arrays);
   };
   m.def("forward_motion", of_motion, Unlocked(), "parents"_a, "translation_rest"_a,
         "translation_joints"_a, "translations"_a, "rotation_rest"_a, "rotation_joints"_a,
         "rotations"_a, "scales"_a.none(), "positions"_a.noconvert(), "linear"_a.noconvert(),
-        R"(Fill in the same of joints of which some move, the others at rest.
+        R"(Fill in world transforms of joints that are animated or at rest.
 
 ``translation_rest`` ``(J, 3)``, ``translation_joints`` ``(A,)``, their ``translations``
 ``(F, A, 3)``; rotations likewise, and ``scales`` as a tuple of three.)");
@@ -66,7 +66,7 @@ world position in float64 and in the values written, and where it is.)");
 
   m.def("point_errors", &point_errors, Unlocked(), "points"_a, "true_positions"_a,
         "true_linear"_a, "positions"_a, "linear"_a,
-        R"(Largest distance ``(F, J)`` of the points of each joint from where they were.
+        R"(Return the largest displacement ``(F, J)`` of the points of each joint.
 
 Points ``(J, P, 3)`` are in the joints' frames; origins ``(F, J, 3)`` and linear
 parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.)");
@@ -77,7 +77,7 @@ parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.)");
 Both are NaN where a number is not finite, or its square beyond float32.)");
 
   m.def("unpack_rotations", &unpack_rotations, Unlocked(), "tracks"_a, "previous"_a.none(),
-        R"(Turn J tracks of float32 quaternions ``(F, 4)`` into float64 ``(F, J, 4)``.
+        R"(Convert J tracks of float32 quaternions ``(F, 4)`` to float64 ``(F, J, 4)``.
 
 They have unit length, and signs nearest to the frame before; those of the first
 frame are nearest to ``previous`` ``(J, 4)``, identity unless given.)");
@@ -90,7 +90,7 @@ where the linear part mirrors. A determinant below 1e-10 has quaternion zero and
 stretch.)");
 
   m.def("round_points", &round_points, Unlocked(), "points"_a, "unit"_a,
-        R"(Points ``(F, V, 3)`` over ``unit``, as float32, and what the rounding moved.
+        R"(Return points ``(F, V, 3)`` over ``unit`` as float32, and the rounding error.
 
 Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its largest
 number, and NaN stays NaN with an infinite error; the largest distance of a point from where

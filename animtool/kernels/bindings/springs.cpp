@@ -17,7 +17,7 @@ which they tear. ``air_drag`` and ``air_lift`` of the air on ``triangles`` ``(T,
 the area and the square of the speed. Over the times of ``knots`` ``(K,)``: where ``held``
 particles are ``(K or 1, P, 3)``; the points ``(K or 1, A, 3)`` that ``anchors`` are drawn to;
 the wind ``(K or 1, 1, 3)``.)");
-  define_made(network,
+  define_class(network,
          Field{"inverse_masses", &A::inverse_masses}, Field{"drags", &A::drags},
          Field{"ends", &A::ends}, Field{"rest", &A::rest}, Field{"stiffness", &A::stiffness},
          Field{"damping", &A::damping}, Field{"limit", &A::limit},

@@ -1,4 +1,4 @@
-// What binds the kernels of each subject.
+// Binding functions of each subject.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -39,7 +39,7 @@ BvhRows parse_bvh_rows(Text given, std::size_t columns, std::size_t limit, bool 
 
   check::between("columns", columns, 0, std::numeric_limits<std::int32_t>::max());
   // No row is shorter than one digit and one separator a column, so the text
-  // itself bounds what is reserved; a row with more columns is never whole.
+  // itself bounds the reservation; a row with more columns is never complete.
   const std::size_t room = std::min(columns, text.size() / 2 + 1);
   const std::size_t most = text.size() / (2 * (columns ? columns : 1)) + 1;
   const std::size_t capacity = limit < most ? limit : most;

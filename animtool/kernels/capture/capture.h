@@ -1,4 +1,4 @@
-// What cameras and files of motion capture give.
+// Kernels for motion capture: cameras, faces and BVH rows.
 #pragma once
 
 #include <cstdint>

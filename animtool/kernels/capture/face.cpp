@@ -3,8 +3,8 @@
 // A landmark n is at R (N_n + sum_s w_s D_sn) + t. Rounds of Gauss-Newton linearise head pose
 // and camera, eliminate the pose, and leave per frame a quadratic of the weights; frames are
 // coupled by the squares of differences from frame to frame. The bounded problem of a window
-// is solved by coordinate descent, which finds what is at a bound, and by Newton's method on
-// what is not, block-tridiagonal by Cholesky.
+// is solved by coordinate descent, which finds the active bounds, and by Newton's method on
+// the free weights, block-tridiagonal by Cholesky.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -20,11 +20,11 @@ namespace animtool {
 namespace {
 
 constexpr std::size_t POSE = 6;
-// Sweeps of coordinate descent before a step of Newton's method, and steps in a round.
+// Sweeps of coordinate descent before a Newton step, and steps per round.
 constexpr int SWEEPS = 2, STEPS = 30;
-// Halvings of a step of Newton's method, before descent goes on without it.
+// Halvings of a Newton step before descent continues without it.
 constexpr int HALVINGS = 4;
-// A pose direction with a share of the largest information below this is not seen.
+// Pose directions with less than this fraction of the largest information are unobservable.
 constexpr double UNSEEN = 1e-9;
 
 using Mat3 = std::array<double, 9>;
@@ -48,8 +48,8 @@ void turn(double* q, const double* v) {
   for (int i = 0; i < 4; ++i) q[i] = made[i] / size;
 }
 
-// Of the n × n block in `a` with a row of `stride`; what has no positive pivot counts for
-// nothing. `column` holds n.
+// Of the n × n block in `a` with a row of `stride`; rows without a positive pivot count as
+// zero. `column` has n.
 void factor(double* a, std::size_t n, std::size_t stride, double floor, double* column) {
   using namespace cholesky;
   cholesky::factor<Roots, Small::COUNTS_FOR_NOTHING>(a, n, stride, column,
@@ -61,7 +61,7 @@ void solve_forward(const double* l, std::size_t n, std::size_t stride, double* x
   cholesky::solve_forward<cholesky::Roots>(cholesky::Rows{l, stride}, n, x, first);
 }
 
-// What a frame asks of its weights: half of w' H w - g' w, 0 to 1.
+// Cost of a frame's weights: half of w' H w - g' w, 0 to 1.
 struct Quadratics {
   std::size_t frames, shapes;
   double smooth;              // of the squares of differences
@@ -116,7 +116,7 @@ struct Quadratics {
     return sum;
   }
 
-  // One sweep over the frames, there or back; the largest change.
+  // One sweep over the frames, forwards or backwards; returns the largest change.
   double sweep(double* w, bool back) {
     double most = 0;
     std::vector<double> slopes(shapes);
@@ -141,7 +141,7 @@ struct Quadratics {
     return most;
   }
 
-  // The weights at which what is at no bound has no slope, the rest staying: `step_`.
+  // The weights with zero gradient at free entries, bounds fixed: `step_`.
   void newton(const double* w) {
     std::vector<double> slopes(shapes), right(shapes), pivots(shapes);
     std::vector<std::size_t> places(shapes, shapes), before(shapes, shapes);
@@ -212,7 +212,7 @@ struct Quadratics {
     }
   }
 
-  // What the weights of a frame cost while those of its neighbours stay.
+  // Cost of a frame's weights for fixed neighbours.
   double cost(const double* w, const double* own, std::size_t f) const {
     const double* hf = h.data() + f * shapes * shapes;
     double sum = 0;
@@ -226,7 +226,7 @@ struct Quadratics {
     return sum;
   }
 
-  // Take as much of the step of a frame as makes its cost less.
+  // Take the part of a frame's step that lowers its cost.
   void alone(double* w, std::size_t f, double* tried) const {
     double *own = w + f * shapes, share = 1;
     const double* step = step_.data() + f * shapes;
@@ -241,7 +241,7 @@ struct Quadratics {
     }
   }
 
-  // Bring weights to the minimum, as far as a step of descent changes them by `enough`.
+  // Minimise over weights until a descent step changes them by less than `enough`.
   double solve(double* w, double enough) {
     std::vector<double> tried(frames * shapes);
     double change = 0;
@@ -292,7 +292,7 @@ struct Face {
     }
   }
 
-  // Landmarks of weights in the face's frame (N, 3).
+  // Landmarks at weights, in the face's frame (N, 3).
   void shaped(const double* w, double* out) const {
     std::copy(neutral, neutral + 3 * landmarks, out);
     for (std::size_t s = 0; s < shapes; ++s) {
@@ -303,13 +303,13 @@ struct Face {
   }
 };
 
-// A frame linearised where it stands.
+// A frame linearised at its current state.
 class Linear {
  public:
   explicit Linear(const Face& face)
       : face_(face), points_(3 * face.landmarks), cross_(face.shapes * POSE) {}
 
-  // Residuals (N,), and weights of a robust loss, of landmarks as observed; the loss.
+  // Residuals (N,) and robust weights of observed landmarks; returns the loss.
   double residuals(const double* observed, const double* w, const double* pose,
                    double threshold, double power, double* length, double* weight) {
     face_.shaped(w, points_.data());
@@ -398,7 +398,7 @@ class Linear {
     std::copy(right, right + POSE, right_);
   }
 
-  // Move the pose along with weights that were found. Call after the same `linearize`.
+  // Update the pose for solved weights. Call after the same `linearize`.
   void follow(const double* w, double* pose) const {
     double step[POSE];
     for (std::size_t i = 0; i < POSE; ++i) {
@@ -410,7 +410,7 @@ class Linear {
     moved(step, pose);
   }
 
-  // What `follow` needs of a frame, to be kept for it.
+  // The data of a frame that `follow` needs.
   static std::size_t kept(std::size_t shapes) { return POSE * shapes + POSE + POSE * POSE; }
   void keep(double* out) {
     solved_.resize(POSE * face_.shapes);
@@ -435,7 +435,7 @@ class Linear {
     turn(pose, step);
   }
 
-  // What is missing to an observation, and its slopes along the axes of the face (2, 3).
+  // Residual of an observation, and its derivatives along the face's axes (2, 3).
   bool missed(const double* seen, const double* p, const Mat3& r, const double* t, double* miss,
               double* slopes = nullptr) const {
     double x[3];
@@ -456,7 +456,7 @@ class Linear {
     return std::isfinite(miss[0] + miss[1]);
   }
 
-  // One row: what is missing along a direction of the face's frame.
+  // One row: the residual along a direction of the face's frame.
   void row(double by, double z, const double* axis, const double* p, const double* rows,
            double* h, double* g) {
     const std::size_t shapes = face_.shapes;
@@ -535,7 +535,7 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
   };
   for (; round < rounds; ++round) {
     std::copy(w, w + frames * shapes, before.begin());
-    // The loss of Huber first, which has one minimum; then one that outliers do not pull.
+    // Huber's loss first, which has one minimum; then a redescending one.
     const bool early = !warm && round < 3;
     const double power = early ? 1 : 2;
     const double limit = early && round == 0 ? HUGE_VAL : threshold;

@@ -1,5 +1,5 @@
-// Points from what several cameras see of them: rays to a start, least squares of the
-// reprojection, and cameras left out where the residual asks for it.
+// Triangulation of points from several cameras: start from rays, least squares of the
+// reprojection, and cameras excluded by their residuals.
 //
 // Hartley and Sturm, Triangulation, 1997; Fischler and Bolles, Random sample consensus, 1981;
 // Rousseeuw, Least median of squares regression, 1984. Lens: the rational model of OpenCV.
@@ -21,17 +21,17 @@ namespace {
 
 constexpr double NOT = std::numeric_limits<double>::quiet_NaN();
 // Numbers of a camera: fx fy cx cy skew, k1 k2 p1 p2 k3 k4 k5 k6, rotation, translation, width
-// and height of the image, 0 where not known.
+// and height of the image, 0 if unknown.
 constexpr std::size_t CAMERA_NUMBERS = 27;
-// What is counted of a camera in a frame, and what is known of a point.
+// Tallies of a camera in a frame, and values of a point.
 constexpr std::size_t TALLIES = 8, POINT_NUMBERS = 5;
-// Cameras of a point that are compared in pairs; of more, the first ones. 24 are 276 pairs.
+// Most cameras of a point compared in pairs; 24 are 276 pairs.
 constexpr std::size_t MOST_PAIRED = 24;
 constexpr int MOST_STEPS = 12, MOST_ROUNDS = 8, UNDISTORT_STEPS = 20;
 // A step whose squared length is this much of the variance ends the search: the next one
 // would be about a thousand times as short.
 constexpr double SMALL_STEP = 1e-6;
-// A part of the squared gate. What is below it passes whatever the leverage of five cameras.
+// Fraction of the squared gate below which residuals pass at any leverage of five cameras.
 constexpr double SURE = 0.7;
 // Smallest pivot of a matrix against its own diagonal: rays of an angle of 1e-5.
 constexpr double SINGULAR = 1e-10;
@@ -130,7 +130,7 @@ struct Camera {
     return width > 0 && (u < -0.5 || v < -0.5 || u > width + 0.5 || v > height + 0.5);
   }
 
-  // The direction (x, y, 1) of a pixel; false where no direction near it has that pixel.
+  // The direction (x, y, 1) of a pixel; false if no direction near it projects there.
   bool ray(double u, double v, double& x, double& y) const {
     const double b = (v - cy) / fy, a = (u - cx - skew * b) / fx;
     x = a, y = b;
@@ -138,7 +138,7 @@ struct Camera {
     for (int step = 0; step < UNDISTORT_STEPS; ++step) {
       const Lens l = distort(x, y);
       const double ra = l.x - a, rb = l.y - b, det = l.xx * l.yy - l.xy * l.yx;
-      // The image folds over where the determinant is no longer positive.
+      // The image folds where the determinant is not positive.
       if (!(det > 0 && l.xx + l.yy > 0)) return false;
       const double dx = (l.yy * ra - l.xy * rb) / det, dy = (l.xx * rb - l.yx * ra) / det;
       x -= dx, y -= dy;
@@ -148,7 +148,7 @@ struct Camera {
   }
 };
 
-// What a camera sees of a point.
+// A camera's observation of a point.
 struct Seen {
   const Camera* camera;
   std::size_t number;
@@ -208,7 +208,7 @@ bool finite(const Vec& p) {
   return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
 }
 
-// The point that some cameras see, and which they are.
+// A point and the cameras that observe it.
 class Point {
  public:
   std::array<Seen, 256> seen;
@@ -231,7 +231,7 @@ class Point {
     return finite(p);
   }
 
-  // Least squares of the weighted reprojection, from a start.
+  // Weighted least squares of the reprojection, from a start.
   Found refine(Vec p) {
     Found found;
     for (int step = 0; step < MOST_STEPS; ++step) {
@@ -265,7 +265,7 @@ class Point {
     return linear(p) ? refine(p) : Found{};
   }
 
-  // A residual against how far it may be, its own pull on the point taken out.
+  // A residual over its tolerance, without its own leverage on the point.
   double studentised(const Seen& s, const Found& found) const {
     if (!s.used) return s.squared();
     const double w = s.weight;
@@ -274,7 +274,7 @@ class Point {
                  b = -w * (u.x * v.x + u.y * v.y + u.z * v.z),
                  c = 1 - w * (v.x * v.x + v.y * v.y + v.z * v.z);
     const double det = a * c - b * b;
-    // What has all of the leverage has no residual.
+    // Full leverage leaves no residual.
     if (!(det > 1e-9)) return s.squared();
     return w * (c * s.ru * s.ru - 2 * b * s.ru * s.rv + a * s.rv * s.rv) / det;
   }
@@ -300,7 +300,7 @@ class Point {
     return most;
   }
 
-  // Leave out the worst camera until all that are left agree; then take back who does.
+  // Exclude the worst camera until the rest agree; then include those that agree again.
   Found eliminate(Found found) {
     std::size_t left = count, which = 0;
     while (found.good && worst(found, which) > gate && left > 2) {
@@ -310,7 +310,7 @@ class Point {
     return found.good ? settle(found) : found;
   }
 
-  // The cameras whose residual passes, solved until they stay the same.
+  // Cameras with a passing residual, iterated to a fixed set.
   Found settle(Found found) {
     for (int round = 0; round < MOST_ROUNDS && found.good; ++round) {
       for (std::size_t i = 0; i < count; ++i)
@@ -331,7 +331,7 @@ class Point {
     return found;
   }
 
-  // The cost of a point: residuals as far as the gate.
+  // The cost of a point: residuals truncated at the gate.
   double cost(const Vec& p, std::size_t& agree) {
     double sum = 0;
     agree = 0;
@@ -352,8 +352,8 @@ class Point {
     return finite(p);
   }
 
-  // The point that most cameras agree on, of those of every pair. None where two that are
-  // apart have as many, and no more than two.
+  // The point that most cameras agree on, among those of all pairs. None if two distinct
+  // ones have as many, and no more than two.
   Found consensus() {
     const std::size_t most = std::min(count, MOST_PAIRED);
     double best = std::numeric_limits<double>::max();
@@ -383,7 +383,7 @@ class Point {
     if (count < 3) return Found{};
     if (count > 4) {
       const Found found = eliminate(all);
-      // One camera against four and more that agree: no pair would say anything else.
+      // One camera against four or more that agree: no pair would differ.
       if (found.good && used() + 1 >= count && used() >= 4) return found;
     }
     for (std::size_t i = 0; i < count; ++i) seen[i].used = true;
@@ -486,7 +486,7 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
       Found found = point.count < 2 ? Found{} : point.robust();
       const std::size_t used = found.good ? point.used() : 0;
       const double trace = found.good ? found.factor.trace() : 0;
-      // Rays too flat have no depth.
+      // Nearly parallel rays have no depth.
       if (used < 2 || !(trace * found.trace <= condition)) found = Found{};
 
       double* to = points.get() + (f * M + m) * 3;

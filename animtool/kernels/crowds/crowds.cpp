@@ -19,34 +19,34 @@ namespace animtool {
 namespace {
 
 constexpr double TINY = 1e-12;
-// Of two half-planes that are as parallel nothing bounds the line of one.
+// Two half-planes whose normals are this parallel do not bound each other's line.
 constexpr double PARALLEL = 1e-9;
-// Of the preferred directions of two who go the same way, the cosine is larger.
+// Agents walk in the same direction if the cosine of their preferred directions exceeds this.
 constexpr double ALIKE = 0.7;
-// Who goes along with another does so at this part of its speed, or comes against it or
-// across.
+// Fraction of its speed above which an agent counts as walking along with, against, or across
+// another.
 constexpr double ALONG = 0.5;
-// Who is slower than this part of what it likes is stuck, and shoves by so much of it;
-// likewise where others come against it.
+// An agent slower than this fraction of its preferred speed is stuck, and pushes by this fraction
+// of it; likewise against oncoming agents.
 constexpr double STUCK = 0.3, SHOVE = 0.5, PRESSED = 0.8, PRESSES = 1.0;
-// There it follows as much closer, and looks ahead at least this part of the usual time.
+// Then it follows this much closer, and looks ahead at least this fraction of the default time.
 constexpr double CLOSER = 0.6, SHORTEST = 0.25;
-// Lanes to each side of the own, one agent wide, and what one costs that is one farther off;
-// what those cost that are between, over what it costs to walk in them.
+// Lanes to each side of the current one, one agent wide; cost of each lane farther away; and cost
+// of the lanes between, over that of walking in them.
 constexpr int LANES = 3;
 constexpr double STRAY = 0.3, ACROSS = 0.3;
-// Costs that differ by less are one: rounding chooses no lane.
+// Costs that differ by less are equal: rounding must not choose a lane.
 constexpr double SAME_COST = 1e-9;
-// Part of its speed at which an agent goes to a lane: so much for each width, and the most.
+// Fraction of its speed at which an agent changes lanes: for each width, and at most.
 constexpr double SLANT = 0.44, MOST_SLANT = 0.7;
-// Who is held up by those who come against it turns its shoulders: all the way where the gap
-// to one of them is none, not at all from so much on, over its width; and where it is slower
-// than this part of what it likes, the more the slower.
+// An agent blocked by oncoming ones turns its shoulders: fully if the gap to one of them is zero,
+// not at all above this, over its width; and, below this fraction of its preferred speed, the more
+// the slower it is.
 constexpr double TURNS_FROM = 0.6, HELD_UP = 0.7;
-// An agent may be as deep in a wall where a lane is, over its width.
+// Largest penetration of a lane into a wall, over the agent's width.
 constexpr double GRAZE = 0.23;
 
-// What agents do: they walk, others walk around them, or nobody sees them.
+// Modes of agents: they walk, others walk around them, or they are invisible to others.
 enum Does : std::uint8_t { WALKS = 0, STAYS = 1, GONE = 2 };
 
 struct Vec2 {
@@ -63,20 +63,19 @@ struct Vec2 {
 
 Vec2 vec2(const double* from) { return {from[0], from[1]}; }
 
-// Velocities whose part along a unit normal is at least a limit.
+// A half-plane of velocities: the component along a unit normal is at least a limit.
 struct HalfPlane {
   Vec2 normal;
   double limit;
 };
 
-// Finds the velocity in a disc and in half-planes that is nearest to one, or goes farthest in
-// a direction.
+// Linear programme: the velocity in a disc and in half-planes that is nearest to a preferred one,
+// or farthest in a direction.
 class Chooser {
  public:
   explicit Chooser(double most) : most_(most) {}
 
-  // Returns how many of the half-planes the velocity is in: all, or those before the first
-  // without a solution.
+  // Returns the number of satisfied half-planes: all, or those before the first infeasible one.
   std::size_t choose(const HalfPlane* planes, std::size_t count, const Vec2& wanted, bool way,
                      Vec2& v) const {
     v = wanted;
@@ -116,8 +115,8 @@ class Chooser {
   double most_;
 };
 
-// Where no velocity is in all half-planes: that which is least outside of those behind the
-// first `hard`, and within these.
+// If no velocity satisfies all half-planes: the one that violates those after the first `hard` the
+// least, and satisfies these.
 void least_outside(const Chooser& chooser, const std::vector<HalfPlane>& planes,
                    std::size_t hard, std::size_t first, std::vector<HalfPlane>& between, Vec2& v) {
   double outside = 0;
@@ -151,8 +150,8 @@ struct Agents {
   const double* walls;
   const std::uint8_t* does;
 
-  // How far agent i is from its middle to a side (a unit vector): that of a disc, and as its
-  // shoulders are turned that of an ellipse that is as thick along it.
+  // Distance from the middle of agent i to its outline along a unit vector: a disc, or an ellipse
+  // of the same depth if its shoulders are turned.
   double half(std::size_t i, const Vec2& way) const {
     const Vec2 line = vec2(shoulders + 2 * i);
     const double much = line.length();
@@ -163,7 +162,7 @@ struct Agents {
 
   bool turned(std::size_t i) const { return shoulders[2 * i] != 0 || shoulders[2 * i + 1] != 0; }
 
-  // How far apart two are at least, the other of whom is off by so much.
+  // Smallest distance of two agents, given the offset of the other.
   double wide(std::size_t i, std::size_t j, const Vec2& off, double squared) const {
     if ((!turned(i) && !turned(j)) || !(squared > 0)) return radii[i] + radii[j];
     const Vec2 way = off * (1 / std::sqrt(squared));
@@ -184,7 +183,7 @@ class Walker {
     }
     const std::size_t hard = planes_.size();
     const Vec2 own = vec2(agents_.velocities + 2 * self);
-    // Who is held up looks less far ahead: all would stand, were they to avoid each other.
+    // Blocked agents look less far ahead: all would stop if each avoided the others.
     const double likes = std::max(vec2(agents_.preferred + 2 * self).length(), TINY);
     const double least = between(1, SHORTEST);
     horizon_ = std::max(rules_.horizon * std::clamp(own.length() / likes, least, 1.0), rules_.step);
@@ -201,7 +200,7 @@ class Walker {
     return v;
   }
 
-  // How far the last one is to turn its shoulders, 0 to 1: below 0 for who is at its right.
+  // Shoulder yaw of the last agent, 0 to 1: negative if the other is on its right.
   double pressed() const { return pressed_; }
 
  private:
@@ -211,8 +210,8 @@ class Walker {
     std::size_t which;
   };
 
-  // Who is nearest of those that come against it or across says so; who is as near as only
-  // turned shoulders let it be stays turned.
+  // The nearest oncoming or crossing agent decides; an agent as close as only turned shoulders
+  // allow stays turned.
   double pressed(std::size_t self, const Vec2& own) const {
     const Vec2 wanted = vec2(agents_.preferred + 2 * self);
     const double likes = wanted.length(), turn = vec2(agents_.shoulders + 2 * self).length();
@@ -234,7 +233,7 @@ class Walker {
     return side * most;
   }
 
-  // A value where nobody comes against an agent, and where many do.
+  // A value without oncoming agents, and with many.
   double between(double alone, double met) const { return alone + (met - alone) * met_; }
 
   void look(std::size_t self, const std::int32_t* hit, const std::int32_t* end) {
@@ -244,7 +243,7 @@ class Walker {
     const Vec2 here = vec2(agents_.points + 2 * self);
     const Vec2 wanted = vec2(agents_.preferred + 2 * self);
     const double speed = wanted.length(), wide = 2 * agents_.radii[self];
-    // Along in sights, aside in widths, and along in speeds.
+    // Along in ranges of sight, sideways in widths, and speed along.
     const bool walks = speed > TINY && wide > 0;
     const Vec2 ahead = wanted * (walks ? 1 / speed : 0.0);
     const Vec2 near = ahead * (1 / rules_.sight), fast = ahead * (walks ? 1 / speed : 0.0);
@@ -261,7 +260,7 @@ class Walker {
     met_ = std::min(met_, 1.0);
   }
 
-  // Keeps the nearest in order, the first of two as near.
+  // Keeps the nearest in order; of two at equal distance, the first.
   void keep(const Seen& one) {
     const auto nearer = [](const Seen& a, const Seen& b) {
       return a.squared != b.squared ? a.squared < b.squared : a.which < b.which;
@@ -279,16 +278,16 @@ class Walker {
   // To the left of z is x.
   static Vec2 left_of(const Vec2& ahead) { return {ahead.y, -ahead.x}; }
 
-  // Adds what it costs to walk in the lanes of another who is ahead: the more, the nearer and
-  // the slower along, or against.
+  // Adds the cost of walking in the lanes of an agent ahead: higher the nearer, and the slower
+  // along or the faster against.
   void weigh(double aside, double near, std::size_t which, const Vec2& fast) {
-    // There is one more on each side, so that both lanes of two that another is in exist.
+    // One extra lane on each side, so that both lanes an agent covers exist.
     const double place = aside + (LANES + 1);
     if (!(place >= 0 && place < 2 * LANES + 2)) return;
     const double likes = vec2(agents_.preferred + 2 * which).dot(fast);
     const double goes = 0.5 * (likes + vec2(agents_.velocities + 2 * which).dot(fast));
     const double cost = near * std::clamp(1 - goes, 0.0, 2.0);
-    // Who stands is no stream.
+    // A standing agent is no stream.
     if (likes < ALONG && vec2(agents_.preferred + 2 * which).length() > TINY) met_ += near;
     const int lane = static_cast<int>(place);
     const double second = cost * (place - lane);
@@ -296,8 +295,8 @@ class Walker {
     costs_[static_cast<std::size_t>(lane) + 1] += second;
   }
 
-  // How far to its left the lane is that costs least, in widths: not in a wall, and as its side
-  // is.
+  // Offset to the left of the cheapest lane, in widths: not inside a wall, and by the preferred
+  // side.
   double lane(std::size_t self, const Vec2& ahead) const {
     const Vec2 here = vec2(agents_.points + 2 * self), left = left_of(ahead);
     const double wide = 2 * agents_.radii[self];
@@ -323,8 +322,8 @@ class Walker {
     return true;
   }
 
-  // What it would like: slower behind those who go the same way, off from who is near, and
-  // where others come against it, in the lane that costs least.
+  // The preferred velocity: slower behind agents in the same direction, away from near ones, and
+  // against oncoming ones in the cheapest lane.
   Vec2 wish(std::size_t self) const {
     Vec2 wanted = vec2(agents_.preferred + 2 * self);
     const double speed = wanted.length(), own = agents_.radii[self];
@@ -338,7 +337,7 @@ class Walker {
       const double along = one.off.dot(ahead);
       if (headway > 0 && along > 0 && one.squared - along * along < wide * wide) {
         const Vec2 other = vec2(agents_.preferred + 2 * one.which);
-        // Not if that one sees this one ahead of it, too.
+        // Not if the other sees this one ahead of it, too.
         if (other.dot(ahead) > ALIKE * other.length() && one.off.dot(other) >= 0)
           most = std::min(most, gap / headway);
       }
@@ -352,13 +351,13 @@ class Walker {
     return ahead * most + left_of(ahead) * (slant * speed) + away;
   }
 
-  // The half-plane of velocities that an agent and another, who does its share, agree on.
+  // The half-plane of velocities of the reciprocal avoidance of two agents.
   void avoid(std::size_t self, const Vec2& own, const Seen& one) {
     const double wide = agents_.wide(self, one.which, one.off, one.squared);
     const Vec2 relative = own - vec2(agents_.velocities + 2 * one.which);
     const bool apart = one.squared > wide * wide;
     const double time = apart ? horizon_ : rules_.step;
-    // From the middle of the disc that cuts the cone of collisions off.
+    // From the centre of the disc that truncates the collision cone.
     const Vec2 off = relative - one.off * (1 / time);
     const double ahead = off.dot(one.off), size = off.length();
     Vec2 normal, change;
@@ -366,7 +365,8 @@ class Walker {
       if (size > TINY) {
         normal = off * (1 / size);
       } else {
-        // Two at one place that move alike: which way depends on their numbers alone.
+        // Two at the same position with equal velocities: the direction depends on their indices
+        // alone.
         normal = {self < one.which ? -1.0 : 1.0, 0};
       }
       change = normal * (wide / time - size);
@@ -387,7 +387,7 @@ class Walker {
   const Agents& agents_;
   std::vector<Seen> seen_;
   std::array<double, 2 * LANES + 3> costs_;
-  double met_ = 0;  // how many come against it or across, nearer ones more: 1 at most
+  double met_ = 0;  // number of oncoming or crossing agents, weighted by distance: 1 at most
   double horizon_ = 0, pressed_ = 0;
   std::vector<HalfPlane> planes_, between_;
 };
@@ -396,8 +396,8 @@ struct Pair {
   std::int32_t one, other;
 };
 
-// Moves agents apart, and out of walls, until none overlaps another by more than `enough`.
-// Returns the most that is left.
+// Moves agents apart, and out of walls, until none overlaps another by more than `enough`. Returns
+// the largest remaining overlap.
 double separate(const Agents& agents, Vec2* moved, const std::vector<Pair>& pairs,
                 std::size_t count, std::int64_t rounds, double enough) {
   double worst = 0;
@@ -499,7 +499,7 @@ CrowdStepped crowd_step(const CrowdStep& given) {
   });
   for (std::size_t i = 0; i < count; ++i)
     flat[3 * i] = moved[i].x, flat[3 * i + 2] = moved[i].y;
-  // Who is pushed meets others that were near.
+  // Pushed agents collide with others that were near.
   const double near = 2 * widest * 1.25;
   std::vector<Pair> pairs;
   if (near > 0) {
@@ -523,7 +523,7 @@ CrowdStepped crowd_step(const CrowdStep& given) {
 
 namespace {
 
-// A node, and how far it is from the seeds.
+// A node, and its distance from the seeds.
 struct Reached {
   double distance;
   std::int64_t node;

@@ -9,7 +9,7 @@
 
 namespace animtool {
 
-// Agents, what is around them, and how they walk.
+// Agents, their surroundings, and their options.
 struct CrowdStep {
   In<double, 2> points, velocities, preferred;
   In<double, 1> radii, most, gives;
@@ -25,7 +25,7 @@ struct CrowdStep {
   std::int64_t rounds;
   double enough;
 };
-// Points, velocities, overlap, how far shoulders are to be turned.
+// Points, velocities, overlap, shoulder yaws.
 using CrowdStepped = std::tuple<Out<double, 2>, Out<double, 2>, double, Out<double, 1>>;
 CrowdStepped crowd_step(const CrowdStep& given);
 

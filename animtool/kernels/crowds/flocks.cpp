@@ -1,4 +1,4 @@
-// What members of a flock do by those that they see.
+// Forces between members of a flock that see each other.
 #include <cmath>
 
 #include "base/checks.h"
@@ -16,24 +16,24 @@ struct Pull {
 
 struct Rule {
   double radius, cosine;
-  std::size_t nearest;  // 0 is all
+  std::size_t nearest;  // 0 for all
   Pull attraction, alignment, repulsion;
   double softening;
 
-  // Whether two that see each other do the same by each other.
+  // Whether pairs in sight interact symmetrically.
   bool mutual() const {
     return !(cosine > -1) && !nearest && attraction.radius >= radius &&
            alignment.radius >= radius;
   }
 };
 
-// The way to another over its length squared, where that pushes.
+// The offset to another over its squared length, for repulsion.
 Vec shove(const Rule& rule, const Vec& off, double squared) {
   const bool pushes = squared <= rule.repulsion.radius * rule.repulsion.radius && squared > 0;
   return off * (pushes ? 1 / (squared + rule.softening * rule.softening) : 0.0);
 }
 
-// What those do that do the same by each other: each pair is looked at once.
+// Symmetric interactions: each pair is visited once.
 double together(const Rule& rule, const Neighbours& grid, const Vec* velocities, double most,
                 double* out, std::int32_t* counts) {
   struct Sums {
@@ -74,7 +74,7 @@ double together(const Rule& rule, const Neighbours& grid, const Vec* velocities,
   return looked;
 }
 
-// What one does by those that it sees, out of those that are near.
+// The forces on one member from those it sees among its neighbours.
 class Seer {
  public:
   Seer(const Rule& rule, const Neighbours& grid, const Vec* velocities)
@@ -120,7 +120,7 @@ class Seer {
       seen_.push_back({off, squared, j});
     }
     if (!rule_.nearest || seen_.size() <= rule_.nearest) return;
-    // Of two that are equally near the first is taken, wherever the grid has them.
+    // Of two at equal distance the first is taken, whatever the order of the grid.
     const auto nearer = [&](const Seen& a, const Seen& b) {
       return a.squared != b.squared ? a.squared < b.squared : index[a.at] < index[b.at];
     };

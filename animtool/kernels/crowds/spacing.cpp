@@ -1,4 +1,4 @@
-// The least distance of members of a flock: who brakes for whom, and who is moved apart.
+// Minimum distances of members of a flock: braking and separation.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -13,7 +13,7 @@ namespace {
 
 constexpr double TINY = 1e-300;
 
-// Members that keep a distance, and the lengths of axes that go on at their ends.
+// Members with minimum distances, and the periods of periodic axes.
 class Spaced {
  public:
   Spaced(const double* least, std::size_t count, const double* low, const double* period)
@@ -26,8 +26,8 @@ class Spaced {
     for (std::size_t k = 0; k < 3; ++k) open_ = open_ && !(period[k] > 0);
   }
 
-  // Calls with each two of whom the places are within so many times the largest distance;
-  // returns how many were looked at, and stops above `most`.
+  // Visits each pair within a multiple of the largest distance; returns the number of tested pairs,
+  // and stops above `most`.
   template <class Function>
   double each_pair(const double* points, double times, double most, Function function) const {
     if (who_.size() < 2) return 0;
@@ -52,7 +52,7 @@ class Spaced {
   }
 
   struct Gap {
-    double way[3], far, least;  // a unit vector from one to the other
+    double way[3], far, least;  // unit vector from one to the other
   };
 
   Gap gap(const double* points, std::size_t i, std::size_t j) const {
@@ -124,7 +124,7 @@ std::tuple<Out<double, 2>, double, double> flock_apart(In<double, 2> points, In<
                                                        std::int64_t rounds, double share,
                                                        double clear, In<double, 2> period,
                                                        double most) {
-  // Pairs are found again after so many rounds, within so many times the largest distance.
+  // Pairs are searched again after this many passes, within a multiple of the largest distance.
   constexpr std::int64_t REFRESH = 8;
   constexpr double REACH = 1.5;
   const std::size_t count = check::points("points", points);

@@ -1,4 +1,4 @@
-// Curves of keys: their values, and curves and poses that are fitted.
+// Key curves: evaluation and fitting.
 #pragma once
 
 #include <cstdint>
@@ -17,7 +17,7 @@ Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
                                   In<double, 1> beyond, In<double, 1> cycles);
 
 // Of F frames, from each to the next.
-Out<double, 3> turn_steps(In<double, 3> rotations);
+Out<double, 3> rotation_steps(In<double, 3> rotations);
 
 Out<double, 2> slerp(In<double, 2> starts, In<double, 2> ends, In<double, 1> shares);
 
@@ -28,8 +28,8 @@ FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
                         In<std::int64_t, 1> straight);
 
 std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
-    In<double, 3> turns, In<std::int64_t, 1> parents, In<std::int64_t, 1> numbers,
-    In<double, 2> places, In<double, 2> before, In<double, 2> rest, In<std::int64_t, 1> feet,
+    In<double, 3> joint_rotations, In<std::int64_t, 1> parents, In<std::int64_t, 1> numbers,
+    In<double, 2> positions, In<double, 2> before, In<double, 2> rest, In<std::int64_t, 1> feet,
     In<bool, 2> stands, In<std::int64_t, 1> begins, std::int64_t wide, double near,
     double standing, double hips);
 

@@ -38,16 +38,16 @@ Cubic bezier(double near, double far, double end) {
 // A handle longer than the segment is shrunk to it, its slope kept; the length as
 // a share of the segment.
 struct Handle {
-  Handle(const double* offset, double span) : share(std::fabs(offset[0]) / span), dv(offset[1]) {
-    if (share > 1) {
-      dv /= share;
-      share = 1;
+  Handle(const double* offset, double span) : length_ratio(std::fabs(offset[0]) / span), dv(offset[1]) {
+    if (length_ratio > 1) {
+      dv /= length_ratio;
+      length_ratio = 1;
     }
   }
-  double share, dv;
+  double length_ratio, dv;
 };
 
-// A segment as seen from either key; `middle` is the time at u = 1/2.
+// A segment as two halves, one from each key; `middle` is the time at u = 1/2.
 struct Segment {
   Half halves[2];
   double start, middle, end;
@@ -70,8 +70,8 @@ Segment make_segment(const double* times, const double* values, std::int64_t kin
   } else {
     const Handle a(out, span), b(in, span);
     first.solve = second.solve = true;
-    first.time = bezier(a.share, 1 - b.share, 1);
-    second.time = bezier(b.share, 1 - a.share, 1);
+    first.time = bezier(a.length_ratio, 1 - b.length_ratio, 1);
+    second.time = bezier(b.length_ratio, 1 - a.length_ratio, 1);
     first.rise = bezier(a.dv, rise + b.dv, rise);
     second.rise = bezier(b.dv, a.dv - rise, -rise);
     middle = times[0] + span * first.time.at(0.5);
@@ -139,20 +139,20 @@ void evaluate_half(const Half& half, const double* at, double* out, std::size_t 
   for (; n; at += kChunk, out += kChunk) {
     const std::size_t count = std::min(n, kChunk);
     for (std::size_t i = 0; i < count; ++i) x[i] = (at[i] - half.key) / half.span;
-    const double* place = x;
+    const double* cursor = x;
     if (half.solve) {
       solve_quickly(half.time, x, u, count);
       for (std::size_t i = 0; i < count; ++i)
         if (!(u[i] >= 0)) u[i] = solve_guarded(half.time, x[i]);
-      place = u;
+      cursor = u;
     }
-    for (std::size_t i = 0; i < count; ++i) out[i] = half.value + half.rise.at(place[i]);
+    for (std::size_t i = 0; i < count; ++i) out[i] = half.value + half.rise.at(cursor[i]);
     n -= count;
     if (!n) return;
   }
 }
 
-// How many times from the first on lie in [low, high).
+// The number of leading times in [low, high).
 std::size_t run_length(const double* at, std::size_t n, double low, double high) {
   std::size_t i = 0;
   while (i < n && at[i] >= low && at[i] < high) ++i;
@@ -192,8 +192,8 @@ void evaluate_curve(const Keys& keys, std::size_t begin, std::size_t end, const 
     if (keys.kinds[k] <= kLinear && (f + FEW >= n || at[f + FEW] >= times[k + 1])) {
       const double from = times[k], to = times[k + 1], span = to - from;
       const double first = keys.values[k], middle = from + 0.5 * span;
-      const bool held = keys.kinds[k] == kHold;
-      const double last = held ? first : keys.values[k + 1], rise = last - first;
+      const bool is_hold = keys.kinds[k] == kHold;
+      const double last = is_hold ? first : keys.values[k + 1], rise = last - first;
       for (; f < n && at[f] >= from && at[f] < to; ++f)
         out[f] = at[f] >= middle ? last + (at[f] - to) / -span * -rise
                                  : first + (at[f] - from) / span * rise;

@@ -93,7 +93,7 @@ class Fitter {
 
   // One slope on both sides of the key between two segments, if the bounds allow.
   // The start of the left one stays where it is if it is held.
-  bool join(Segment& left, bool held, Segment& right) {
+  bool join(Segment& left, bool keep_end, Segment& right) {
     if (is_straight(left) || is_straight(right)) return false;
     const double before = static_cast<double>(left.b - left.a) / 3;
     const double behind = static_cast<double>(right.b - right.a) / 3;
@@ -102,21 +102,21 @@ class Fitter {
     Normal l = normal_, r = normal_;
     gather(left, l);
     gather(right, r);
-    const double pull = stiffness(l.second, l.mixed, held ? 0.0 : l.first) * before * before;
+    const double pull = stiffness(l.second, l.mixed, keep_end ? 0.0 : l.first) * before * before;
     const double push = stiffness(r.first, r.mixed, r.second) * behind * behind;
-    const double share = pull + push > 0 ? pull / (pull + push) : 0.5;
-    for (const double part : {share, 0.5, 0.0, 1.0}) {
+    const double fraction = pull + push > 0 ? pull / (pull + push) : 0.5;
+    for (const double part : {fraction, 0.5, 0.0, 1.0}) {
       Segment p = left, n = right;
       for (std::size_t d = 0; d < width_; ++d) {
-        const double whole = at[d] - from[d];
-        const double in = (whole - left.second[d]) / before;
+        const double chord = at[d] - from[d];
+        const double in = (chord - left.second[d]) / before;
         const double out = right.first[d] / behind;
         const double slope = part * in + (1 - part) * out;
-        p.second[d] = whole - slope * before;
+        p.second[d] = chord - slope * before;
         n.first[d] = slope * behind;
-        if (!held)
+        if (!keep_end)
           p.first[d] = l.first > 0 ? (l.at_first[d] - l.mixed * p.second[d]) / l.first
-                                   : whole / 3;
+                                   : chord / 3;
         n.second[d] = r.second > 0 ? (r.at_second[d] - r.mixed * n.first[d]) / r.second
                                    : (to[d] - at[d]) * (2.0 / 3);
       }
@@ -242,10 +242,10 @@ class Fitter {
     if (s.b - s.a == 2) {
       // One inner sample: the parabola through it, both control values moved alike.
       for (std::size_t d = 0; d < width_; ++d) {
-        const double whole = row(s.b)[d] - row(s.a)[d];
-        const double off = (row(s.a + 1)[d] - row(s.a)[d]) - whole / 2;
-        s.first[d] = whole / 3 + off * (4.0 / 3);
-        s.second[d] = whole * (2.0 / 3) + off * (4.0 / 3);
+        const double chord = row(s.b)[d] - row(s.a)[d];
+        const double off = (row(s.a + 1)[d] - row(s.a)[d]) - chord / 2;
+        s.first[d] = chord / 3 + off * (4.0 / 3);
+        s.second[d] = chord * (2.0 / 3) + off * (4.0 / 3);
       }
       return;
     }
@@ -295,9 +295,9 @@ class Fitter {
   }
 
   // How much one control value costs to move, the other free to follow.
-  static double stiffness(double own, double mixed, double other) {
-    const double left = other > 0 ? own - mixed * mixed / other : own;
-    return left > 1e-9 * own ? left : 0.0;
+  static double stiffness(double diagonal, double mixed, double other) {
+    const double left = other > 0 ? diagonal - mixed * mixed / other : diagonal;
+    return left > 1e-9 * diagonal ? left : 0.0;
   }
 
   const double* values_;
@@ -346,9 +346,9 @@ FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
     for (std::size_t k = 0; k <= anchors.shape(0); ++k) {
       const std::size_t end =
           k < anchors.shape(0) ? static_cast<std::size_t>(anchor[k]) : frames - 1;
-      Segment whole;
-      if (fitter.fit(a, end, whole)) {
-        segments.push_back(std::move(whole));
+      Segment chord;
+      if (fitter.fit(a, end, chord)) {
+        segments.push_back(std::move(chord));
         a = end;
       }
       while (a < end) {

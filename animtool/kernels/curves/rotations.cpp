@@ -25,7 +25,7 @@ enum RotationKind : std::int64_t { kStep = 0, kSlerp = 1, kSquad = 2, kSpline = 
 // Below this half of an angle [rad] an arc is straight to the last digit.
 constexpr double SMALL_HALF = 1e-5;
 // A velocity at a key turns by no more than this over either segment [rad].
-constexpr double LARGEST_TURN = 6.283185307179586476925;
+constexpr double MAX_ROTATION = 6.283185307179586476925;
 
 double dot4(const double* a, const double* b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3];
@@ -36,8 +36,8 @@ void logarithm_of_cover(const double* q, double* v) {
   const double sine = length(q), w = q[3];
   double factor;
   if (sine < SMALL_HALF && w > 0) {
-    const double share = sine / w;
-    factor = 2 / w * (1 - share * share / 3);
+    const double fraction = sine / w;
+    factor = 2 / w * (1 - fraction * fraction / 3);
   } else {
     factor = sine > 0 ? 2 * std::atan2(sine, w) / sine : 0;
   }
@@ -53,8 +53,8 @@ void rotation_between(const double* a, const double* b, double* v) {
 }
 
 // q exp(share v)
-void turn_on(const double* q, double share, const double* v, double* out) {
-  const double scaled[3] = {share * v[0], share * v[1], share * v[2]};
+void rotate_further(const double* q, double fraction, const double* v, double* out) {
+  const double scaled[3] = {fraction * v[0], fraction * v[1], fraction * v[2]};
   double by[4];
   exponential(scaled, by);
   product(q, by, out);
@@ -68,13 +68,13 @@ struct Arc {
 
   void set(const double* a, const double* b) {
     const double sign = dot4(a, b) < 0 ? -1 : 1;
-    double apart = 0, opposed = 0;
+    double distance = 0, opposed = 0;
     for (int i = 0; i < 4; ++i) {
       start[i] = a[i], end[i] = sign * b[i];
-      apart += (a[i] - end[i]) * (a[i] - end[i]);
+      distance += (a[i] - end[i]) * (a[i] - end[i]);
       opposed += (a[i] + end[i]) * (a[i] + end[i]);
     }
-    half = 2 * std::atan2(std::sqrt(apart), std::sqrt(opposed));
+    half = 2 * std::atan2(std::sqrt(distance), std::sqrt(opposed));
     straight = half < SMALL_HALF;
     sine = std::sin(half);
   }
@@ -94,7 +94,7 @@ struct Arc {
 };
 
 // A turn about an axis of its own.
-struct Turn {
+struct RotationArc {
   double axis[3], half;
 
   void set(const double* v) {
@@ -104,9 +104,9 @@ struct Turn {
   }
 
   // q times a share of it.
-  void on(const double* q, double share, double* out) const {
-    const double sine = std::sin(share * half);
-    const double by[4] = {sine * axis[0], sine * axis[1], sine * axis[2], std::cos(share * half)};
+  void on(const double* q, double fraction, double* out) const {
+    const double sine = std::sin(fraction * half);
+    const double by[4] = {sine * axis[0], sine * axis[1], sine * axis[2], std::cos(fraction * half)};
     product(q, by, out);
   }
 };
@@ -114,7 +114,7 @@ struct Turn {
 // Segments whose inner points follow from the velocities at their ends.
 struct Squad {
   double start[4], outer[4];
-  Turn along, across;
+  RotationArc along, across;
 
   // `step` is the rotation vector from a to b.
   void set(const double* a, const double* b, const double* step, const double* leaving,
@@ -123,8 +123,8 @@ struct Squad {
     for (int i = 0; i < 3; ++i)
       to_outer[i] = leaving[i] - step[i], to_inner[i] = step[i] - arriving[i];
     std::copy(a, a + 4, start);
-    turn_on(a, 0.5, to_outer, outer);
-    turn_on(b, 0.5, to_inner, inner);
+    rotate_further(a, 0.5, to_outer, outer);
+    rotate_further(b, 0.5, to_inner, inner);
     rotation_between(outer, inner, between);
     along.set(step);
     across.set(between);
@@ -135,7 +135,7 @@ struct Squad {
     along.on(start, u, near);
     across.on(outer, u, far);
     rotation_between(near, far, between);
-    turn_on(near, 2 * u * (1 - u), between, q);
+    rotate_further(near, 2 * u * (1 - u), between, q);
     normalize(q);
   }
 };
@@ -144,27 +144,27 @@ struct Squad {
 // M.-S. Kim, S. Y. Shin, SIGGRAPH 1995).
 struct Spline {
   double start[4];
-  Turn turns[3];
+  RotationArc arcs[3];
 
   void set(const double* a, const double* b, const double* leaving, const double* arriving) {
     double first[3], last[3], back[3], near[4], far[4], between[3];
     for (int i = 0; i < 3; ++i)
       first[i] = leaving[i] / 3, last[i] = arriving[i] / 3, back[i] = -last[i];
     std::copy(a, a + 4, start);
-    turn_on(a, 1, first, near);
-    turn_on(b, 1, back, far);
+    rotate_further(a, 1, first, near);
+    rotate_further(b, 1, back, far);
     rotation_between(near, far, between);
-    turns[0].set(first);
-    turns[1].set(between);
-    turns[2].set(last);
+    arcs[0].set(first);
+    arcs[1].set(between);
+    arcs[2].set(last);
   }
 
   void at(double u, double* q) const {
     const double left = 1 - u;
     double one[4], two[4];
-    turns[0].on(start, 1 - left * left * left, one);
-    turns[1].on(one, u * u * (3 - 2 * u), two);
-    turns[2].on(two, u * u * u, q);
+    arcs[0].on(start, 1 - left * left * left, one);
+    arcs[1].on(one, u * u * (3 - 2 * u), two);
+    arcs[2].on(two, u * u * u, q);
     normalize(q);
   }
 };
@@ -210,16 +210,16 @@ class Velocities {
     const int first = k > 0 ? rank(keys_.kinds[k - 1]) : 0;
     const int second = k < last ? rank(keys_.kinds[k]) : 0;
     if (!first && !second) return;
-    const double share = first > second ? 1 : first < second ? 0 : after / (before + after);
+    const double fraction = first > second ? 1 : first < second ? 0 : after / (before + after);
     for (std::size_t c = 0; c < keys_.curves; ++c) {
       double* out = &values_[3 * (k * keys_.curves + c)];
       for (int i = 0; i < 3; ++i) {
-        if (first >= second) out[i] += share * (step(k - 1, c)[i] / before);
-        if (second >= first) out[i] += (1 - share) * (step(k, c)[i] / after);
+        if (first >= second) out[i] += fraction * (step(k - 1, c)[i] / before);
+        if (second >= first) out[i] += (1 - fraction) * (step(k, c)[i] / after);
       }
-      const double turn = length(out) * std::max(before, after);
-      if (turn > LARGEST_TURN)
-        for (int i = 0; i < 3; ++i) out[i] *= LARGEST_TURN / turn;
+      const double limit = length(out) * std::max(before, after);
+      if (limit > MAX_ROTATION)
+        for (int i = 0; i < 3; ++i) out[i] *= MAX_ROTATION / limit;
     }
   }
 
@@ -322,20 +322,20 @@ class Beyond {
     }
   }
 
-  void turn(double beyond, double cycles, double* q) const {
+  void limit(double beyond, double cycles, double* q) const {
     for (std::size_t c = 0; c < curves_; ++c, q += 4) {
-      double made[4], by[4], turned[3];
+      double composed[4], by[4], turned[3];
       if (beyond != 0) {
-        turn_on(q, beyond, &ends_[6 * c + (beyond < 0 ? 0 : 3)], made);
-        normalize(made);
-        std::copy(made, made + 4, q);
+        rotate_further(q, beyond, &ends_[6 * c + (beyond < 0 ? 0 : 3)], composed);
+        normalize(composed);
+        std::copy(composed, composed + 4, q);
       }
       if (cycles != 0) {
         for (int i = 0; i < 3; ++i) turned[i] = cycles * rises_[3 * c + i];
         exponential(turned, by);
-        product(by, q, made);
-        normalize(made);
-        std::copy(made, made + 4, q);
+        product(by, q, composed);
+        normalize(composed);
+        std::copy(composed, composed + 4, q);
       }
     }
   }
@@ -395,7 +395,7 @@ Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
       if (set != k) segments.set(set = k);
       segments.at(k, (t - read.times[k]) / (read.times[k + 1] - read.times[k]), q);
     }
-    if (outside) ends->turn(beyond.data()[f], cycles.data()[f], q);
+    if (outside) ends->limit(beyond.data()[f], cycles.data()[f], q);
     if (f == 0) continue;
     const double* last = q - 4 * curves;
     for (std::size_t c = 0; c < curves; ++c) {
@@ -407,7 +407,7 @@ Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
   return out;
 }
 
-Out<double, 3> turn_steps(In<double, 3> rotations) {
+Out<double, 3> rotation_steps(In<double, 3> rotations) {
   const std::size_t frames = rotations.shape(0), curves = rotations.shape(1);
   check::shape("rotations", rotations, {check::ANY, check::ANY, 4});
   const std::size_t steps = frames ? frames - 1 : 0;

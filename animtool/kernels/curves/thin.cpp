@@ -34,19 +34,19 @@ double part(double a, double t) {
 struct Chain {
   std::size_t count, moving;
   const std::int64_t *parents, *numbers;  // of each its place in a pose, -1 at rest
-  const Vec* places;
+  const Vec* offsets;
   const Turn *before, *rest;
 
-  void places_of(const Turn* pose, Turn* world, Vec* made) const {
+  void positions_of(const Turn* pose, Turn* world, Vec* out_points) const {
     for (std::size_t j = 0; j < count; ++j) {
-      const Turn own = before[j] * (numbers[j] < 0 ? rest[j] : pose[numbers[j]]);
+      const Turn rotation = before[j] * (numbers[j] < 0 ? rest[j] : pose[numbers[j]]);
       if (parents[j] < 0) {
-        world[j] = own, made[j] = places[j];
+        world[j] = rotation, out_points[j] = offsets[j];
         continue;
       }
       const std::size_t above = static_cast<std::size_t>(parents[j]);
-      made[j] = made[above] + turned(world[above], places[j]);
-      world[j] = world[above] * own;
+      out_points[j] = out_points[above] + turned(world[above], offsets[j]);
+      world[j] = world[above] * rotation;
     }
   }
 };
@@ -64,14 +64,14 @@ class Between {
     }
   }
 
-  void at(double share, Turn* out) const {
+  void at(double fraction, Turn* out) const {
     for (std::size_t m = 0; m < count_; ++m) {
       double p, q;
       if (angles_[m] < SMALL) {
-        p = part(1 - share, angles_[m]), q = part(share, angles_[m]);
+        p = part(1 - fraction, angles_[m]), q = part(fraction, angles_[m]);
       } else {
-        p = std::sin((1 - share) * angles_[m]) / sines_[m];
-        q = std::sin(share * angles_[m]) / sines_[m];
+        p = std::sin((1 - fraction) * angles_[m]) / sines_[m];
+        q = std::sin(fraction * angles_[m]) / sines_[m];
       }
       out[m] = {p * a_[m].x + q * b_[m].x, p * a_[m].y + q * b_[m].y,
                 p * a_[m].z + q * b_[m].z, p * a_[m].w + q * b_[m].w};
@@ -87,15 +87,15 @@ class Between {
 }  // namespace
 
 std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
-    In<double, 3> turns, In<std::int64_t, 1> parents, In<std::int64_t, 1> numbers,
-    In<double, 2> places, In<double, 2> before, In<double, 2> rest, In<std::int64_t, 1> feet,
+    In<double, 3> rotations, In<std::int64_t, 1> parents, In<std::int64_t, 1> numbers,
+    In<double, 2> offsets, In<double, 2> before, In<double, 2> rest, In<std::int64_t, 1> feet,
     In<bool, 2> stands, In<std::int64_t, 1> begins, std::int64_t wide, double near,
     double standing, double hips) {
-  const std::size_t frames = turns.shape(0), moving = turns.shape(1), count = parents.shape(0);
+  const std::size_t frames = rotations.shape(0), moving = rotations.shape(1), count = parents.shape(0);
   check::at_most("turns", frames * moving, check::MOST_ROWS);
-  check::numbers("turns", turns, {check::ANY, check::ANY, 4});
+  check::numbers("turns", rotations, {check::ANY, check::ANY, 4});
   check::shape("numbers", numbers, {count});
-  check::numbers("places", places, {count, 3});
+  check::numbers("places", offsets, {count, 3});
   check::numbers("before", before, {count, 4});
   check::numbers("rest", rest, {count, 4});
   check::shape("feet", feet, {2});
@@ -113,14 +113,14 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
                     moving,
                     parents.data(),
                     numbers.data(),
-                    reinterpret_cast<const Vec*>(places.data()),
+                    reinterpret_cast<const Vec*>(offsets.data()),
                     reinterpret_cast<const Turn*>(before.data()),
                     reinterpret_cast<const Turn*>(rest.data())};
-  const Turn* poses = reinterpret_cast<const Turn*>(turns.data());
+  const Turn* poses = reinterpret_cast<const Turn*>(rotations.data());
   std::vector<Turn> world(count), pose(moving);
-  std::vector<Vec> exact(frames * count), made(count);
+  std::vector<Vec> exact(frames * count), out_points(count);
   for (std::size_t f = 0; f < frames; ++f)
-    chain.places_of(poses + f * moving, world.data(), exact.data() + f * count);
+    chain.positions_of(poses + f * moving, world.data(), exact.data() + f * count);
   const std::size_t foot[2] = {static_cast<std::size_t>(feet.data()[0]),
                                static_cast<std::size_t>(feet.data()[1])};
   Between between;
@@ -133,23 +133,23 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
       const std::size_t half = inside / 2;
       const std::size_t at = k == 0 ? half : k <= half ? k - 1 : k;
       const std::size_t frame = first + 1 + at;
-      const double share = static_cast<double>(at + 1) / static_cast<double>(inside + 1);
-      between.at(share, pose.data());
-      chain.places_of(pose.data(), world.data(), made.data());
-      const Vec* wanted = exact.data() + frame * count;
+      const double fraction = static_cast<double>(at + 1) / static_cast<double>(inside + 1);
+      between.at(fraction, pose.data());
+      chain.positions_of(pose.data(), world.data(), out_points.data());
+      const Vec* expected = exact.data() + frame * count;
       const bool* down = stands.data() + 2 * frame;
       Vec off{0, 0, 0};
       for (std::size_t side = 0; side < 2; ++side)
-        if (down[side]) off = off + (wanted[foot[side]] - made[foot[side]]);
+        if (down[side]) off = off + (expected[foot[side]] - out_points[foot[side]]);
       if (down[0] && down[1]) off = {off.x / 2, off.y / 2, off.z / 2};
       double* kept = back.get() + 3 * (s * inside + at);
       kept[0] = off.x, kept[1] = off.y, kept[2] = off.z;
       good = squared(off) <= hips * hips;
       for (std::size_t side = 0; good && side < 2; ++side)
         good = !down[side] ||
-               squared(wanted[foot[side]] - made[foot[side]] - off) <= standing * standing;
+               squared(expected[foot[side]] - out_points[foot[side]] - off) <= standing * standing;
       for (std::size_t j = 0; good && j < count; ++j)
-        good = squared(wanted[j] - made[j] - off) <= near * near;
+        good = squared(expected[j] - out_points[j] - off) <= near * near;
     }
     fits.get()[s] = good;
     if (!good) std::fill_n(back.get() + 3 * s * inside, 3 * inside, 0.0);

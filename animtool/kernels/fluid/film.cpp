@@ -1,4 +1,4 @@
-// The area of a fluid's free surface on blocks of a grid, and its slopes.
+// The area of a fluid's free surface on blocks of a grid, and its gradient.
 #include "fluid/film.h"
 
 #include <algorithm>
@@ -12,16 +12,16 @@ using collide::Vec;
 
 namespace {
 
-// Sides of the cells, in spacings: particles at rest are even to them, within a thousandth.
+// Cell size, in spacings: particles at rest are uniform to it, within a thousandth.
 constexpr double CELL = 1.25;
-// Slopes of the colour that count as none, over a spacing. What counts as none has no area, and
-// would blow fluid up where it is thin.
+// Colour gradients that count as zero, over a spacing: they have no area, and would blow thin fluid
+// up.
 constexpr double SOFT = 1e-3;
-// Beyond it places are in no cell [cells].
+// Coordinates beyond this are in no cell [cells].
 constexpr double FAR = 1e9;
-// Cells that a particle may go to before blocks are found again.
+// Cells that a particle may move before blocks are rebuilt.
 constexpr std::int64_t ROOM = 1;
-// Share of the moments of inertia that is added to them.
+// Regularisation of the moments of inertia.
 constexpr double THIN = 1e-9;
 
 std::int64_t below(std::int64_t node, std::int64_t side) {
@@ -82,7 +82,7 @@ void Film::list(const double* rows, std::size_t count) {
       const double at = rows[4 * i + static_cast<std::size_t>(k)] / cell_;
       near = near && std::fabs(at) < FAR;
       if (!near) break;
-      // Its nodes, and those of the cells that these are at.
+      // Its nodes, and those of the adjacent cells.
       const std::int64_t first = static_cast<std::int64_t>(std::floor(at)) - 1;
       ends[2 * k] = below(first - 1 - ROOM, SIDE);
       ends[2 * k + 1] = below(first + 4 + ROOM, SIDE);
@@ -126,7 +126,7 @@ bool Film::find(const double* row, Spot& spot) const {
 
 namespace {
 
-// Where the four nodes of a row are: from two blocks one after the other.
+// The four nodes of a row, from two adjacent blocks.
 template <class Blocks>
 void row_of(const Blocks& blocks, const int* node, int x, int y, std::size_t* at) {
   const int right = node[0] + x, up = node[1] + y;
@@ -156,7 +156,7 @@ double Film::measure(const double* rows, std::size_t count) {
         for (int z = 0; z < 4; ++z) colour_[at[z]] += weight * spot.weights[2][z];
       }
   }
-  // Of little fluid the colour rises at twice the rate, of dense fluid it does not.
+  // The colour of sparse fluid rises at twice the rate, that of dense fluid not at all.
   for (std::size_t n = 0; n < colour_.size(); ++n) {
     const double left = std::max(1 - colour_[n], 0.0);
     rising_[n] = 2 * left;
@@ -168,7 +168,7 @@ double Film::measure(const double* rows, std::size_t count) {
   return sum * cell_ * cell_ * cell_;
 }
 
-// Adds the slopes of the steepness of a block's cells by the colours of their nodes.
+// Adds the gradient of the steepness of a block's cells by the colours of their nodes.
 double Film::steepen(std::size_t block) {
   constexpr int X = WIDER * WIDER, Y = WIDER;
   double colours[X * WIDER], slopes[X * WIDER] = {};
@@ -231,7 +231,7 @@ Vec Film::slope_at(const Spot& spot) const {
 
 void Film::pull(const double* rows, std::size_t count, double scale, double* moved) {
   Spot spot;
-  // The volume of a cell, by how far it is to the next and by what a particle adds to it.
+  // The volume of a cell, by its size and by the contribution of a particle.
   const double each = scale * cell_ * cell_ * share_;
   pulls_.assign(count, {}), drop_of_.assign(count, 0);
   for (std::size_t i = 0; i < count; ++i) {
@@ -246,7 +246,7 @@ void Film::pull(const double* rows, std::size_t count, double scale, double* mov
   }
 }
 
-// Which drop each block is of: those that touch are of one.
+// Connected components of blocks: one drop each.
 void Film::part_drops() {
   const std::size_t size = blocks_.size();
   Groups drops_of(size);
@@ -263,7 +263,7 @@ void Film::part_drops() {
   drops_.resize(static_cast<std::size_t>(drops) + 1);
 }
 
-// Takes from each drop what the grid pushes and turns it by as a whole.
+// Removes net force and torque of the grid from each drop.
 void Film::balance(const double* rows) {
   std::fill(drops_.begin(), drops_.end(), Drop());
   const auto drop_of = [&](std::size_t i) -> Drop& {
@@ -290,7 +290,7 @@ void Film::balance(const double* rows) {
   }
   for (Drop& drop : drops_) {
     double* m = drop.turning;
-    // What lies on a line has nothing to turn about it.
+    // Particles on a line have no inertia about it.
     const double least = THIN * (m[0] + m[1] + m[2]);
     const double a = m[0] + least, b = m[1] + least, c = m[2] + least;
     const double d = m[3], e = m[4], f = m[5];

@@ -1,10 +1,10 @@
-// The free surface of a fluid: its area, and what surface tension does to particles.
+// The free surface of a fluid: its area, and surface tension on particles.
 //
-// The area is the integral of how steep a colour is, which is 0 outside and 1 within (J. U.
-// Brackbill, D. B. Kothe, C. Zemach, "A continuum method for modeling surface tension", 1992), on
-// a grid that particles are spread to by cubic B-splines. Forces are its slopes, so that
-// tension has a potential and tears nothing off: the colour rises fast where there is little
-// fluid, and is even within.
+// The area is the integral of the gradient magnitude of a colour function, which is 0 outside and 1
+// inside (J. U. Brackbill, D. B. Kothe, C. Zemach, "A continuum method for modeling surface
+// tension", 1992), on a grid with cubic B-splines. Forces are its gradient, so that tension has a
+// potential and tears nothing off: the colour rises fast where there is little fluid, and is
+// uniform inside.
 #pragma once
 
 #include <array>
@@ -20,29 +20,29 @@ class Film {
  public:
   explicit Film(double spacing);
 
-  // Finds the blocks of the grid that particles are in, four numbers each, for as long as none
-  // moves by more than `SKIN` of the radius that they see each other in.
+  // Finds the blocks of the grid with particles, four numbers each; valid until a particle moves by
+  // more than `SKIN` of the radius of sight.
   void list(const double* rows, std::size_t count);
 
-  // Area about particles [m²].
+  // Area around particles [m²].
   double measure(const double* rows, std::size_t count);
 
-  // Adds to displacements, four numbers each, the slopes of the area times a scale; the area
-  // was measured at the same places. Momentum and spin of each drop stay.
+  // Adds the gradient of the area times a scale to displacements, four numbers each; the area was
+  // measured at the same positions. Momentum and spin of each drop are conserved.
   void pull(const double* rows, std::size_t count, double scale, double* moved);
 
  private:
-  // Nodes along the sides of a block, in all of it, and of it with those after it.
+  // Nodes along the sides of a block, in all of it, and with those of the next blocks.
   static constexpr int SIDE = 4, NODES = SIDE * SIDE * SIDE, WIDER = SIDE + 1;
 
-  // Where a particle is in the grid: eight blocks, the node in the first, and weights.
+  // Position of a particle in the grid: eight blocks, the node in the first, and weights.
   struct Spot {
     std::int32_t blocks[8];
     int node[3];
     double weights[3][4], slopes[3][4];
   };
 
-  // Fluid that no other is near.
+  // A drop: fluid without other fluid nearby.
   struct Drop {
     double count = 0;
     collide::Vec centre, push, moment;
@@ -59,10 +59,10 @@ class Film {
   double steepen(std::size_t block);
 
   const double cell_, share_, soft_;
-  // Block 0 is outside: it stays empty. Keys and those of a table of blocks by key.
+  // Block 0 is outside and stays empty. Keys, and a hash table of blocks by key.
   std::vector<std::array<std::int64_t, 3>> blocks_;
   std::vector<std::int32_t> table_;
-  std::vector<std::int32_t> after_;  // the eight from each block on
+  std::vector<std::int32_t> after_;  // the eight neighbours of each block
   std::vector<std::int32_t> drop_of_block_, drop_of_;
   std::vector<Drop> drops_;
   std::vector<collide::Vec> pulls_;

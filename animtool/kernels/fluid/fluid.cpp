@@ -1,4 +1,4 @@
-// Steps of a fluid, and how dense it is.
+// Steps of a fluid, and its density.
 #include "fluid/fluid.h"
 
 #include <algorithm>
@@ -30,14 +30,14 @@ struct alignas(32) Row {
   Vec vec() const { return {x, y, z}; }
 };
 
-// A body that the fluid pushes, as far as it came from where it would be without it.
+// A body that the fluid pushes, with its displacement from free motion.
 struct Body {
   double ease = 0;      // 1 over its mass
   double turning[6];    // its inverse inertia: xx, yy, zz, xy, xz, yz
   Vec begin, end;       // its centre of mass
-  Vec shift, turned;    // beyond that, so far
+  Vec shift, turned;    // displacement from that, so far
   Vec velocity, spin;   // likewise
-  double now[6] = {}, moved[6] = {};  // impulses and moments about the origin
+  double now[6] = {}, moved[6] = {};  // impulses and angular impulses about the origin
 
   Vec turned_by(Vec moment) const {
     return {turning[0] * moment.x + turning[3] * moment.y + turning[4] * moment.z,
@@ -106,10 +106,10 @@ class Steps {
     place_colliders(0, poses_);
   }
 
-  // Takes the parts of the step one after the other.
+  // Takes the substeps one after the other.
   void run(std::size_t parts) {
     const double h = step_ / static_cast<double>(parts);
-    // As stiff in short parts as in long ones, up to what is stable.
+    // Short substeps are as stiff as long ones, up to the stability limit.
     const double share = std::min(sound_ * h / rule_.spacing, 1.0);
     relaxed_ = RELAXED * share * share;
     for (std::size_t k = 0; k < parts; ++k) {
@@ -137,7 +137,7 @@ class Steps {
     }
   }
 
-  // Densities over that at rest, of places that stay.
+  // Densities over that at rest, without motion.
   void densities(double* out) {
     before_ = place_;
     list();
@@ -152,7 +152,7 @@ class Steps {
   struct Near {
     std::int32_t collider;
     Beyond found;
-    Vec pushed = {};  // displacement, then change of velocity by it
+    Vec pushed = {};  // displacement, then the velocity change from it
     Vec point = {};
   };
 
@@ -176,7 +176,7 @@ class Steps {
     }
   }
 
-  // Whether particles or colliders may be near each other that no list has.
+  // Whether particles or colliders may be near each other that no list contains.
   bool stale() const {
     double squared = 0;
     for (std::size_t i = 0; i < count_; ++i) {
@@ -203,14 +203,14 @@ class Steps {
     values.swap(made);
   }
 
-  // Sorts particles by the cells of a grid, and lists who may see whom until it is stale.
+  // Sorts particles by grid cells, and lists neighbours until the list is stale.
   void list() {
     std::vector<double> points(3 * count_);
     for (std::size_t i = 0; i < count_; ++i) store(place_[i].vec(), &points[3 * i]);
     const double none[3] = {0, 0, 0};
     const Neighbours grid(points.data(), nullptr, count_, radius_ * (1 + SKIN), none, none);
     std::vector<std::int32_t> by(grid.index(), grid.index() + grid.size());
-    // What is not finite is near nobody, and comes last.
+    // Non-finite particles have no neighbours, and come last.
     if (by.size() < count_) {
       std::vector<bool> there(count_);
       for (const std::int32_t i : by) there[static_cast<std::size_t>(i)] = true;
@@ -267,7 +267,7 @@ class Steps {
 
   FluidPairs pairs() {
     const double inverse = 1 / radius_;
-    // Of the slope of a weight over the distance, over the distance.
+    // Second derivative factor of the weight, over the distance.
     const double steep = -3 * inverse * inverse / lattice_;
     return {count_,          first_.data(),    seen_.data(),     &place_.data()->x,
             &velocity_.data()->x, factor_.data(), &sums_.data()->x, &moved_.data()->x,
@@ -275,7 +275,7 @@ class Steps {
             0};
   }
 
-  // How dense it is at each, and which way that rises.
+  // The density of each, and its gradient.
   void look() {
     sums_.assign(count_ + 1, {}), moved_.assign(count_ + 1, {}), squares_.assign(count_ + 1, 0);
     loops_.look(pairs());
@@ -293,13 +293,13 @@ class Steps {
       const double steepness =
           slope.x * slope.x + slope.y * slope.y + slope.z * slope.z + slope.w;
       place_[i].w = over > 0 ? -relaxed_ * over / std::max(STEEP * steepness, steep) : 0.0;
-      // A wall presses as the layers of a lattice would that it is in place of.
+      // A wall presses as the lattice layers it replaces would.
       virial_[i] = -per_wall * beyond * place_[i].w;
     }
     compression_ = count_ ? sum / static_cast<double>(count_) : 0.0;
   }
 
-  // Surface tension. That of one part stands for as many as the shortest ripples leave.
+  // Surface tension. One evaluation covers as many substeps as the shortest ripples allow.
   void draw(double h, std::size_t part, std::size_t parts) {
     if (!(rule_.tension > 0)) return;
     const double period = std::sqrt(rule_.mass() / rule_.tension);
@@ -312,8 +312,8 @@ class Steps {
                &moved_.data()->x);
   }
 
-  // What slows velocities comes before the next places are looked at: after that, it and
-  // pressure would overshoot together.
+  // Velocity damping comes before the next neighbour update: together with pressure it would
+  // overshoot.
   void slow(double h, std::size_t part, std::size_t parts) {
     std::fill(moved_.begin(), moved_.end(), Row());
     const bool dragged = drag(h, part, parts), calmed = calm(h, part, parts);
@@ -324,7 +324,7 @@ class Steps {
     }
   }
 
-  // Viscosity of one part stands for as many as are stable together.
+  // Viscosity. One evaluation covers as many substeps as are stable together.
   bool drag(double h, std::size_t part, std::size_t parts) {
     const double longest = STICKY * rule_.spacing * rule_.spacing / (rule_.viscosity * h);
     const std::size_t together = longest < static_cast<double>(parts)
@@ -337,9 +337,9 @@ class Steps {
     return true;
   }
 
-  // Takes the noise of particles, in the mean of so many parts at once.
+  // Removes the noise of particles, averaged over many substeps.
   bool calm(double h, std::size_t part, std::size_t parts) {
-    // What viscosity takes by itself is none. Drops that are drawn together would set.
+    // Not what viscosity takes itself. Drops that are pulled together would set.
     if (rule_.tension > 0) return false;
     const double left = 1 - rule_.viscosity / (CALM_VISCOSITY * sound_ * rule_.spacing);
     if (part % CALMED != 0 || !(left > 0)) return false;
@@ -374,7 +374,7 @@ class Steps {
     return whole * (1 - open);
   }
 
-  // Moves all apart that are dense.
+  // Moves dense particles apart.
   void press(double h) {
     loops_.press(pairs());
     const double per = rule_.density / (h * h);
@@ -382,7 +382,7 @@ class Steps {
       pressure_[i] += (virial_[i] + moved_[i].w) * per;
       Vec to = place_[i].vec() + moved_[i].vec();
       for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
-        // The wall presses as what is before it does.
+        // The wall presses as the fluid in front of it does.
         const Vec by = near_[k].found.push * place_[i].w;
         near_[k].pushed = by;
         to = to + by;
@@ -391,18 +391,18 @@ class Steps {
     }
   }
 
-  // How a place that a collider carries moved in the part of the step.
+  // Displacement of a point of a collider in the substep.
   Vec carried(std::size_t c, Vec point) const {
     return point - old_poses_[c].to_world(poses_[c].to_local(point));
   }
 
   static constexpr int WALLS = 3;
-  // Between two colliders each pushes into the other: so many times in turn, and no further
-  // than by this share of a spacing.
+  // Between two colliders each pushes into the other: this many iterations, and no further than
+  // this fraction of a spacing.
   static constexpr int TURNS = 16;
   static constexpr double FITS = 1e-4;
 
-  // Keeps particles out of colliders, and says how fast they are then.
+  // Keeps particles out of colliders, and updates their velocities.
   void settle(double h) {
     const double rate = 1 / h, size = rule_.spacing / 2;
     for (std::size_t i = 0; i < count_; ++i) {
@@ -429,14 +429,13 @@ class Steps {
     }
   }
 
-  // Keeps a place, and a velocity, out of a collider that presses it by an impulse; returns
-  // how deep it was in there.
+  // Moves a position and velocity out of a collider with an impulse; returns the penetration depth.
   double meet(Near& near, Vec before, double rate, double pressed, Vec& x, Vec& v) {
     const double size = rule_.spacing / 2;
     const std::size_t c = static_cast<std::size_t>(near.collider);
     const Collider& collider = colliders_[c];
     double deepest = 0;
-    // Of a container's corner each wall is met in turn.
+    // The walls of a container's corner collide one after another.
     for (int wall = 0; wall < WALLS; ++wall) {
       const Vec from = poses_[c].to_local(before);
       const Sample found = collide::sample_since(collider, from, poses_[c], x, size, size);
@@ -465,7 +464,7 @@ class Steps {
     return deepest;
   }
 
-  // Bodies take what they gave to particles.
+  // Bodies take the opposite impulses of particles.
   void push_bodies(double h, double left) {
     if (bodies_.empty()) return;
     const double share = 1 - left;
@@ -493,11 +492,11 @@ class Steps {
     }
   }
 
-  // Where the one is that fills lists up.
+  // The padding particle of neighbour lists.
   static constexpr double NOWHERE = 1e30;
-  // Of squares of spacings over the viscosity.
+  // Over squared spacing / viscosity.
   static constexpr double STICKY = 0.1;
-  // Of the square root of mass over tension.
+  // Over the square root of mass / tension.
   static constexpr double RIPPLED = 0.5;
 
   const FluidFunctions& loops_ =
@@ -514,7 +513,7 @@ class Steps {
   double compression_ = 0, extent_ = 0;
   Film film_{rule_.spacing};
   Vec middle_;
-  // All in the order of the grid; `order_` says which each is.
+  // All in grid order; `order_` maps to the original order.
   std::vector<std::int32_t> order_, seen_;
   std::vector<std::size_t> first_, near_first_;
   std::vector<double> factor_, squares_, dense_, pressure_, virial_;

@@ -1,6 +1,6 @@
-// Particles of a fluid: how dense it is at each, and steps that keep it from being denser
-// than at rest (M. Macklin, M. Müller, "Position based fluids", 2013; M. Macklin et al., "Small
-// steps in physics simulation", 2019).
+// Particles of a fluid: their density, and steps that keep it at the rest density (M. Macklin, M.
+// Müller, "Position based fluids", 2013; M. Macklin et al., "Small steps in physics simulation",
+// 2019).
 #pragma once
 
 #include <cmath>
@@ -14,64 +14,61 @@ namespace animtool::fluid {
 
 using collide::Vec;
 
-// Radius that particles see each other in, in spacings.
+// Interaction radius of particles, in spacings.
 constexpr double REACH = 2.0;
-// Positions beyond the radius that lists of neighbours hold, over the radius.
+// Margin of neighbour lists beyond the radius, over the radius.
 constexpr double SKIN = 0.15;
-// How much further off walls and bodies count than they are, in spacings: measured by how much
-// fluid is displaced.
+// Effective gap to walls and bodies, in spacings, calibrated by the displaced volume of fluid.
 constexpr double LOOSE = 0.02, LOOSE_AROUND = 0.12;
-// Share of a step to the place where nothing is dense that is taken, of a lattice: all
-// particles step at once, and steps of more than two thirds grow where every second one is
-// dense. All are as stiff, so that pressure has a potential: else it drives fluid round and
-// round for ever. Particles that are much more crowded than a lattice are less stiff, by this
-// share of the squares of their slopes.
+// Relaxation of a step to the lattice solution: all particles move at once, and steps of more than
+// two thirds diverge if every second one is dense. All have the same stiffness, so that pressure
+// has a potential: otherwise it would drive circulation forever. Much denser particles are less
+// stiff, by this fraction of their squared gradients.
 constexpr double RELAXED = 0.45, STEEP = 0.6;
-// Pairs that part or close in by less than this over the speed of sound are noise, which
-// fades by CALM each time that sound goes one spacing; faster ones, hardly. That many parts
-// are taken together.
+// Pairs that separate or approach by less than this over the speed of sound are noise, which decays
+// by CALM each time sound travels one spacing; faster ones hardly decay. This many substeps are
+// combined.
 constexpr double NOISE = 1.6e-3, CALM = 0.1;
-// What that is as a viscosity, over the speed of sound and the spacing, by how it slows shear
-// that is slower than noise.
+// Its equivalent viscosity, over the speed of sound and the spacing, from how it slows shear slower
+// than noise.
 constexpr double CALM_VISCOSITY = 0.012;
 constexpr std::size_t CALMED = 8;
 
-// Weight by distance over the radius, and its slope over the distance, both by the radius and
-// without their scale. Of those of its kind it is the one that makes lattices of this radius
-// nearly as dense when they are strained: where a lattice is the least dense of all, fluid sets,
-// and bodies stick in it.
+// Kernel weight by distance over the radius, and its derivative over the distance, both by the
+// radius and unscaled. Of its family it is the one that keeps lattices of this radius nearly as
+// dense under strain: otherwise fluid sets, and bodies stick in it.
 struct Weight {
   static double at(double q) {
     const double left = 1 - q;
     return left * left * left * (1 + 3 * q - 3 * q * q);
   }
-  // Slope over q.
+  // Derivative over q.
   static double slope(double q) {
     const double left = 1 - q;
     return -3 * q * left * left * (6 - 5 * q);
   }
 };
 
-// What half-spaces and other shapes add to the density of those near them.
+// Contribution of half-spaces and other shapes to the density of particles nearby.
 class Walls {
  public:
   Walls();
 
-  // Sum of the weights of a lattice, one's own among them.
+  // Sum of the weights of a lattice, with the particle itself.
   static double lattice();
 
-  // Share of what a particle sees that is beyond a surface of a curvature (1 over the radius
-  // of a ball, 0 of a plane) at a distance, both in radii, and its slope over the distance.
+  // Fraction of a particle's ball beyond a surface of a curvature (1 over the radius of a ball, 0
+  // for a plane) at a distance, both in radii, and its derivative over the distance.
   void share(double distance, double curvature, double& value, double& slope) const;
 
-  // Sum of squares of the slopes of the density of a lattice, in radii.
+  // Sum of squared density gradients of a lattice, in radii.
   static double steepness();
 
-  // Pressure of the layers that a wall is in place of, by the way to them, over what they add
-  // to the density and the multiplier (R. Clausius's virial).
+  // Pressure of the layers that a wall replaces, by the offset to them, over their density
+  // contribution and the multiplier (virial of R. Clausius).
   static double virial();
 
-  // What all of it would add, in sums of weights.
+  // Contribution of the full half-space, in sums of weights.
   double whole() const { return whole_; }
 
  private:
@@ -86,12 +83,12 @@ class Walls {
 
 const Walls& walls();
 
-// What a collider adds to the density of a particle, as a share of all that may be there.
+// Contribution of a collider to the density of a particle, as a fraction of the full one.
 struct Beyond {
   double share = 0, distance = 0;
-  Vec slope;   // of the share, in the world [1/m]
-  Vec push;    // what of it presses: see `beyond_box`
-  Vec normal;  // the way out of the collider
+  Vec slope;   // gradient of the fraction, in the world [1/m]
+  Vec push;    // pressing part of it: see `beyond_box`
+  Vec normal;  // outward direction of the collider
 };
 
 Beyond beyond(const collide::Collider& c, const collide::Pose& pose, Vec point, double radius);

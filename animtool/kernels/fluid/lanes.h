@@ -1,4 +1,4 @@
-// What neighbours in a fluid do to each other, four at a time.
+// Interactions of neighbours in a fluid, four at a time.
 #pragma once
 
 #include <cstdint>
@@ -7,26 +7,26 @@
 
 namespace animtool {
 
-// Rows of four numbers, those of one more who is too far off to be near anybody. Each pair is
-// with one of its two; the partners of one are a multiple of four, filled up with who is far off.
+// Rows of four numbers, with one extra row for a far padding particle. Each pair is listed once;
+// partner lists are padded to a multiple of four.
 struct FluidPairs {
   std::size_t count;
   const std::size_t* starts;
   const std::int32_t* partners;
-  const double *places, *velocities;  // places with multipliers
-  double* factors;        // of each pair: the slope of its weight over the distance
+  const double *places, *velocities;  // positions with multipliers
+  double* factors;        // of each pair: kernel derivative over the distance
   double *sums, *moved;   // slopes and weights; displacements and virials
   double* squares;        // of slopes
   double inverse, steep;  // 1 over the radius; the scale of slopes
   double drag;            // of velocities
-  double noise;           // speed of particles that is as good as rest
+  double noise;           // speed of particles that counts as rest
 };
 
 struct FluidFunctions {
-  void (*look)(const FluidPairs&);   // fills factors, adds to sums and squares
-  void (*drag)(const FluidPairs&);   // adds to what is moved: viscosity
-  void (*calm)(const FluidPairs&);   // adds to what is moved: the noise of particles
-  void (*press)(const FluidPairs&);  // adds to what is moved: multipliers
+  void (*look)(const FluidPairs&);   // computes factors, adds to sums and squares
+  void (*drag)(const FluidPairs&);   // adds to displacements: viscosity
+  void (*calm)(const FluidPairs&);   // adds to displacements: noise damping
+  void (*press)(const FluidPairs&);  // adds to displacements: pressure multipliers
 };
 const FluidFunctions* fluid_in_quads();  // null where the processor has no such registers
 
@@ -34,9 +34,8 @@ template <class On>
 struct FluidLoops {
   using D = Four<On>;
 
-  // Calls with each particle's partners, four at a time: the place of the first, the rows
-  // from them to it, and what it takes from them; they take the same but of the
-  // other sign, besides the fourth.
+  // Visits each particle's partners, four at a time: position of the first, the rows from them to
+  // it, and its update; partners take the opposite update, except the fourth number.
   template <class Do>
   static void each(const FluidPairs& pairs, double* out, Do act) {
     for (std::size_t i = 0; i < pairs.count; ++i) {
@@ -88,8 +87,8 @@ struct FluidLoops {
     });
   }
 
-  // Of how fast pairs part or close in, what is as slow as the noise of particles. Momentum and
-  // spin stay.
+  // Damps relative speeds along pairs that are as slow as particle noise. Momentum and spin are
+  // conserved.
   static void calm(const FluidPairs& pairs) {
     const D scale = pairs.drag, noise = pairs.noise * pairs.noise, none = 1e-300;
     each(pairs, pairs.moved, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
@@ -105,7 +104,7 @@ struct FluidLoops {
     });
   }
 
-  // Half of what a pair presses, by the way between them, is the virial of each.
+  // Half of a pair's pressure times its offset is the virial of each.
   static void press(const FluidPairs& pairs) {
     each(pairs, pairs.moved, [&](std::size_t, std::size_t k, const D* off, D* parts) {
       const D push = off[3] * D::of(pairs.factors + k);

@@ -1,4 +1,4 @@
-// What neighbours in a fluid do to each other, for processors with registers of four doubles.
+// Interactions of neighbours in a fluid, for processors with registers of four doubles.
 #include "base/quads.h"
 #include "fluid/lanes.h"
 

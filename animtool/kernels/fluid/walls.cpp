@@ -1,4 +1,4 @@
-// What walls and other colliders add to the density of a fluid.
+// Density contributions of walls and other colliders to a fluid.
 #include "fluid/fluid.h"
 
 #include <algorithm>
@@ -31,8 +31,7 @@ void gauss(double* at, double* weight) {
   }
 }
 
-// Calls with the coordinates of each place of a lattice about one, and how far off it is, in
-// radii.
+// Visits each point of a lattice around one, with its distance in radii.
 template <class Act>
 void each_place(Act act) {
   const int far = static_cast<int>(std::ceil(REACH));
@@ -42,8 +41,7 @@ void each_place(Act act) {
         act(x, y, std::sqrt(static_cast<double>(x * x + y * y + z * z)) / REACH);
 }
 
-// Sum of weights over those places of a lattice whose first coordinates are below 0, as many
-// as are asked for.
+// Sum of weights over lattice points whose first coordinates are negative.
 double lattice_beyond(int coordinates) {
   double sum = 0;
   each_place([&](int x, int y, double q) {
@@ -77,9 +75,9 @@ double Walls::virial() {
 Walls::Walls() {
   gauss<SHELLS>(radii_, weights_);
   const double wall = lattice_beyond(1), edge = lattice_beyond(2);
-  // Of an edge both walls see the same corner: as much of it as their product says.
+  // At an edge both walls overlap in the same corner: their product counts once.
   whole_ = wall * wall / edge;
-  // The wall of a lattice adds what the layers would that it is in place of.
+  // A lattice wall contributes what the replaced layers would.
   double least = 0.5, most = 2, value, slope;
   for (int round = 0; round < 60; ++round) {
     scale_ = (least + most) / 2;
@@ -90,10 +88,10 @@ Walls::Walls() {
     integral(2.0 * i / (KNOTS - 1) - 1, 0, flat_[i][0], flat_[i][1]);
 }
 
-// Over shells about the particle: each is cut by the surface in a circle.
+// Integrates over shells around the particle: the surface cuts each in a circle.
 void Walls::integral(double distance, double curved, double& value, double& slope) const {
   const double d = std::clamp(distance * scale_, -1.0, 1.0), curvature = curved / scale_, from = std::fabs(d), span = 1 - from;
-  // One over the integral of the weight over the ball.
+  // 1 / integral of the weight over the ball.
   const double norm = 210.0 / 23;
   value = slope = 0;
   const double stretch = std::max(1 + curvature * d, 1e-3);
@@ -107,7 +105,7 @@ void Walls::integral(double distance, double curved, double& value, double& slop
     if (cosine > -1)
       slope -= shell * ((2 + 2 * curvature * d) / under - cosine * curvature / stretch) / 2;
   }
-  if (d < 0)  // shells that are wholly beyond it
+  if (d < 0)  // shells entirely beyond it
     for (int i = 0; i < SHELLS; ++i) {
       const double r = from * radii_[i];
       value += 4 * r * r * Weight::at(r) * weights_[i] * from * norm;
@@ -138,19 +136,18 @@ namespace {
 double curvature(const Collider& c) {
   double radius = 0;
   if (c.shape == Shape::SPHERE) radius = c.size[3];
-  // A cylinder is half as curved as a ball.
+  // The mean curvature of a cylinder is half that of a ball.
   if (c.shape == Shape::CAPSULE) radius = 2 * c.size[6];
   return radius > 0 ? 1 / (c.container ? -radius : radius) : 0.0;
 }
 
-// Layers of a fluid in motion lie looser than a lattice does: it would keep as much further from
-// a wall, and more from a body that it goes around, in radii.
+// Moving fluid layers are looser than a lattice: the gap to a wall, and to a body it flows around,
+// is larger by this, in radii.
 double nearer(const Collider& c) {
   return (c.container || c.shape == Shape::PLANE ? LOOSE : LOOSE_AROUND) / REACH;
 }
 
-// A box presses through the face that a particle is before: what of the share changes along
-// a face would make it wider than it is.
+// A box presses through the nearest face; changes of the fraction along a face would make it wider.
 void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, Beyond& out) {
   const Vec local = pose.to_local(point);
   const double at[3] = {local.x, local.y, local.z};

@@ -1,4 +1,4 @@
-// Arms of six pins: three that meet in a wrist, or three that are parallel.
+// Closed form of six-pin arms with a spherical wrist or three parallel axes.
 //
 // Angles come one after the other, of geometric subproblems: two vectors that a turn brings
 // together (1), two turns (2), and a turn whose image has a given part along another vector
@@ -55,7 +55,7 @@ Triple crossed(const Triple& a, const Triple& b) {
 
 double size(const Triple& a) { return length(a.data()); }
 
-// A turn about a unit axis.
+// A rotation about a unit axis.
 Triple turned(const Triple& axis, double angle, const Triple& v) {
   const double c = std::cos(angle), s = std::sin(angle), along = (1 - c) * inner(axis, v);
   const Triple side = crossed(axis, v);
@@ -64,14 +64,14 @@ Triple turned(const Triple& axis, double angle, const Triple& v) {
   return out;
 }
 
-// Of an equation no, one or two angles solve; where all do, it is `open`.
+// Solutions of an equation: none, one or two angles, or `open` if all.
 struct Angles {
   int count = 0;
   double values[2] = {};
 };
 
-// Subproblem 1: what turns p to q; `open` where they have no direction across the axis.
-double turn_between(const Triple& axis, const Triple& p, const Triple& q, double open) {
+// Subproblem 1: the rotation from p to q; `open` if they lie on the axis.
+double angle_between(const Triple& axis, const Triple& p, const Triple& q, double open) {
   const Triple side = crossed(axis, p), other = crossed(axis, q);
   if (std::min(size(side), size(other)) < ARM_OPEN) return open;
   return std::atan2(inner(axis, crossed(side, other)), inner(side, other));
@@ -79,29 +79,29 @@ double turn_between(const Triple& axis, const Triple& p, const Triple& q, double
 
 // Subproblem 4: the turns of p about an axis whose part along h is d; `slack` beyond what there
 // is counts as the most.
-Angles turns_along(const Triple& axis, const Triple& p, const Triple& h, double d, double slack,
+Angles angles_along(const Triple& axis, const Triple& p, const Triple& h, double d, double slack,
                    double open) {
   const double along = inner(h, axis) * inner(axis, p);
-  const double even = inner(h, p) - along, odd = inner(h, crossed(axis, p)), rest = d - along;
-  const double most = std::hypot(even, odd);
+  const double even = inner(h, p) - along, sine_part = inner(h, crossed(axis, p)), rest = d - along;
+  const double most = std::hypot(even, sine_part);
   if (most < ARM_OPEN) return std::fabs(rest) < ARM_OPEN + slack ? Angles{1, {open}} : Angles{};
-  const double share = rest / most;
-  if (std::fabs(share) > 1 + slack / most) return {};
-  const double middle = std::atan2(odd, even), held = std::clamp(share, -1.0, 1.0);
-  const double away = std::atan2(std::sqrt((1 - held) * (1 + held)), held);
+  const double cosine = rest / most;
+  if (std::fabs(cosine) > 1 + slack / most) return {};
+  const double middle = std::atan2(sine_part, even), clamped = std::clamp(cosine, -1.0, 1.0);
+  const double away = std::atan2(std::sqrt((1 - clamped) * (1 + clamped)), clamped);
   return {2, {middle + away, middle - away}};
 }
 
 // Subproblem 3: the turns of p about an axis that are so far from q.
-Angles turns_at(const Triple& axis, const Triple& p, const Triple& q, double distance,
+Angles angles_at_distance(const Triple& axis, const Triple& p, const Triple& q, double distance,
                 double slack, double open) {
-  return turns_along(axis, p, q, (inner(p, p) + inner(q, q) - distance * distance) / 2, slack,
+  return angles_along(axis, p, q, (inner(p, p) + inner(q, q) - distance * distance) / 2, slack,
                      open);
 }
 
-// Subproblem 2: turns of p about one axis and of q about another to the same vector.
+// Subproblem 2: rotations of p and of q about two axes to a common vector.
 template <class Use>
-void turns_together(const Triple& first, const Triple& p, const Triple& second, const Triple& q,
+void angles_to_common(const Triple& first, const Triple& p, const Triple& second, const Triple& q,
                     double slack, double open_first, double open_second, Use&& use) {
   const double mixed = inner(first, second), sine = 1 - mixed * mixed;
   const double along = inner(first, p), other = inner(second, q);
@@ -113,18 +113,18 @@ void turns_together(const Triple& first, const Triple& p, const Triple& second, 
   const double height = std::sqrt(std::max(left, 0.0) / sine);
   for (const double sign : {1.0, -1.0}) {
     const Triple meeting = plus(flat, times(sign * height, normal));
-    use(turn_between(first, p, meeting, open_first), turn_between(second, q, meeting, open_second));
+    use(angle_between(first, p, meeting, open_first), angle_between(second, q, meeting, open_second));
   }
 }
 
-// A line of an axis, and how two of them are to each other.
+// The line of an axis, and the relation of two lines.
 struct Line {
   Triple axis, at;
 };
 
 double out_of_parallel(const Line& a, const Line& b) { return size(crossed(a.axis, b.axis)); }
 
-// The point of line a nearest to line b, and how far b is from it.
+// The point of line a nearest to line b, and their distance.
 double meeting(const Line& a, const Line& b, Triple& point) {
   const Triple between = minus(b.at, a.at);
   const double mixed = inner(a.axis, b.axis), sine = 1 - mixed * mixed;
@@ -140,10 +140,10 @@ bool on_line(const Triple& point, const Line& line) {
   return size(minus(away, times(inner(away, line.axis), line.axis))) < ARM_NEARLY;
 }
 
-// How the first three axes bring a wrist to its place.
+// Methods to place the wrist with the first three axes.
 enum class Approach { NONE, LATER_PARALLEL, LATER_MEET, EARLIER_MEET, EARLIER_PARALLEL };
 
-// What is known of an arm from its pose without angles.
+// Geometry of an arm at zero angles.
 struct Anatomy {
   ArmKind kind = ArmKind::NONE;
   Approach reach = Approach::NONE;
@@ -151,7 +151,7 @@ struct Anatomy {
   Triple wrist;  // where the last axes meet: all three, or the last two
   Triple joint;  // where two of the first three meet
   Triple tip;
-  double still[9];  // the rotation of the last node
+  double unrotated[9];  // the rotation of the last node
 };
 
 bool is_arm(const Task& task) {
@@ -189,8 +189,8 @@ Anatomy look(const Task& task) {
     std::copy_n(&frames.axes[9 * n], 3, arm.lines[n].axis.data());
     std::copy_n(&frames.origins[3 * n], 3, arm.lines[n].at.data());
   }
-  std::copy_n(&frames.rotations[9 * (ARM_PINS - 1)], 9, arm.still);
-  rotate(arm.still, task.goals[0].offset, arm.tip.data());
+  std::copy_n(&frames.rotations[9 * (ARM_PINS - 1)], 9, arm.unrotated);
+  rotate(arm.unrotated, task.goals[0].offset, arm.tip.data());
   arm.tip = plus(arm.tip, arm.lines[ARM_PINS - 1].at);
   if (!(meeting(arm.lines[4], arm.lines[5], arm.wrist) < ARM_NEARLY)) return arm;
   const Line* lines = arm.lines;
@@ -219,7 +219,7 @@ class SixPins : public Arm {
              double* misses) override {
     const std::size_t count = find(start, target);
     for (std::size_t i = 0; i < count; ++i) {
-      if (!finish(found_[order_[i]].angles, target)) continue;
+      if (!finish(branches_[order_[i]].angles, target)) continue;
       std::copy(state_.q.begin(), state_.q.end(), q);
       std::copy(state_.misses.begin(), state_.misses.end(), misses);
       return true;
@@ -231,7 +231,7 @@ class SixPins : public Arm {
     const std::size_t count = find(start, target);
     std::size_t kept = 0;
     for (std::size_t i = 0; i < count; ++i) {
-      if (!finish(found_[order_[i]].angles, target)) continue;
+      if (!finish(branches_[order_[i]].angles, target)) continue;
       double* pose = poses + ARM_PINS * kept;
       std::copy(state_.q.begin(), state_.q.end(), pose);
       kept += !known(poses, kept, pose);
@@ -240,17 +240,17 @@ class SixPins : public Arm {
   }
 
  private:
-  struct Found {
+  struct Branch {
     double angles[ARM_PINS], distance;
   };
 
   // Whether a pose is one of those before it: branches that meet in a singular pose.
   static bool known(const double* poses, std::size_t count, const double* pose) {
     for (std::size_t i = 0; i < count; ++i) {
-      double apart = 0;
+      double largest = 0;
       for (std::size_t k = 0; k < ARM_PINS; ++k)
-        apart = std::max(apart, std::fabs(poses[ARM_PINS * i + k] - pose[k]));
-      if (apart < 1e-7) return true;
+        largest = std::max(largest, std::fabs(poses[ARM_PINS * i + k] - pose[k]));
+      if (largest < 1e-7) return true;
     }
     return false;
   }
@@ -264,7 +264,7 @@ class SixPins : public Arm {
     start_ = start;
     double goal[9], back[9];
     to_matrix(target + COLUMNS[orientation], goal);
-    for (int i = 0; i < 9; ++i) back[i] = arm_.still[3 * (i % 3) + i / 3];
+    for (int i = 0; i < 9; ++i) back[i] = arm_.unrotated[3 * (i % 3) + i / 3];
     multiply(goal, back, goal_);
     const Triple away = minus(arm_.wrist, arm_.tip);
     rotate(goal_, away.data(), wrist_.data());
@@ -276,7 +276,7 @@ class SixPins : public Arm {
     std::iota(order_.begin(), order_.end(), 0);
     std::stable_sort(order_.begin(), order_.begin() + static_cast<std::ptrdiff_t>(count_),
                      [&](std::size_t a, std::size_t b) {
-                       return found_[a].distance < found_[b].distance;
+                       return branches_[a].distance < branches_[b].distance;
                      });
     return count_;
   }
@@ -323,18 +323,18 @@ class SixPins : public Arm {
   void later_parallel() {
     const double along = inner(axis(1), minus(arm_.wrist, at(0)));
     const Triple back = times(-1, axis(0));
-    each(turns_along(back, minus(wrist_, at(0)), axis(1), along, SLACK, start_[0]),
+    each(angles_along(back, minus(wrist_, at(0)), axis(1), along, SLACK, start_[0]),
          [&](double first) { in_plane(first, before_first(first), arm_.wrist); });
   }
 
   // Second and third angle by the sides of a triangle.
   void in_plane(double first, const Triple& goal, const Triple& point) {
     const double far = size(minus(goal, at(1)));
-    each(turns_at(axis(2), minus(point, at(2)), minus(at(1), at(2)), far, SLACK, start_[2]),
+    each(angles_at_distance(axis(2), minus(point, at(2)), minus(at(1), at(2)), far, SLACK, start_[2]),
          [&](double third) {
            const Triple placed = moved(2, third, point);
            const double second =
-               turn_between(axis(1), minus(placed, at(1)), minus(goal, at(1)), start_[1]);
+               angle_between(axis(1), minus(placed, at(1)), minus(goal, at(1)), start_[1]);
            wrist(first, second, third);
          });
   }
@@ -343,9 +343,9 @@ class SixPins : public Arm {
     const Triple& joint = arm_.joint;
     const Triple back = times(-1, axis(0));
     const double far = size(minus(arm_.wrist, joint));
-    each(turns_at(back, minus(wrist_, at(0)), minus(joint, at(0)), far, SLACK, start_[0]),
+    each(angles_at_distance(back, minus(wrist_, at(0)), minus(joint, at(0)), far, SLACK, start_[0]),
          [&](double first) {
-           turns_together(times(-1, axis(1)), minus(before_first(first), joint), axis(2),
+           angles_to_common(times(-1, axis(1)), minus(before_first(first), joint), axis(2),
                           minus(arm_.wrist, joint), SLACK, start_[1], start_[2],
                           [&](double second, double third) { wrist(first, second, third); });
          });
@@ -354,10 +354,10 @@ class SixPins : public Arm {
   void earlier_meet() {
     const Triple& joint = arm_.joint;
     const double far = size(minus(wrist_, joint));
-    each(turns_at(axis(2), minus(arm_.wrist, at(2)), minus(joint, at(2)), far, SLACK, start_[2]),
+    each(angles_at_distance(axis(2), minus(arm_.wrist, at(2)), minus(joint, at(2)), far, SLACK, start_[2]),
          [&](double third) {
            const Triple placed = moved(2, third, arm_.wrist);
-           turns_together(times(-1, axis(0)), minus(wrist_, joint), axis(1), minus(placed, joint),
+           angles_to_common(times(-1, axis(0)), minus(wrist_, joint), axis(1), minus(placed, joint),
                           SLACK, start_[0], start_[1],
                           [&](double first, double second) { wrist(first, second, third); });
          });
@@ -365,16 +365,16 @@ class SixPins : public Arm {
 
   void earlier_parallel() {
     const double along = inner(axis(0), minus(wrist_, at(2)));
-    each(turns_along(axis(2), minus(arm_.wrist, at(2)), axis(0), along, SLACK, start_[2]),
+    each(angles_along(axis(2), minus(arm_.wrist, at(2)), axis(0), along, SLACK, start_[2]),
          [&](double third) {
            const Triple placed = moved(2, third, arm_.wrist);
            const double far = size(minus(wrist_, at(0)));
-           each(turns_at(axis(1), minus(placed, at(1)), minus(at(0), at(1)), far, SLACK,
+           each(angles_at_distance(axis(1), minus(placed, at(1)), minus(at(0), at(1)), far, SLACK,
                          start_[1]),
                 [&](double second) {
                   const Triple there = moved(1, second, placed);
                   const double first =
-                      turn_between(axis(0), minus(there, at(0)), minus(wrist_, at(0)), start_[0]);
+                      angle_between(axis(0), minus(there, at(0)), minus(wrist_, at(0)), start_[0]);
                   wrist(first, second, third);
                 });
          });
@@ -386,16 +386,16 @@ class SixPins : public Arm {
       return turned(axis(2), -third, turned(axis(1), -second, turned(axis(0), -first, v)));
     };
     const Triple end = left(goal_turned(axis(5)));
-    each(turns_along(axis(4), axis(5), axis(3), inner(axis(3), end), SLACK, start_[4]),
+    each(angles_along(axis(4), axis(5), axis(3), inner(axis(3), end), SLACK, start_[4]),
          [&](double fifth) {
            const Triple bent = turned(axis(4), fifth, axis(5));
-           const double fourth = turn_between(axis(3), bent, end, start_[3]);
+           const double fourth = angle_between(axis(3), bent, end, start_[3]);
            // Of the vector farthest from the last axis, so that the fourth's error is undone.
            const Triple side = across(axis(5));
            const Triple goal = left(goal_turned(side));
            const Triple open = turned(axis(4), -fifth, turned(axis(3), -fourth, goal));
            add({first, second, third, fourth, fifth,
-                turn_between(axis(5), side, open, start_[5])});
+                angle_between(axis(5), side, open, start_[5])});
          });
   }
 
@@ -413,32 +413,32 @@ class SixPins : public Arm {
     const Triple back = times(-1, axis(0));
     const double along = inner(normal, minus(arm_.wrist, at(0)));
     const Triple end = goal_turned(axis(5));
-    each(turns_along(back, minus(wrist_, at(0)), normal, along, SLACK, start_[0]),
+    each(angles_along(back, minus(wrist_, at(0)), normal, along, SLACK, start_[0]),
          [&](double first) {
            const Triple goal = before_first(first);
            const double shown = inner(normal, turned(axis(0), -first, end));
-           each(turns_along(axis(4), axis(5), normal, shown, SLACK, start_[4]),
+           each(angles_along(axis(4), axis(5), normal, shown, SLACK, start_[4]),
                 [&](double fifth) { parallel(first, fifth, goal); });
          });
   }
 
   void parallel(double first, double fifth, const Triple& goal) {
     const Triple& normal = axis(1);
-    const Triple seen = goal_undone(turned(axis(0), first, normal));
+    const Triple undone = goal_undone(turned(axis(0), first, normal));
     const double sixth =
-        turn_between(axis(5), seen, turned(axis(4), -fifth, normal), start_[5]);
+        angle_between(axis(5), undone, turned(axis(4), -fifth, normal), start_[5]);
     // All three parallel turns together.
     const Triple side = across(normal);
     const Triple last = turned(axis(5), -sixth, turned(axis(4), -fifth, side));
     const Triple shown = turned(axis(0), -first, goal_turned(last));
-    const double sum = turn_between(normal, side, shown, 0);
+    const double sum = angle_between(normal, side, shown, 0);
     const Triple elbow = minus(goal, turned(normal, sum, minus(arm_.wrist, at(3))));
     const double far = size(minus(elbow, at(1)));
-    each(turns_at(axis(2), minus(at(3), at(2)), minus(at(1), at(2)), far, SLACK, start_[2]),
+    each(angles_at_distance(axis(2), minus(at(3), at(2)), minus(at(1), at(2)), far, SLACK, start_[2]),
          [&](double third) {
            const Triple placed = moved(2, third, at(3));
            const double second =
-               turn_between(normal, minus(placed, at(1)), minus(elbow, at(1)), start_[1]);
+               angle_between(normal, minus(placed, at(1)), minus(elbow, at(1)), start_[1]);
            add({first, second, third, sum - second - third, fifth, sixth});
          });
   }
@@ -450,14 +450,14 @@ class SixPins : public Arm {
 
   // Takes a pose, each angle the nearest to the start within its limits.
   void add(const std::array<double, ARM_PINS>& angles) {
-    if (count_ == found_.size()) return;
-    Found& pose = found_[count_];
+    if (count_ == branches_.size()) return;
+    Branch& pose = branches_[count_];
     pose.distance = 0;
     for (std::size_t n = 0; n < ARM_PINS; ++n) {
       const double* limit = task_.chain.nodes[n].limit;
-      double angle = angles[n] + TURN * std::nearbyint((start_[n] - angles[n]) / TURN);
-      if (angle < limit[0] - SLACK) angle += TURN * std::ceil((limit[0] - SLACK - angle) / TURN);
-      if (angle > limit[1] + SLACK) angle -= TURN * std::ceil((angle - limit[1] - SLACK) / TURN);
+      double angle = angles[n] + REVOLUTION * std::nearbyint((start_[n] - angles[n]) / REVOLUTION);
+      if (angle < limit[0] - SLACK) angle += REVOLUTION * std::ceil((limit[0] - SLACK - angle) / REVOLUTION);
+      if (angle > limit[1] + SLACK) angle -= REVOLUTION * std::ceil((angle - limit[1] - SLACK) / REVOLUTION);
       if (!(angle >= limit[0] - SLACK)) return;
       pose.angles[n] = std::clamp(angle, limit[0], limit[1]);
       pose.distance += (angle - start_[n]) * (angle - start_[n]);
@@ -529,8 +529,8 @@ class SixPins : public Arm {
       if (rank == 0) first = std::fabs(pivot);
       if (!(std::fabs(pivot) > ARM_PIVOT * first)) break;
       for (std::size_t r = rank + 1; r < ARM_PINS; ++r) {
-        const double share = rows[r][rank] / pivot;
-        for (std::size_t c = rank; c <= ARM_PINS; ++c) rows[r][c] -= share * rows[rank][c];
+        const double cosine = rows[r][rank] / pivot;
+        for (std::size_t c = rank; c <= ARM_PINS; ++c) rows[r][c] -= cosine * rows[rank][c];
       }
     }
     std::fill(step, step + ARM_PINS, 0.0);
@@ -552,7 +552,7 @@ class SixPins : public Arm {
   double goal_[9];  // what turns the last node from its pose without angles
   Triple wrist_;    // where the wrist has to be
   const double* start_ = nullptr;
-  std::array<Found, MOST_BRANCHES> found_;
+  std::array<Branch, MOST_BRANCHES> branches_;
   std::array<std::size_t, MOST_BRANCHES> order_;
   std::size_t count_ = 0;
 };

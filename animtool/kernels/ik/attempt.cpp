@@ -18,7 +18,7 @@ bool Attempt::open(const double* start, const double* targets, const double* res
 Descent::End Descent::descend(double damping, bool thorough) {
   ++outcome_.descents;
   bool fresh = true;
-  double grow = 2, marked = now_.cost, trusted = LONGEST_TURN;
+  double grow = 2, marked = now_.cost, trusted = MAX_ROTATION;
   int slow = 0;
   for (int since = 0;; ++since) {
     if (!(task_.rest_weight > 0) && reached(now_)) return End::REACHED;
@@ -27,12 +27,12 @@ Descent::End Descent::descend(double damping, bool thorough) {
     ++outcome_.iterations;
     const bool curved = thorough && (now_.cost > FAR || slow > 1);
     const double gain = try_step(curved ? LEAST_DAMPING : damping, curved, trusted);
-    if (std::fabs(gain) <= still_gain_ * now_.cost) return End::STILL;
+    if (std::fabs(gain) <= least_gain_ * now_.cost) return End::STUCK;
     const double ratio = gain > 0 ? (now_.cost - next_.cost) / gain : 0;
     fresh = ratio > LEAST_RATIO && next_.cost < now_.cost;
     if (curved)
-      trusted = ratio < 0.25  ? 0.3 * stepper_.turn()
-                : ratio > 0.5 ? std::min(2.5 * trusted, LONGEST_TURN)
+      trusted = ratio < 0.25  ? 0.3 * stepper_.rotation()
+                : ratio > 0.5 ? std::min(2.5 * trusted, MAX_ROTATION)
                               : trusted;
     else if (fresh)
       damping = ratio > 0.75   ? std::max(damping * 0.1, LEAST_DAMPING)
@@ -41,7 +41,7 @@ Descent::End Descent::descend(double damping, bool thorough) {
     else
       damping = std::max(damping, 1e-9) * grow;
     grow = fresh ? 2 : grow * 2;
-    if (damping > MOST_DAMPING || trusted < LEAST_TURN) return End::STILL;
+    if (damping > MOST_DAMPING || trusted < MIN_ROTATION) return End::STUCK;
     if (fresh) {
       slow = next_.cost > 0.5 * now_.cost ? slow + 1 : 0;
       std::swap(now_, next_);

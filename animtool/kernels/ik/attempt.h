@@ -32,28 +32,28 @@ class Random {
 inline void sample(const Chain& chain, const double* home, Random& random, double* q) {
   for (const Node& node : chain.nodes) {
     if (node.follows) continue;
-    double* own = q + node.coordinate;
+    double* values = q + node.coordinate;
     const double* l = node.limit;
     const double middle = home[node.coordinate];
     if (node.kind == Kind::BALL) {
       SwingTwist parts;
       const double reach = std::sqrt(random.between(0, 1));
-      const double angle = random.between(0, TURN);
-      parts.swing[0] = reach * std::min(l[0], TURN / 2) * std::cos(angle);
-      parts.swing[1] = reach * std::min(l[1], TURN / 2) * std::sin(angle);
-      parts.twist = random.between(std::max(l[2], -TURN / 2), std::min(l[3], TURN / 2));
-      join(parts, own);
-      clamp_ball(own, l);
-    } else if (l[1] - l[0] < TURN) {
-      own[0] = random.between(l[0], l[1]);
+      const double angle = random.between(0, REVOLUTION);
+      parts.swing[0] = reach * std::min(l[0], REVOLUTION / 2) * std::cos(angle);
+      parts.swing[1] = reach * std::min(l[1], REVOLUTION / 2) * std::sin(angle);
+      parts.twist = random.between(std::max(l[2], -REVOLUTION / 2), std::min(l[3], REVOLUTION / 2));
+      join(parts, values);
+      clamp_ball(values, l);
+    } else if (l[1] - l[0] < REVOLUTION) {
+      values[0] = random.between(l[0], l[1]);
     } else {
-      const double half = node.kind == Kind::PIN ? TURN / 2 : 1;
-      own[0] = std::clamp(middle + random.between(-half, half), l[0], l[1]);
+      const double half = node.kind == Kind::PIN ? REVOLUTION / 2 : 1;
+      values[0] = std::clamp(middle + random.between(-half, half), l[0], l[1]);
     }
   }
 }
 
-// One problem on its way: poses, what they cost, and when to stop.
+// The state of one solve: poses, costs and stopping tests.
 
 struct Settings {
   double length_tolerance;  // of the chain's length
@@ -63,7 +63,7 @@ struct Settings {
   int restarts;
   std::uint64_t seed;
   double seconds;   // 0 is no bound
-  bool own_starts;  // frames of a clip begin at poses of their own
+  bool separate_starts;  // frames of a clip begin at poses of their own
 
   double tolerance(int part) const { return METRIC[part] ? length_tolerance : angle_tolerance; }
 };
@@ -84,7 +84,7 @@ struct Outcome {
   int descents = 0;
 };
 
-// A way of solving, from problem to problem.
+// A solver of consecutive problems.
 class Solver {
  public:
   virtual ~Solver() = default;
@@ -97,14 +97,14 @@ class Solver {
   virtual const State& best() const = 0;
 };
 
-// What the ways of solving share.
+// Base of the solvers.
 class Attempt {
  public:
   const State& best() const { return best_; }
   const Outcome& outcome() const { return outcome_; }
 
   // The share of the budget that may be spent from here on.
-  void allow(double share) { allowance_ = share; }
+  void allow(double fraction) { allowance_ = fraction; }
 
   bool spent() const {
     if (outcome_.iterations >= allowance_ * settings_.iterations) return true;
@@ -114,9 +114,9 @@ class Attempt {
   }
 
   // Whether a goal's misses are within a share of the tolerances.
-  bool within(const double* misses, double share = 1) const {
+  bool within(const double* misses, double fraction = 1) const {
     for (int part = 0; part < PARTS; ++part)
-      if (misses[part] > share * settings_.tolerance(part)) return false;
+      if (misses[part] > fraction * settings_.tolerance(part)) return false;
     return true;
   }
 
@@ -177,13 +177,13 @@ class Attempt {
   std::chrono::steady_clock::time_point began_;
 };
 
-// The way downhill from a pose.
+// Descent from a pose.
 
 class Descent : public Attempt {
  protected:
   using Attempt::Attempt;
 
-  enum class End { REACHED, STILL, SLOW, BUDGET };
+  enum class End { REACHED, STUCK, SLOW, BUDGET };
 
   // Bounds of the damping of all descents.
   static constexpr double LEAST_DAMPING = 1e-12, MOST_DAMPING = 1e8;
@@ -194,11 +194,11 @@ class Descent : public Attempt {
   static constexpr double FAR = 0.5;
   // A step is taken that brings this share of what it promised, and none is left that
   // turns by less [rad].
-  static constexpr double LEAST_RATIO = 1e-4, LEAST_TURN = 1e-10;
+  static constexpr double LEAST_RATIO = 1e-4, MIN_ROTATION = 1e-10;
   // Nor one that promises this share of the cost: what rounding leaves, unless less will
   // do.
   static constexpr double ROUNDED = 1e-15;
-  double still_gain_ = ROUNDED;
+  double least_gain_ = ROUNDED;
 
   // Moves now_ downhill: Levenberg-Marquardt, and with the whole Hessian in a region of
   // trust where the goals are far or progress is slow. Not `thorough`, it gives up

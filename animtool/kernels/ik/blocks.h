@@ -1,5 +1,5 @@
-// Systems over time: a full block (D, D) a frame, multiples of the identity one and two frames
-// off the diagonal.
+// Block-pentadiagonal systems over time: a full block (D, D) per frame, multiples of the
+// identity in the blocks one and two frames off the diagonal.
 #pragma once
 
 #include <cstddef>
@@ -45,20 +45,20 @@ class BlockBand {
   // Solves in place for `width` numbers a frame.
   void solve(double* x) {
     for (int t = 0; t < count_; ++t) {
-      double* own = x + static_cast<std::size_t>(t) * width_;
-      if (t > 0) subtract(near(t), own - width_, own);
-      if (t > 1) subtract_upper(inverse(t - 2), off_[2 * t + 1], own - 2 * width_, own);
-      std::copy(own, own + width_, part_.begin());
-      upper_transposed(inverse(t), 1, part_.data(), own, true);
+      double* row_t = x + static_cast<std::size_t>(t) * width_;
+      if (t > 0) subtract(near(t), row_t - width_, row_t);
+      if (t > 1) subtract_upper(inverse(t - 2), off_[2 * t + 1], row_t - 2 * width_, row_t);
+      std::copy(row_t, row_t + width_, part_.begin());
+      upper_transposed(inverse(t), 1, part_.data(), row_t, true);
     }
     for (int t = count_; t-- > 0;) {
-      double* own = x + static_cast<std::size_t>(t) * width_;
-      if (t + 1 < count_) subtract_transposed(near(t + 1), own + width_, own);
+      double* row_t = x + static_cast<std::size_t>(t) * width_;
+      if (t + 1 < count_) subtract_transposed(near(t + 1), row_t + width_, row_t);
       if (t + 2 < count_)
-        upper_transposed(inverse(t), -off_[2 * (t + 2) + 1], own + 2 * width_, own, false);
-      std::copy(own, own + width_, part_.begin());
-      std::fill(own, own + width_, 0.0);
-      subtract_upper(inverse(t), -1, part_.data(), own);
+        upper_transposed(inverse(t), -off_[2 * (t + 2) + 1], row_t + 2 * width_, row_t, false);
+      std::copy(row_t, row_t + width_, part_.begin());
+      std::fill(row_t, row_t + width_, 0.0);
+      subtract_upper(inverse(t), -1, part_.data(), row_t);
     }
   }
 

@@ -8,35 +8,35 @@ void forward(const Chain& chain, const double* q, std::size_t first, std::size_t
   if (!chain.programs.empty()) Evaluation(chain.programs, q, frames.results).run();
   for (std::size_t n = first; n < end; ++n) {
     const Node& node = chain.nodes[n];
-    double still[9];
+    double unrotated[9];
     double* origin = &frames.origins[3 * n];
     double* rotation = &frames.rotations[9 * n];
     double* axes = &frames.axes[9 * n];
     if (node.parent < 0) {
-      std::copy(node.rest, node.rest + 9, still);
+      std::copy(node.rest, node.rest + 9, unrotated);
       std::copy(node.offset, node.offset + 3, origin);
     } else {
       const double* parent = &frames.rotations[9 * node.parent];
       const double* base = &frames.origins[3 * node.parent];
-      multiply(parent, node.rest, still);
+      multiply(parent, node.rest, unrotated);
       rotate(parent, node.offset, origin);
       for (int i = 0; i < 3; ++i) origin[i] += base[i];
     }
-    const double* own = q + node.coordinate;
+    const double* numbers = q + node.coordinate;
     if (node.kind == Kind::BALL) {
       double motion[9];
-      to_matrix(own, motion);
-      multiply(still, motion, rotation);
-      for (int i = 0; i < 9; ++i) axes[3 * (i % 3) + i / 3] = still[i];
+      to_matrix(numbers, motion);
+      multiply(unrotated, motion, rotation);
+      for (int i = 0; i < 9; ++i) axes[3 * (i % 3) + i / 3] = unrotated[i];
       continue;
     }
-    const double by = node.program < 0 ? own[0] : frames.results.values[node.program];
+    const double by = node.program < 0 ? numbers[0] : frames.results.values[node.program];
     const double value = node.gain * by + node.shift;
-    for (int i = 0; i < 3; ++i) axes[i] = still[3 * i + 2];
+    for (int i = 0; i < 3; ++i) axes[i] = unrotated[3 * i + 2];
     if (node.kind == Kind::PIN) {
-      turn_about_z(still, value, rotation);
+      rotate_about_z(unrotated, value, rotation);
     } else {
-      std::copy(still, still + 9, rotation);
+      std::copy(unrotated, unrotated + 9, rotation);
       for (int i = 0; i < 3; ++i) origin[i] += axes[i] * value;
     }
   }
@@ -48,9 +48,9 @@ void difference(const Chain& chain, const double* from, const double* to, double
     const double *a = from + node.coordinate, *b = to + node.coordinate;
     if (node.kind == Kind::BALL) {
       const double back[4] = {-a[0], -a[1], -a[2], a[3]};
-      double turn[4];
-      product(b, back, turn);
-      logarithm(turn, out + node.dof);
+      double between[4];
+      product(b, back, between);
+      logarithm(between, out + node.dof);
     } else {
       out[node.dof] = b[0] - a[0];
     }

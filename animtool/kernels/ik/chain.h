@@ -1,4 +1,4 @@
-// The joints that move a goal, and where they stand.
+// Kinematic chain: its nodes and their world frames.
 #pragma once
 
 #include <vector>
@@ -35,7 +35,7 @@ struct Chain {
   int dofs = 0;
 };
 
-// World frames of the nodes after their own motion, and the axes that they move about.
+// World frames of the nodes after their motion, and their axes.
 struct Frames {
   std::vector<double> rotations;  // (N, 3, 3)
   std::vector<double> origins;    // (N, 3)
@@ -78,7 +78,7 @@ void each_dof(const Chain& chain, const Node& node, Use&& use) {
     for (const int d : chain.programs[node.program].dofs) use(d);
 }
 
-inline void turn_about_z(const double* r, double angle, double* out) {
+inline void rotate_about_z(const double* r, double angle, double* out) {
   const double c = std::cos(angle), s = std::sin(angle);
   for (int i = 0; i < 9; i += 3) {
     out[i] = c * r[i] + s * r[i + 1];
@@ -95,7 +95,7 @@ inline void forward(const Chain& chain, const double* q, Frames& frames) {
   forward(chain, q, 0, chain.nodes.size(), frames);
 }
 
-// How a point and a frame carried by a node move with one of its axes.
+// Velocity of a point and a frame of a node per unit motion about one of its axes.
 inline void velocity(const Node& node, const double* axis, const double* origin,
                      const double* point, double* linear, double* angular) {
   if (node.kind == Kind::SLIDE) {
@@ -107,7 +107,7 @@ inline void velocity(const Node& node, const double* axis, const double* origin,
   for (int i = 0; i < 3; ++i) angular[i] = axis[i];
 }
 
-// How far poses are apart.
+// Differences of poses.
 
 // Tangent vector (D,) that takes one pose to another, balls about their own rest frame.
 void difference(const Chain& chain, const double* from, const double* to, double* out);
@@ -124,7 +124,7 @@ inline void pull_back(const double* v, const double* y, double side, double* out
   for (int i = 0; i < 3; ++i) out[i] = y[i] + side * first[i] / 2 + factor * second[i];
 }
 
-// The turn of one joint that serves its goals best by itself.
+// The rotation of a single joint that is best for its goals.
 
 // Sums over what a joint turns, for C cos(angle) + S sin(angle) about an axis, which is to
 // be the largest: for a vector that is to turn onto another, their product; for a
@@ -136,11 +136,11 @@ struct Pull {
   double trace = 0;       // sum of a . b: C = trace - axis . moment axis
 
   void add(double weight, const double* from, const double* to) {
-    double turn[3];
-    cross(from, to, turn);
+    double crossed[3];
+    cross(from, to, crossed);
     trace += weight * dot(from, to);
     for (int i = 0; i < 3; ++i) {
-      torque[i] += weight * turn[i];
+      torque[i] += weight * crossed[i];
       for (int j = 0; j < 3; ++j) moment[3 * i + j] += weight * from[i] * to[j];
     }
   }

@@ -1,4 +1,4 @@
-// Poses in closed form.
+// Closed-form solvers.
 #pragma once
 
 #include <memory>
@@ -7,7 +7,7 @@
 
 namespace animtool::ik {
 
-// Of one kind of chain, with one goal.
+// Closed form of one kind of chain with one goal.
 class ClosedForm {
  public:
   virtual ~ClosedForm() = default;

@@ -1,4 +1,4 @@
-// Programs of joints that follow others, run.
+// Evaluates programs of driven joints.
 #include "ik/driver.h"
 
 namespace animtool::ik {
@@ -23,15 +23,15 @@ void Evaluation::run(std::size_t p) {
 
 void Evaluation::join(int count, double value, double a, double b, double c) {
   top_ -= count - 1;
-  double* own = at(top_ - 1);
+  double* top = at(top_ - 1);
   const double by[3] = {a, b, c};
-  own[0] = value;
+  top[0] = value;
   for (std::size_t s = 1; s <= slots_; ++s) {
     double sum = 0;
     for (int k = 0; k < count; ++k)
       // What a value does not depend on is 0, however steep.
       if (at(top_ - 1 + k)[s] != 0) sum += by[k] * at(top_ - 1 + k)[s];
-    own[s] = sum;
+    top[s] = sum;
   }
 }
 
@@ -78,8 +78,8 @@ void Evaluation::result(const Program& program, const Instruction& one) {
   const Program& other = programs_[one.which];
   double* slopes = push(one.numbers[0] * results_.values[one.which]);
   for (std::size_t k = 0; k < other.dofs.size(); ++k) {
-    const auto place = std::lower_bound(program.dofs.begin(), program.dofs.end(), other.dofs[k]);
-    slopes[place - program.dofs.begin()] =
+    const auto position = std::lower_bound(program.dofs.begin(), program.dofs.end(), other.dofs[k]);
+    slopes[position - program.dofs.begin()] =
         one.numbers[0] * results_.slopes[other.first + k];
   }
 }

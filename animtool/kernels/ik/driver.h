@@ -1,4 +1,4 @@
-// Joints that follow several others by arithmetic: values, and slopes by forward mode.
+// Driven joints: values by arithmetic on other joints, derivatives by forward mode.
 //
 // A program is in reverse Polish notation, over coordinates and the results of programs
 // before it. Slopes are taken over the degrees of freedom that it reads.
@@ -52,7 +52,7 @@ struct Program {
   std::size_t depth = 0;  // values stacked at most
 };
 
-// What programs come to at a pose.
+// Results of programs at a pose.
 struct Results {
   std::vector<double> values, slopes;
   std::vector<double> stack;
@@ -82,10 +82,10 @@ class Evaluation {
   double* at(std::size_t i) { return &results_.stack[i * (1 + slots_)]; }
 
   double* push(double value) {
-    double* own = at(top_++);
-    own[0] = value;
-    std::fill(own + 1, own + 1 + slots_, 0.0);
-    return own + 1;
+    double* top = at(top_++);
+    top[0] = value;
+    std::fill(top + 1, top + 1 + slots_, 0.0);
+    return top + 1;
   }
 
   // The result of one, two or three values is in place of the first.

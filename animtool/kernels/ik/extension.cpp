@@ -66,9 +66,9 @@ void extend(const std::vector<Limb>& limbs, std::size_t count, const double* tar
       eased[limb.goal] = distance <= limb.reach + limb.stretch * limb.bones;
     else if (limb.stretch <= 0)
       continue;
-    const double share = extent / distance;
+    const double ratio = extent / distance;
     double* moved = sought + TARGET_WIDTH * limb.goal;
-    for (int i = 0; i < 3; ++i) moved[i] = limb.origin[i] + towards[i] * share;
+    for (int i = 0; i < 3; ++i) moved[i] = limb.origin[i] + towards[i] * ratio;
   }
 }
 

@@ -1,5 +1,5 @@
-// Poses of a whole clip that come as near to weighted goals as they can: robust against what
-// no pose explains, smooth in time, within the limits.
+// Fits the poses of a clip to weighted goals: robust against outliers, smooth in time, within
+// the limits.
 //
 // Over all frames at once: min sum rho(|r|) + speed |v|^2 / 2 + acceleration |a|^2 / 2, with
 // rho(r) = r^2 / 2 / (1 + r^2 / c^2) (S. Geman, D. McClure, Statistical methods for
@@ -39,19 +39,19 @@ class PathFit : public Descent {
   // The task's rest weight is how strongly those before it draw a frame.
   PathFit(Task& task, const Settings& settings, const FitSettings& fit, int frames,
           const double* targets, const double* starts)
-      : Descent(task, settings), own_task_(task), drawn_(task.rest_weight), fit_(fit), frames_(frames), width_(task.chain.dofs),
+      : Descent(task, settings), local_task_(task), drawn_(task.rest_weight), fit_(fit), frames_(frames), width_(task.chain.dofs),
         coordinates_(task.chain.coordinates),
-        given_(targets, targets + frames * task.goals.size() * TARGET_WIDTH), asked_(given_),
+        source_targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH), asked_(source_targets_),
         starts_(starts), cost_(task.chain, frames, fit.weights, nullptr),
         band_(frames, fit.first, fit.end, fit.weights), blocks_(width_), home_(task.chain.coordinates),
         away_(width_), kept_(task) {
-    still_gain_ = ENOUGH;
+    least_gain_ = ENOUGH;
     for (const Node& node : task.chain.nodes)
       if (node.kind == Kind::BALL && !node.follows) home_[node.coordinate + 3] = 1;
   }
 
   // Targets (F, E, W), where those of goals were exchanged.
-  const double* targets(int t) const { return given(t); }
+  const double* targets(int t) const { return source_targets(t); }
 
   // Improves a path (F, Q) in place; `searched` (F,) says which frames began anew, `taken`
   // (F, E) whose target a goal took, -1 where it gave its own away and took none.
@@ -110,11 +110,11 @@ class PathFit : public Descent {
   double* asked(int t) {
     return asked_.data() + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
   }
-  double* given(int t) {
-    return given_.data() + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
+  double* source_targets(int t) {
+    return source_targets_.data() + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
   }
-  const double* given(int t) const {
-    return given_.data() + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
+  const double* source_targets(int t) const {
+    return source_targets_.data() + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
   }
 
   // Calls f(goal, part, squared weighted miss) for all that is asked in a frame.
@@ -122,7 +122,7 @@ class PathFit : public Descent {
   void each_miss(int t, const State& state, F&& f) const {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
       for (int part = 0; part < PARTS; ++part) {
-        const double weight = weight_of(task_.goals[e], given(t) + TARGET_WIDTH * e, part);
+        const double weight = weight_of(task_.goals[e], source_targets(t) + TARGET_WIDTH * e, part);
         if (!(weight > 0)) continue;
         const double miss = weight * state.misses[PARTS * e + part];
         // Poses and targets may be of any numbers: what is none is far off.
@@ -140,7 +140,7 @@ class PathFit : public Descent {
   }
 
   // Share of what the goals of a frame can cost, 0 to 1.
-  double share(int t, const State& state) const {
+  double cost_fraction(int t, const State& state) const {
     double sum = 0;
     int count = 0;
     const double limit = fit_.robust * fit_.robust;
@@ -155,7 +155,7 @@ class PathFit : public Descent {
     double* out = asked(t);
     each_miss(t, state, [&](std::size_t e, int part, double square) {
       out[TARGET_WIDTH * e + WEIGHTS + part] =
-          given(t)[TARGET_WIDTH * e + WEIGHTS + part] / (1 + square / (scale * scale));
+          source_targets(t)[TARGET_WIDTH * e + WEIGHTS + part] / (1 + square / (scale * scale));
     });
   }
 
@@ -171,7 +171,7 @@ class PathFit : public Descent {
   void look(int t, const double* q, State& state) {
     std::copy(q, q + coordinates_, state.q.begin());
     forward(task_.chain, state.q.data(), state.frames);
-    measure(task_, given(t), state);
+    measure(task_, source_targets(t), state);
   }
 
   double largest_miss(int t, const State& state) const {
@@ -195,7 +195,7 @@ class PathFit : public Descent {
     look(t, start, kept_);
     double scale = all ? largest_miss(t, kept_) : WIDER * median_miss(t, kept_);
     scale = std::max(fit_.robust, scale);
-    own_task_.rest_weight = all ? std::min(LOOSE, drawn_) : drawn_;
+    local_task_.rest_weight = all ? std::min(LOOSE, drawn_) : drawn_;
     begun_.assign(start, start + coordinates_);
     for (int i = 0; i < HALVINGS; ++i) {
       reweight(t, kept_, scale);
@@ -232,12 +232,12 @@ class PathFit : public Descent {
   // now_path_ at t <- the pose that fits; 1 where frames before it did not lead there.
   std::int64_t track(int t) {
     std::vector<double> start(coordinates_), prefer(coordinates_);
-    const double* anew = starts_ + static_cast<std::size_t>(t) * coordinates_;
+    const double* restart = starts_ + static_cast<std::size_t>(t) * coordinates_;
     const bool follows = t > 0;
     if (follows)
       predict(t, start.data());
     else
-      std::copy(anew, anew + coordinates_, start.begin());
+      std::copy(restart, restart + coordinates_, start.begin());
     prefer = start;
     if (follows) send_home(prefer.data());
     if (follows && std::isfinite(fit_.robust)) exchange(t, start.data());
@@ -245,9 +245,9 @@ class PathFit : public Descent {
     std::vector<double> best = kept_.q;
     std::int64_t searched = !follows;
     if (follows && largest_miss(t, kept_) > fit_.robust) {
-      const double own = cost + surprise(best.data(), prefer.data());
+      const double current_cost = cost + surprise(best.data(), prefer.data());
       const double other = settle(t, start.data(), prefer.data(), true);
-      if (other + surprise(kept_.q.data(), prefer.data()) < own) cost = other, best = kept_.q;
+      if (other + surprise(kept_.q.data(), prefer.data()) < current_cost) cost = other, best = kept_.q;
       look(t, best.data(), kept_);
     }
     if (send_torn_home(t, best, start)) {
@@ -255,9 +255,9 @@ class PathFit : public Descent {
       if (other < cost) cost = other, best = kept_.q;
       look(t, best.data(), kept_);
     }
-    if (share(t, kept_) > LOST) {
+    if (cost_fraction(t, kept_) > LOST) {
       for (int i = 0; i < SEEDS; ++i) {
-        std::copy(anew, anew + coordinates_, start.begin());
+        std::copy(restart, restart + coordinates_, start.begin());
         if (i > 0) scatter(start);
         const double other = settle(t, start.data(), start.data(), true);
         if (!(other < BETTER * cost)) continue;
@@ -277,16 +277,16 @@ class PathFit : public Descent {
       for (const int n : task_.goals[e].path) torn_[n] |= square > limit ? 1 : 2;
     });
     out = pose;
-    bool found = false;
+    bool matched = false;
     for (std::size_t n = 0; n < torn_.size(); ++n) {
       const Node& node = task_.chain.nodes[n];
       if (torn_[n] != 1 || node.follows || node.kind == Kind::SLIDE || is_root(node)) continue;
       const int size = node.kind == Kind::BALL ? 4 : 1;
       std::copy(home_.begin() + node.coordinate, home_.begin() + node.coordinate + size,
                 out.begin() + node.coordinate);
-      found = true;
+      matched = true;
     }
-    return found;
+    return matched;
   }
 
   // Targets that lie where frames before lead another goal to, which is without its own or
@@ -297,13 +297,13 @@ class PathFit : public Descent {
     const double limit = fit_.robust * fit_.robust;
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       if (!(task_.goals[e].weights[0] > 0)) continue;
-      const double weight = weight_of(task_.goals[e], given(t) + TARGET_WIDTH * e, 0);
+      const double weight = weight_of(task_.goals[e], source_targets(t) + TARGET_WIDTH * e, 0);
       const double miss = weight * kept_.misses[PARTS * e];
       if (!(weight > 0) || miss * miss > STRAY * limit) strays_.push_back(e);
     }
     if (strays_.size() < 2 || strays_.size() > MOST_STRAYS) return;
     std::int64_t* taken = taken_ + static_cast<std::size_t>(t) * task_.goals.size();
-    const std::vector<double> before(given(t), given(t) + task_.goals.size() * TARGET_WIDTH);
+    const std::vector<double> before(source_targets(t), source_targets(t) + task_.goals.size() * TARGET_WIDTH);
     for (const std::size_t from : strays_) {
       const double* target = before.data() + TARGET_WIDTH * from;
       if (!(target[WEIGHTS] > 0)) continue;
@@ -311,24 +311,24 @@ class PathFit : public Descent {
       double least = std::min(reach, NEARER * away(from, target));
       std::size_t nearest = from;
       for (const std::size_t to : strays_) {
-        const double* own = before.data() + TARGET_WIDTH * to;
+        const double* current_cost = before.data() + TARGET_WIDTH * to;
         const bool free = taken[to] < 0 || taken[to] == static_cast<std::int64_t>(to);
         const double other = away(to, target);
         if (to == from || !free || other > least) continue;
-        if (own[WEIGHTS] > 0 && other > NEARER * away(to, own)) continue;
+        if (current_cost[WEIGHTS] > 0 && other > NEARER * away(to, current_cost)) continue;
         least = other, nearest = to;
       }
       if (nearest == from) continue;
-      double* out = given(t) + TARGET_WIDTH * nearest;
+      double* out = source_targets(t) + TARGET_WIDTH * nearest;
       std::copy(target, target + 3, out);
       out[WEIGHTS] = target[WEIGHTS];
       taken[nearest] = static_cast<std::int64_t>(from);
       if (taken[from] != static_cast<std::int64_t>(from)) continue;
       // Until another one is found for it.
-      given(t)[TARGET_WIDTH * from + WEIGHTS] = 0;
+      source_targets(t)[TARGET_WIDTH * from + WEIGHTS] = 0;
       taken[from] = -1;
     }
-    std::copy(given(t), given(t) + task_.goals.size() * TARGET_WIDTH, asked(t));
+    std::copy(source_targets(t), source_targets(t) + task_.goals.size() * TARGET_WIDTH, asked(t));
   }
 
   // How far a target is from where a goal is at kept_.
@@ -375,15 +375,15 @@ class PathFit : public Descent {
   }
 
   // Steps of all frames at once; `held`: goals count as they do in `asked_`.
-  void improve(FitOutcome& outcome, bool held) {
-    double cost = evaluate(now_path_, held), damping = 0;
+  void improve(FitOutcome& outcome, bool keep_weights) {
+    double cost = evaluate(now_path_, keep_weights), damping = 0;
     for (int round = 0; round < fit_.rounds; ++round) {
-      assemble(held);
+      assemble(keep_weights);
       const double before = cost;
       bool better = false;
       for (int i = 0; i < TRIES && !better; ++i) {
         if (attempt(damping)) {
-          const double next = evaluate(next_path_, held);
+          const double next = evaluate(next_path_, keep_weights);
           better = next < cost;
           if (better) cost = next, now_path_.swap(next_path_);
         }
@@ -391,9 +391,9 @@ class PathFit : public Descent {
       }
       if (!better) break;
       ++outcome.rounds;
-      if (before - cost < (held ? NEAR : ROUND) * cost) break;
+      if (before - cost < (keep_weights ? NEAR : ROUND) * cost) break;
     }
-    if (!held) outcome.after = cost;
+    if (!keep_weights) outcome.after = cost;
   }
 
   // A state whose residuals are those of goals as they count in `asked_`.
@@ -403,10 +403,10 @@ class PathFit : public Descent {
     measure(task_, asked(t), kept_);
   }
 
-  double evaluate(std::vector<double>& path, bool held) {
+  double evaluate(std::vector<double>& path, bool keep_weights) {
     double cost = cost_.evaluate(anchors_.data(), path.data());
     for (int t = fit_.first; t < fit_.end; ++t) {
-      if (held) {
+      if (keep_weights) {
         look_as_asked(t, pose(path, t));
         double square = 0;
         for (int m = 0; m < task_.rows; ++m) square += kept_.residuals[m] * kept_.residuals[m];
@@ -421,7 +421,7 @@ class PathFit : public Descent {
 
   // blocks_ and downhill_ at the present path, goals weighed by what they miss there, or as
   // they are `held`.
-  void assemble(bool held) {
+  void assemble(bool keep_weights) {
     const int count = fit_.end - fit_.first;
     cost_.evaluate(anchors_.data(), now_path_.data(), &slope_);
     downhill_.assign(static_cast<std::size_t>(count) * width_, 0.0);
@@ -430,7 +430,7 @@ class PathFit : public Descent {
     stiffest_ = 0;
     for (int i = 0; i < count; ++i) {
       const int t = fit_.first + i;
-      if (held) {
+      if (keep_weights) {
         look_as_asked(t, pose(now_path_, t));
       } else {
         look(t, pose(now_path_, t), kept_);
@@ -447,9 +447,9 @@ class PathFit : public Descent {
         for (int m = linear_.first[d]; m < linear_.last[d]; ++m)
           sum += column[m] * kept_.residuals[m];
         down[d] = sum;
-        double& own = normal[static_cast<std::size_t>(d) * width_ + d];
-        own += band_.entry(t, 0);
-        stiffest_ = std::max(stiffest_, own);
+        double& current_cost = normal[static_cast<std::size_t>(d) * width_ + d];
+        current_cost += band_.entry(t, 0);
+        stiffest_ = std::max(stiffest_, current_cost);
       }
       stop(i, down);
     }
@@ -497,17 +497,17 @@ class PathFit : public Descent {
       double longest = 0;
       for (int d = 0; d < width_; ++d) longest = std::max(longest, std::fabs(by[d]));
       if (!std::isfinite(longest)) return false;
-      for (int d = 0; d < width_ && longest > LONGEST_TURN; ++d) by[d] *= LONGEST_TURN / longest;
+      for (int d = 0; d < width_ && longest > MAX_ROTATION; ++d) by[d] *= MAX_ROTATION / longest;
       stepper_.move(pose(now_path_, fit_.first + i), by, pose(next_path_, fit_.first + i));
     }
     return true;
   }
 
-  Task& own_task_;
+  Task& local_task_;
   const double drawn_;
   const FitSettings fit_;
   const int frames_, width_, coordinates_;
-  std::vector<double> given_, asked_;  // targets, and as they are weighed at present
+  std::vector<double> source_targets_, asked_;  // targets, and as they are weighed at present
   const double* starts_;
   PathCost cost_;
   TimeBand band_;
@@ -531,10 +531,10 @@ constexpr double FIT_DAMPING = 1e-3;
 
 using namespace ik;
 
-IkFitted fit_ik(const IkFitting& given) {
+IkFitted fit_ik(const IkFitting& source_targets) {
   const auto& [nodes, numbers, goals, goal_numbers, path, targets, starts, anchor, speed,
                acceleration, robust, rest_weight, homing, first, end, iterations, rounds,
-               tracked] = given;
+               tracked] = source_targets;
   Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
   check_poses("path", task, frames, path);

@@ -1,4 +1,4 @@
-// The kinds of goals: what is missing of each, its slopes, and how solvers heed it.
+// The kinds of goals: residuals, Jacobians, and use in solvers.
 //
 // A residual r is what is missing, so that r(q + d) = r(q) - J d to first order, and
 // the gradient of the cost |r|^2 / 2 is -J^T r, exactly: rotations are compared by
@@ -13,7 +13,7 @@
 
 namespace animtool::ik {
 
-// What a kind of goal sees of the pose of the chain.
+// The pose of the chain as seen by a goal kind.
 struct View {
   const double* rotation;  // of the goal's node
   const double* point;
@@ -22,7 +22,7 @@ struct View {
   const double *origin, *joint;     // of its root and middle; null without a limb
 };
 
-// How one axis of a node moves the point and the frame of a goal.
+// Velocity of a goal's point and frame per unit motion about an axis of a node.
 struct Motion {
   const Node& node;
   int index;
@@ -37,12 +37,12 @@ struct Motion {
   }
 };
 
-// What a target is.
+// Target types.
 struct PointTarget {
   static constexpr int WIDTH = 3;
 
   // Brings it to the scale of the chain.
-  static void place(double* target, const double*, double length) {
+  static void to_chain(double* target, const double*, double length) {
     for (int i = 0; i < 3; ++i) target[i] /= length;
   }
 };
@@ -52,7 +52,7 @@ struct RotationTarget {
 
   // Brings it to length 1 and to the frame of the node, node_from_joint being `frame`.
   // Scaled first, so that neither tiny nor huge numbers leave the range.
-  static void place(double* q, const double* frame, double) {
+  static void to_chain(double* q, const double* frame, double) {
     const double back[4] = {-frame[0], -frame[1], -frame[2], frame[3]};
     const double most =
         std::max({std::fabs(q[0]), std::fabs(q[1]), std::fabs(q[2]), std::fabs(q[3])});
@@ -115,25 +115,25 @@ struct Orientation : RotationTarget {
 
   // The rotation that is left to make.
   static void left(const View& view, const double* target, double* out) {
-    double wanted[9], transposed[9];
-    to_matrix(target, wanted);
+    double desired[9], transposed[9];
+    to_matrix(target, desired);
     for (int i = 0; i < 9; ++i) transposed[i] = view.rotation[3 * (i % 3) + i / 3];
-    multiply(wanted, transposed, out);
+    multiply(desired, transposed, out);
   }
 
   static double measure(double weight, const View& view, const double* target, double* r) {
-    double turn[9];
-    left(view, target, turn);
-    logarithm_of_matrix(turn, r);
+    double remaining[9];
+    left(view, target, remaining);
+    logarithm_of_matrix(remaining, r);
     const double miss = length(r);
     for (int i = 0; i < 3; ++i) r[i] *= weight;
     return miss;
   }
 
   static void keep(const View& view, double* target) {
-    double turn[3];
-    logarithm_of_matrix(view.rotation, turn);
-    exponential(turn, target);
+    double remaining[3];
+    logarithm_of_matrix(view.rotation, remaining);
+    exponential(remaining, target);
   }
 
   struct Slopes {
@@ -145,9 +145,9 @@ struct Orientation : RotationTarget {
 
   static void pull(double weight, const View& view, const double* target, const double*,
                    Pull& sum) {
-    double turn[9];
-    left(view, target, turn);
-    sum.add(weight, turn);
+    double remaining[9];
+    left(view, target, remaining);
+    sum.add(weight, remaining);
   }
 };
 
@@ -157,25 +157,25 @@ struct Aim : PointTarget {
   static constexpr bool METRIC = false, LIMB = false;
 
   // The turn that takes the aim axis to its target: angle about a unit axis.
-  struct Turn {
-    double direction[3], wanted[3], axis[3];
+  struct AimRotation {
+    double direction[3], desired[3], axis[3];
     double distance, angle;
   };
 
-  static Turn look_at(const View& view, const double* target) {
-    Turn aim;
+  static AimRotation look_at(const View& view, const double* target) {
+    AimRotation aim;
     rotate(view.rotation, view.aim_axis, aim.direction);
-    for (int i = 0; i < 3; ++i) aim.wanted[i] = target[i] - view.point[i];
-    aim.distance = length(aim.wanted);
+    for (int i = 0; i < 3; ++i) aim.desired[i] = target[i] - view.point[i];
+    aim.distance = length(aim.desired);
     if (aim.distance < 1e-12) {
-      std::copy(aim.direction, aim.direction + 3, aim.wanted);
+      std::copy(aim.direction, aim.direction + 3, aim.desired);
       aim.distance = 1;
     } else {
-      for (double& x : aim.wanted) x /= aim.distance;
+      for (double& x : aim.desired) x /= aim.distance;
     }
-    cross(aim.direction, aim.wanted, aim.axis);
+    cross(aim.direction, aim.desired, aim.axis);
     const double sine = length(aim.axis);
-    aim.angle = std::atan2(sine, dot(aim.direction, aim.wanted));
+    aim.angle = std::atan2(sine, dot(aim.direction, aim.desired));
     double other[3];
     if (sine < 1e-12)
       across(aim.direction, aim.axis, other);
@@ -185,7 +185,7 @@ struct Aim : PointTarget {
   }
 
   static double measure(double weight, const View& view, const double* target, double* r) {
-    const Turn aim = look_at(view, target);
+    const AimRotation aim = look_at(view, target);
     double u[3], v[3];
     across(aim.direction, u, v);
     r[0] = weight * aim.angle * dot(aim.axis, u);
@@ -200,7 +200,7 @@ struct Aim : PointTarget {
   }
 
   struct Slopes {
-    Turn aim;
+    AimRotation aim;
     double u[3], v[3];
 
     void look(const View& view, const double* target) {
@@ -209,7 +209,7 @@ struct Aim : PointTarget {
     }
     void add(const Motion& motion, double scale, double* column) const {
       double turned[3];
-      cross(aim.wanted, motion.linear, turned);
+      cross(aim.desired, motion.linear, turned);
       for (int i = 0; i < 3; ++i) turned[i] = motion.angular[i] + turned[i] / aim.distance;
       column[0] += scale * dot(turned, u);
       column[1] += scale * dot(turned, v);
@@ -218,8 +218,8 @@ struct Aim : PointTarget {
 
   static void pull(double weight, const View& view, const double* target, const double*,
                    Pull& sum) {
-    const Turn aim = look_at(view, target);
-    sum.add(weight, aim.direction, aim.wanted);
+    const AimRotation aim = look_at(view, target);
+    sum.add(weight, aim.direction, aim.desired);
   }
 };
 
@@ -274,8 +274,8 @@ struct Pole : PointTarget {
     bool known;
     double root[3], middle[3], tip[3];
 
-    void look(const View& seen, const double* target) {
-      view = seen;
+    void look(const View& chain_view, const double* target) {
+      view = chain_view;
       const Bend limb = look_along(view, target);
       known = limb.known;
       if (!known) return;
@@ -316,11 +316,11 @@ constexpr void each_kind(F&& f) {
 
 template <class Kind>
 constexpr int part_of() {
-  int found = -1;
+  int match = -1;
   each_kind([&]<class Other>(int part) {
-    if (std::is_same_v<Kind, Other>) found = part;
+    if (std::is_same_v<Kind, Other>) match = part;
   });
-  return found;
+  return match;
 }
 
 template <class F>

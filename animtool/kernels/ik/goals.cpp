@@ -1,4 +1,4 @@
-// What goals miss, and its slopes.
+// Residuals of goals, and their Jacobian.
 #include "ik/goals.h"
 
 namespace animtool::ik {
@@ -156,19 +156,19 @@ void Curvature::add(const Task& task, const State& state, std::size_t e, const d
     const Node& node = task.chain.nodes[n];
     const double* behind = &behind_[6 * at];
     const double* origin = &state.frames.origins[3 * n];
-    double own_linear[3] = {0, 0, 0}, own_angular[3] = {0, 0, 0};
-    accumulate(task, state, n, point, along, own_linear, own_angular);
+    double node_linear[3] = {0, 0, 0}, node_angular[3] = {0, 0, 0};
+    accumulate(task, state, n, point, along, node_linear, node_angular);
     each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
       double lin[3], ang[3];
       velocity(node, &state.frames.axes[9 * n + 3 * k], origin, point, lin, ang);
       double sum = -triple(force, ang, behind) - triple(force, before, lin);
       // The joint with itself: half of either order.
-      sum -= (triple(force, ang, own_linear) + triple(force, own_angular, lin)) / 2;
+      sum -= (triple(force, ang, node_linear) + triple(force, node_angular, lin)) / 2;
       sum -= (triple(torque, ang, behind + 3) + triple(torque, before, ang)) / 2;
       sum += dot(ang, across_axis);
       out[dof] += gain * sum;
     });
-    for (int i = 0; i < 3; ++i) before[i] += own_angular[i];
+    for (int i = 0; i < 3; ++i) before[i] += node_angular[i];
   }
 }
 

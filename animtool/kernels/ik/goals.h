@@ -1,4 +1,4 @@
-// What is asked of the chain: residuals, their Jacobian, and their curvature.
+// Goals of a chain: residuals, Jacobian and curvature.
 #pragma once
 
 #include <cstdint>
@@ -48,7 +48,7 @@ inline int rows_asked(const Task& task, const double* targets) {
   return count;
 }
 
-// A pose of the chain and how far it is from the goals.
+// A pose of the chain with its residuals and misses.
 struct State {
   std::vector<double> q;
   Frames frames;
@@ -112,7 +112,7 @@ class Curvature {
   std::vector<double> behind_;
 };
 
-// How near the goals can come at the very best, from the lengths of the bones alone.
+// Lower bounds of misses from bone lengths.
 
 // Least and largest distance of a goal's point from the first joint of its path.
 struct Reach {
@@ -124,9 +124,9 @@ Reach reach_of(const Task& task, const Goal& goal);
 // A bound from below on the cost of every pose; 0 where there is none.
 double nearest_cost(const Task& task, const double* targets, const Frames& frames);
 
-// Limbs whose bones stretch.
+// Stretching limbs.
 
-// Scales the bones on the way to the goals, from their first joint.
+// Scales the bones of limbs, from their first joint.
 void stretch(const Chain& plain, const double* stretches, Task& task);
 
 }  // namespace animtool::ik

@@ -1,4 +1,4 @@
-// The search for poses, and for goals that give way to others.
+// The search with restarts, and prioritised goals.
 #include "ik/levels.h"
 
 namespace animtool::ik {
@@ -14,9 +14,9 @@ Status Search::run(const double* start, const double* targets, const double* res
   return outcome_.status;
 }
 
-void Search::refine(const double* targets, const double* shift, double still_gain) {
+void Search::refine(const double* targets, const double* shift, double least_gain) {
   aim(targets, shift);
-  still_gain_ = std::max(still_gain, ROUNDED);
+  least_gain_ = std::max(least_gain, ROUNDED);
   begin(best_);
   descend(WARM, true);
   std::swap(now_, best_);
@@ -36,14 +36,14 @@ void Search::search(const double* targets) {
 Status Search::look() {
   floor_ = nearest_cost(task_, targets_, best_.frames);
   const bool mixed = task_.rest_weight > 0 || task_.levels > 1;
-  still_gain_ = task_.levels > 1 ? ROUGH : mixed ? FINE : ROUNDED;
+  least_gain_ = task_.levels > 1 ? ROUGH : mixed ? FINE : ROUNDED;
   const bool sure =
       floor_ > 0 || mixed || task_.chain.dofs >= REDUNDANT * rows_asked(task_, targets_);
   first_.q = best_.q;
   begin(best_);
   const End end = descend(settings_.damping, sure || short_);
   if (keep()) return Status::REACHED;
-  if (short_ && settings_.own_starts && go_on(sure)) return Status::REACHED;
+  if (short_ && settings_.separate_starts && go_on(sure)) return Status::REACHED;
   if (same(end)) {
     const double before = best_.cost;
     const int restarts = task_.levels > 1 ? 0 : std::min(RESTARTS_NEXT, settings_.restarts);
@@ -55,18 +55,18 @@ Status Search::look() {
     }
     if (best_.cost == before) return Status::NEAREST;
   }
-  const double exact = still_gain_;
-  const bool found = elsewhere(end == End::STILL, sure);
-  still_gain_ = exact;
-  return found && !mixed ? Status::REACHED : polish();
+  const double exact = least_gain_;
+  const bool reached_it = elsewhere(end == End::STUCK, sure);
+  least_gain_ = exact;
+  return reached_it && !mixed ? Status::REACHED : polish();
 }
 
-bool Search::elsewhere(bool still, bool sure) {
-  const double exact = still_gain_;
+bool Search::elsewhere(bool stalled, bool sure) {
+  const double exact = least_gain_;
   int agreeing = 0;
   for (int i = 0; i < settings_.restarts && !spent() && !settled(); ++i) {
-    restart(i, still);
-    still_gain_ = i == POLISHED ? exact : std::max(exact, COMPARED);
+    restart(i, stalled);
+    least_gain_ = i == POLISHED ? exact : std::max(exact, COMPARED);
     descend(COLD, sure || i == POLISHED);
     const double before = best_.cost;
     if (now_.cost < before * BETTER)
@@ -79,8 +79,8 @@ bool Search::elsewhere(bool still, bool sure) {
   return false;
 }
 
-void Search::restart(int i, bool still) {
-  if (i == 0 && still) {
+void Search::restart(int i, bool stalled) {
+  if (i == 0 && stalled) {
     begin(best_);
     shake();
   } else if (i == POLISHED) {
@@ -103,9 +103,9 @@ Status Search::polish() {
 void Search::straighten() {
   for (const Node& node : task_.chain.nodes) {
     if (node.program >= 0) continue;
-    double* own = &now_.q[node.coordinate];
-    std::fill(own, own + (node.kind == Kind::BALL ? 4 : 1), 0.0);
-    if (node.kind == Kind::BALL) own[3] = 1;
+    double* values = &now_.q[node.coordinate];
+    std::fill(values, values + (node.kind == Kind::BALL ? 4 : 1), 0.0);
+    if (node.kind == Kind::BALL) values[3] = 1;
   }
   shake();
 }
@@ -142,13 +142,13 @@ Outcome Levels::run(const double* start, const double* targets, const double* re
 
 void Levels::weigh(int last, double ratio) {
   std::copy(targets_, targets_ + scaled_.size(), scaled_.begin());
-  double share = 1;
+  double fraction = 1;
   for (int level = 1; level < task_.levels; ++level) {
-    share *= ratio;
-    const double own = heaviest(level), hard = heaviest(0);
-    scale(level, level > last ? 0 : share * (own > 0 && hard > 0 ? hard / own : 1));
+    fraction *= ratio;
+    const double values = heaviest(level), hard = heaviest(0);
+    scale(level, level > last ? 0 : fraction * (values > 0 && hard > 0 ? hard / values : 1));
   }
-  task_.rest_weight = last == task_.levels - 1 ? rest_weight_ * share * share : 0;
+  task_.rest_weight = last == task_.levels - 1 ? rest_weight_ * fraction * fraction : 0;
 }
 
 double Levels::heaviest(int level) const {
@@ -162,7 +162,7 @@ double Levels::heaviest(int level) const {
 
 Status Levels::settle(bool known) {
   std::fill(shift_.begin(), shift_.end(), 0.0);
-  std::fill(held_.begin(), held_.end(), false);
+  std::fill(constrained_.begin(), constrained_.end(), false);
   for (int level = 0; level < task_.levels && !search_.spent(); ++level) {
     weigh(level, ratio_);
     for (int i = 0; i < SHIFTS; ++i) {
@@ -170,7 +170,7 @@ Status Levels::settle(bool known) {
       if (search_.spent() || !shift()) break;
     }
     if (level == 0 && !known && !within(0)) search_.search(scaled_.data());
-    held_[level] = within(level);
+    constrained_[level] = within(level);
   }
   const bool spent = search_.spent();
   if (!spent) restore();
@@ -182,11 +182,11 @@ Status Levels::settle(bool known) {
 bool Levels::shift() {
   bool slack = false;
   for (std::size_t e = 0; e < task_.goals.size(); ++e)
-    slack = slack || (held_[task_.goals[e].level] &&
-                      !search_.within(&best().misses[PARTS * e], HELD));
+    slack = slack || (constrained_[task_.goals[e].level] &&
+                      !search_.within(&best().misses[PARTS * e], CONSTRAINED));
   if (!slack) return false;
   for (const Goal& goal : task_.goals)
-    if (held_[goal.level])
+    if (constrained_[goal.level])
       for (int i = goal.row; i < goal.row + rows_of(goal); ++i) shift_[i] = best().residuals[i];
   return true;
 }
@@ -196,8 +196,8 @@ void Levels::restore() {
   weigh(task_.levels - 1, ratio_);
   task_.rest_weight = 0;
   for (int level = 0; level < task_.levels; ++level) {
-    slack = slack || (held_[level] && !within(level));
-    if (!held_[level]) scale(level, 0);
+    slack = slack || (constrained_[level] && !within(level));
+    if (!constrained_[level]) scale(level, 0);
   }
   if (slack) search_.refine(scaled_.data(), nullptr, 0);
 }
@@ -229,16 +229,16 @@ int Levels::asked() const {
 }
 
 std::vector<std::size_t> Levels::missed() const {
-  std::vector<std::size_t> found;
+  std::vector<std::size_t> reached_it;
   const std::vector<double>& misses = best().misses;
   const auto most = [&](std::size_t e) {
     return *std::max_element(&misses[PARTS * e], &misses[PARTS * e] + PARTS);
   };
   for (std::size_t e = 0; e < task_.goals.size(); ++e)
-    if (!search_.within(&misses[PARTS * e])) found.push_back(e);
-  std::sort(found.begin(), found.end(),
+    if (!search_.within(&misses[PARTS * e])) reached_it.push_back(e);
+  std::sort(reached_it.begin(), reached_it.end(),
             [&](std::size_t a, std::size_t b) { return most(a) > most(b); });
-  return found;
+  return reached_it;
 }
 
 }  // namespace animtool::ik

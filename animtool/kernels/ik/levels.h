@@ -15,7 +15,7 @@ class Search : public Descent {
   Status run(const double* start, const double* targets, const double* rest, bool next);
 
   // Goes on from the best pose to other targets, and stays with what comes of it.
-  void refine(const double* targets, const double* shift, double still_gain);
+  void refine(const double* targets, const double* shift, double least_gain);
 
   // Searches from the start for other targets, and keeps what is better for them.
   void search(const double* targets);
@@ -76,16 +76,16 @@ class Search : public Descent {
   }
 
   // Descents from new starts; whether the goals are reached.
-  bool elsewhere(bool still, bool sure);
+  bool elsewhere(bool stalled, bool sure);
 
   // Whether the frame is as far from the goals as the one before it, whose search was
   // in vain: it need not be made again.
   bool same(End end) const {
-    return short_ && end == End::STILL && best_.cost < SAME * last_cost_ &&
+    return short_ && end == End::STUCK && best_.cost < SAME * last_cost_ &&
            last_cost_ < SAME * best_.cost;
   }
 
-  void restart(int i, bool still);
+  void restart(int i, bool stalled);
 
   // Follows the best to its end.
   Status polish();
@@ -122,7 +122,7 @@ class Levels : public Solver {
   // Changes the task's rest weight as it goes.
   Levels(Task& task, const Settings& settings)
       : task_(task), rest_weight_(task.rest_weight), search_(task_, settings),
-        scaled_(TARGET_WIDTH * task.goals.size()), shift_(task.rows), held_(task.levels),
+        scaled_(TARGET_WIDTH * task.goals.size()), shift_(task.rows), constrained_(task.levels),
         ratio_(std::max(STEP, std::pow(LEAST_SCALE, 1.0 / std::max(1, task.levels - 1)))) {}
 
   Outcome run(const double* start, const double* targets, const double* rest,
@@ -140,7 +140,7 @@ class Levels : public Solver {
   static constexpr double STEP = 1e-3, LEAST_SCALE = 1e-6;
   // Shifts of one level at most, and the share of the tolerance that ends them.
   static constexpr int SHIFTS = 8;
-  static constexpr double HELD = 0.1;
+  static constexpr double CONSTRAINED = 0.1;
   // What a level may miss its least cost by, about.
   static constexpr double EXACT = 1e-5;
 
@@ -192,7 +192,7 @@ class Levels : public Solver {
   const double rest_weight_;
   Search search_;
   std::vector<double> scaled_, shift_;
-  std::vector<char> held_;
+  std::vector<char> constrained_;
   const double ratio_;
   bool short_ = false;  // the hard goals were not reached in the last run
   const double* targets_ = nullptr;

@@ -1,4 +1,4 @@
-// What limits make of poses.
+// Clamps poses to limits.
 #include "ik/limits.h"
 
 namespace animtool::ik {
@@ -15,7 +15,7 @@ SwingTwist split(const double* q, const double* limit) {
   SwingTwist parts{{factor * x, factor * y}, 2 * half};
   const bool ranged = limit[2] > -1e300 && limit[3] < 1e300;
   const double middle = ranged ? (limit[2] + limit[3]) / 2 : 0;
-  parts.twist -= TURN * std::round((parts.twist - middle) / TURN);
+  parts.twist -= REVOLUTION * std::round((parts.twist - middle) / REVOLUTION);
   return parts;
 }
 
@@ -55,7 +55,7 @@ SwingTwistGradients gradients(const double* q, const SwingTwist& parts) {
 }
 
 BallParts ball_parts(const double* q, double middle) {
-  const double around[4] = {0, 0, middle - TURN / 2, middle + TURN / 2};
+  const double around[4] = {0, 0, middle - REVOLUTION / 2, middle + REVOLUTION / 2};
   const SwingTwist parts = split(q, around);
   const SwingTwistGradients slopes = gradients(q, parts);
   BallParts out{parts.twist, {parts.swing[0], parts.swing[1]}, {}};

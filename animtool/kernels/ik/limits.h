@@ -1,4 +1,4 @@
-// How far joints go: boxes, and the cone and twist of balls.
+// Joint limits: ranges, and cone and twist of balls.
 //
 // A ball's motion is swing * twist about z. Its swing vector (x, y) lies in the
 // ellipse of the half-angles limit[0], limit[1]; its twist in limit[2], limit[3].
@@ -10,13 +10,13 @@
 
 namespace animtool::ik {
 
-// A range or cone that is narrower is shut [rad].
+// A narrower range or cone is locked [rad].
 constexpr double SHUT = 1e-9;
-// What rounding alone puts outside [rad] or lengths of the chain.
+// Tolerance of rounding at limits [rad], [chain lengths].
 constexpr double ROUNDING = 1e-13;
 // Nearer to a limit than this, it is looked at in full [1].
 constexpr double SURE = 1e-9;
-constexpr double TURN = 6.283185307179586476925;
+constexpr double REVOLUTION = 6.283185307179586476925;
 
 struct SwingTwist {
   double swing[2];
@@ -62,15 +62,15 @@ inline bool well_inside(const Node& node, const double* q) {
 inline void prepare(Node& node) {
   const double* l = node.limit;
   const double least = std::min(l[0], l[1]);
-  const double sine = least < TURN / 2 ? std::sin(least / 2) : 1;
-  const double low = std::max(l[2], -TURN / 2), high = std::min(l[3], TURN / 2);
-  const bool known = (l[2] >= -TURN / 2 && l[3] <= TURN / 2) || (l[2] < -1e300 && l[3] > 1e300);
+  const double sine = least < REVOLUTION / 2 ? std::sin(least / 2) : 1;
+  const double low = std::max(l[2], -REVOLUTION / 2), high = std::min(l[3], REVOLUTION / 2);
+  const bool known = (l[2] >= -REVOLUTION / 2 && l[3] <= REVOLUTION / 2) || (l[2] < -1e300 && l[3] > 1e300);
   node.quick[0] = known ? sine * sine * (1 - SURE) : -1;
   node.quick[1] = std::sin(low / 2), node.quick[2] = std::cos(low / 2);
   node.quick[3] = std::sin(high / 2), node.quick[4] = std::cos(high / 2);
 }
 
-// Which of the limits a motion exceeds.
+// The limits that a motion exceeds.
 struct Beyond {
   bool swing, twist;
 };
@@ -80,7 +80,7 @@ inline Beyond beyond(const SwingTwist& parts, const double* limit) {
           parts.twist < limit[2] - ROUNDING || parts.twist > limit[3] + ROUNDING};
 }
 
-// Bring a ball's motion inside, the swing along its own direction.
+// Clamp a ball's motion, the swing along its direction.
 void clamp_ball(double* q, const double* limit);
 
 // Gradients of the swing vector and the twist over q <- exp(d) q.

@@ -1,4 +1,4 @@
-// The cost around a pose, and its systems.
+// Linearised cost around a pose, and its normal equations.
 #include "ik/linear.h"
 
 #include "base/cholesky.h"
@@ -27,9 +27,9 @@ double rest_pull(const Task& task, const double* q, const double* rest, double w
     double away[3];
     if (node.kind == Kind::BALL) {
       const double back[4] = {-now[0], -now[1], -now[2], now[3]};
-      double turn[4];
-      product(home, back, turn);
-      logarithm(turn, away);
+      double rotation[4];
+      product(home, back, rotation);
+      logarithm(rotation, away);
     } else {
       away[0] = home[0] - now[0];
     }
@@ -44,12 +44,12 @@ double rest_pull(const Task& task, const double* q, const double* rest, double w
 void multiply_columns(const Task& task, const Linearized& linear, double* normal) {
   const int dofs = task.chain.dofs;
   for (int d = 0; d < dofs; ++d) {
-    const double* own = linear.columns.data() + static_cast<std::size_t>(d) * task.rows;
+    const double* first_column = linear.columns.data() + static_cast<std::size_t>(d) * task.rows;
     for (int k = 0; k <= d; ++k) {
       const double* other = linear.columns.data() + static_cast<std::size_t>(k) * task.rows;
       const int first = std::max(linear.first[d], linear.first[k]);
       const int last = std::min(linear.last[d], linear.last[k]);
-      normal[static_cast<std::size_t>(d) * dofs + k] = inner(own, other, first, last);
+      normal[static_cast<std::size_t>(d) * dofs + k] = inner(first_column, other, first, last);
     }
   }
 }

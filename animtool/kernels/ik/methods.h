@@ -91,13 +91,13 @@ class Gradient : public Method {
     double steepest = 0;
     for (const double d : slope) steepest = std::max(steepest, std::fabs(d));
     if (!(steepest > 0)) return false;
-    length_ = std::min(length_ / BACK / BACK, LONGEST_TURN / steepest);
-    for (; length_ * steepest > LEAST_TURN; length_ *= BACK) {
+    length_ = std::min(length_ / BACK / BACK, MAX_ROTATION / steepest);
+    for (; length_ * steepest > MIN_ROTATION; length_ *= BACK) {
       for (std::size_t d = 0; d < slope.size(); ++d) delta_[d] = length_ * slope[d];
       stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
       evaluate(next_);
       const double promised = promise();
-      if (!(promised > 0) || !(now_.cost - next_.cost >= SHARE * promised)) continue;
+      if (!(promised > 0) || !(now_.cost - next_.cost >= DECREASE * promised)) continue;
       std::swap(now_, next_);
       return true;
     }
@@ -105,7 +105,7 @@ class Gradient : public Method {
   }
 
  private:
-  static constexpr double BACK = 0.5, SHARE = 1e-4, LEAST_TURN = 1e-14;
+  static constexpr double BACK = 0.5, DECREASE = 1e-4, MIN_ROTATION = 1e-14;
 
   // What the slope promises of the way from now_ to next_, limits kept.
   double promise() {
@@ -125,19 +125,19 @@ class Newton : public Method {
   using Method::Method;
 
  protected:
-  void prepare() override { trusted_ = LONGEST_TURN; }
+  void prepare() override { trusted_ = MAX_ROTATION; }
 
   bool advance() override {
     linearize(task_, targets_, rest_, now_, linear_);
-    for (; trusted_ > LEAST_TURN; trusted_ = SHRINK * stepper_.turn()) {
+    for (; trusted_ > MIN_ROTATION; trusted_ = SHRINK * stepper_.rotation()) {
       stepper_.step(now_, linear_, DAMPING, true, trusted_, delta_.data());
       const double gain = stepper_.predicted(now_, linear_, true, delta_.data());
-      if (!(gain > STILL_GAIN * now_.cost)) return false;
+      if (!(gain > MIN_GAIN * now_.cost)) return false;
       stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
       evaluate(next_);
       const double ratio = (now_.cost - next_.cost) / gain;
       if (!(ratio > LEAST_RATIO)) continue;
-      if (ratio > 0.5) trusted_ = std::min(GROW * trusted_, LONGEST_TURN);
+      if (ratio > 0.5) trusted_ = std::min(GROW * trusted_, MAX_ROTATION);
       std::swap(now_, next_);
       return true;
     }
@@ -145,10 +145,10 @@ class Newton : public Method {
   }
 
  private:
-  static constexpr double DAMPING = 1e-12, LEAST_TURN = 1e-10, STILL_GAIN = 1e-15;
+  static constexpr double DAMPING = 1e-12, MIN_ROTATION = 1e-10, MIN_GAIN = 1e-15;
   static constexpr double LEAST_RATIO = 1e-4, SHRINK = 0.3, GROW = 2.5;
 
-  double trusted_ = LONGEST_TURN;
+  double trusted_ = MAX_ROTATION;
 };
 
 // Cyclic coordinate descent: joint by joint, from the tips to the root, each to where it
@@ -164,12 +164,12 @@ class Cyclic : public Method {
     const double before = now_.cost;
     const std::vector<Node>& nodes = task_.chain.nodes;
     for (std::size_t n = nodes.size(); n-- > 0;)
-      if (!nodes[n].follows) turn(static_cast<int>(n));
+      if (!nodes[n].follows) rotate_joint(static_cast<int>(n));
     return now_.cost < before;
   }
 
  private:
-  void turn(int n) {
+  void rotate_joint(int n) {
     const Node& node = task_.chain.nodes[n];
     if (node.gain == 0) return;
     std::fill(delta_.begin(), delta_.end(), 0.0);
@@ -213,11 +213,11 @@ class Cyclic : public Method {
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       if (!moves(n, task_.goals[e])) continue;
       const double weight_here = now_.weights[PARTS * e + part_of<Position>()];
-      const double own = weight_here * weight_here;
+      const double squared_weight = weight_here * weight_here;
       const double* target = targets_ + TARGET_WIDTH * e + COLUMNS[part_of<Position>()];
       double away[3];
       for (int i = 0; i < 3; ++i) away[i] = target[i] - now_.points[3 * e + i];
-      sum += own * dot(axis, away), weight += own;
+      sum += squared_weight * dot(axis, away), weight += squared_weight;
     }
     if (weight > 0) delta_[node.dof] = sum / weight / node.gain;
   }
@@ -231,7 +231,7 @@ class Cyclic : public Method {
 class Fabrik : public Method {
  public:
   Fabrik(const Task& task, const Settings& settings)
-      : Method(task, settings), wanted_(3 * task.chain.nodes.size()), tips_(3 * task.goals.size()),
+      : Method(task, settings), desired_(3 * task.chain.nodes.size()), tips_(3 * task.goals.size()),
         asking_(task.chain.nodes.size()), bones_(task.chain.nodes.size()),
         next_(task.chain.nodes.size()), grips_(task.chain.nodes.size()) {}
 
@@ -247,15 +247,15 @@ class Fabrik : public Method {
     for (std::size_t n = nodes.size(); n-- > 0;) {
       bones_[n] = nodes[n].parent < 0 ? 0 : length(nodes[n].offset);
       if (nodes[n].parent < 0) continue;
-      std::vector<Grip>& held = next_[nodes[n].parent];
+      std::vector<Grip>& kept_grips = next_[nodes[n].parent];
       if (bones_[n] > NO_LENGTH)
-        held.push_back({static_cast<int>(n), false});
+        kept_grips.push_back({static_cast<int>(n), false});
       else
-        held.insert(held.end(), next_[n].begin(), next_[n].end());
+        kept_grips.insert(kept_grips.end(), next_[n].begin(), next_[n].end());
     }
     for (std::size_t n = 0; n < nodes.size(); ++n) {
       grips_[n].clear();
-      hold(n, AHEAD, grips_[n]);
+      hold(n, FORWARD, grips_[n]);
     }
   }
 
@@ -263,7 +263,7 @@ class Fabrik : public Method {
     reach_in();
     reach_out();
     const std::size_t count = task_.chain.nodes.size();
-    for (std::size_t n = 0; n < count; ++n) turn(static_cast<int>(n));
+    for (std::size_t n = 0; n < count; ++n) rotate_joint(static_cast<int>(n));
     evaluate(now_);
     return true;
   }
@@ -271,67 +271,67 @@ class Fabrik : public Method {
  private:
   static constexpr double NO_LENGTH = 1e-9;
   // How many points along each branch a pin looks at.
-  static constexpr int AHEAD = 8;
+  static constexpr int FORWARD = 8;
 
   struct Grip {
     int index;
     bool tip;  // of a goal, or else the origin of a node
   };
 
-  void hold(std::size_t n, int ahead, std::vector<Grip>& held) const {
+  void hold(std::size_t n, int levels, std::vector<Grip>& kept_grips) const {
     for (const Grip& grip : next_[n]) {
-      held.push_back(grip);
-      if (!grip.tip && ahead > 1) hold(grip.index, ahead - 1, held);
+      kept_grips.push_back(grip);
+      if (!grip.tip && levels > 1) hold(grip.index, levels - 1, kept_grips);
     }
   }
 
   // `from` as far from `to` as the bone is long.
   static void draw(const double* from, const double* to, double bone, double* out) {
-    double way[3] = {from[0] - to[0], from[1] - to[1], from[2] - to[2]};
-    const double distance = length(way);
-    const double share = distance > NO_LENGTH ? bone / distance : 0;
-    for (int i = 0; i < 3; ++i) out[i] = to[i] + share * way[i];
+    double along[3] = {from[0] - to[0], from[1] - to[1], from[2] - to[2]};
+    const double distance = length(along);
+    const double bone_ratio = distance > NO_LENGTH ? bone / distance : 0;
+    for (int i = 0; i < 3; ++i) out[i] = to[i] + bone_ratio * along[i];
   }
 
   void ask(int node, const double* point, double bone) {
     double drawn[3];
     draw(&now_.frames.origins[3 * node], point, bone, drawn);
-    for (int i = 0; i < 3; ++i) wanted_[3 * node + i] += drawn[i];
+    for (int i = 0; i < 3; ++i) desired_[3 * node + i] += drawn[i];
     ++asking_[node];
   }
 
   void reach_in() {
-    std::fill(wanted_.begin(), wanted_.end(), 0.0);
+    std::fill(desired_.begin(), desired_.end(), 0.0);
     std::fill(asking_.begin(), asking_.end(), 0);
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
       if (now_.weights[PARTS * e + part_of<Position>()] > 0)
         ask(task_.goals[e].node, targets_ + TARGET_WIDTH * e + COLUMNS[part_of<Position>()], length(task_.goals[e].offset));
     for (std::size_t n = task_.chain.nodes.size(); n-- > 0;) {
       if (!asking_[n]) continue;
-      for (int i = 0; i < 3; ++i) wanted_[3 * n + i] /= asking_[n];
+      for (int i = 0; i < 3; ++i) desired_[3 * n + i] /= asking_[n];
       const int parent = task_.chain.nodes[n].parent;
-      if (parent >= 0) ask(parent, &wanted_[3 * n], bones_[n]);
+      if (parent >= 0) ask(parent, &desired_[3 * n], bones_[n]);
     }
   }
 
   void reach_out() {
     for (std::size_t n = 0; n < task_.chain.nodes.size(); ++n) {
       const int parent = task_.chain.nodes[n].parent;
-      double* own = &wanted_[3 * n];
+      double* squared_weight = &desired_[3 * n];
       if (parent < 0 || !asking_[n])
-        std::copy_n(&now_.frames.origins[3 * n], 3, own);
+        std::copy_n(&now_.frames.origins[3 * n], 3, squared_weight);
       else
-        draw(own, &wanted_[3 * parent], bones_[n], own);
+        draw(squared_weight, &desired_[3 * parent], bones_[n], squared_weight);
     }
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       const Goal& goal = task_.goals[e];
       const double* target = targets_ + TARGET_WIDTH * e + COLUMNS[part_of<Position>()];
-      draw(target, &wanted_[3 * goal.node], length(goal.offset), &tips_[3 * e]);
+      draw(target, &desired_[3 * goal.node], length(goal.offset), &tips_[3 * e]);
     }
   }
 
   // Turns a joint so that the points it holds lie towards where they were drawn.
-  void turn(int n) {
+  void rotate_joint(int n) {
     const Node& node = task_.chain.nodes[n];
     update(n);
     if (node.follows || node.gain == 0) return;
@@ -353,8 +353,8 @@ class Fabrik : public Method {
 
   void apply(int n, const double* step) {
     const Node& node = task_.chain.nodes[n];
-    double* own = &now_.q[node.coordinate];
-    Stepper::move(node, own, step, own);
+    double* squared_weight = &now_.q[node.coordinate];
+    Stepper::move(node, squared_weight, step, squared_weight);
     forward(task_.chain, now_.q.data(), n, n + 1, now_.frames);
   }
 
@@ -371,9 +371,9 @@ class Fabrik : public Method {
     Pull sum;
     for (const Grip& grip : grips) {
       double point[3], from[3], to[3];
-      const double* wanted = grip.tip ? &tips_[3 * grip.index] : &wanted_[3 * grip.index];
+      const double* desired = grip.tip ? &tips_[3 * grip.index] : &desired_[3 * grip.index];
       if (!find(grip, point)) continue;
-      for (int i = 0; i < 3; ++i) from[i] = point[i] - origin[i], to[i] = wanted[i] - origin[i];
+      for (int i = 0; i < 3; ++i) from[i] = point[i] - origin[i], to[i] = desired[i] - origin[i];
       sum.add(1, from, to);
     }
     return sum;
@@ -403,7 +403,7 @@ class Fabrik : public Method {
     return now_.weights[PARTS * grip.index + part_of<Position>()] > 0;
   }
 
-  std::vector<double> wanted_;  // (N, 3): where the joints' origins are drawn to
+  std::vector<double> desired_;  // (N, 3): where the joints' origins are drawn to
   std::vector<double> tips_;    // (E, 3): and the goals' points
   std::vector<int> asking_;     // (N,): how many ask something of it
   std::vector<double> bones_;   // (N,): lengths from the parent

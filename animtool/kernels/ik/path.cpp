@@ -27,7 +27,7 @@ double price_of(const Chain& chain, const double* step, const double* drift,
     if (node.follows) continue;
     for (int d = node.dof; d < node.dof + node.width(); ++d) {
       double by = step[d] - drift[d];
-      if (node.kind == Kind::PIN && !limited(node)) by -= TURN * std::round(by / TURN);
+      if (node.kind == Kind::PIN && !limited(node)) by -= REVOLUTION * std::round(by / REVOLUTION);
       const double over = std::max(std::fabs(by) - easy, 0.0);
       sum += by * by + STEEP * over * over;
     }

@@ -31,8 +31,8 @@ class TimeBand {
     for (int t = 0; t < static_cast<int>(rows_.size()) / 5; ++t) row(t)[2] += damping - damping_;
     damping_ = damping;
     for (int i = 0; i < count_; ++i) {
-      const double* own = row(first_ + i);
-      double far = i > 1 ? own[0] : 0, near = i > 0 ? own[1] : 0, pivot = own[2];
+      const double* row_i = row(first_ + i);
+      double far = i > 1 ? row_i[0] : 0, near = i > 0 ? row_i[1] : 0, pivot = row_i[2];
       if (i > 1) {
         near -= far * below_[2 * (i - 1)];
         pivot -= far * far / pivots_[i - 2];
@@ -71,16 +71,16 @@ class TimeBand {
     for (int i = 1; i < count_; ++i)
       for (int k = 1; k <= std::min(i, 2); ++k) {
         const double factor = below_[2 * i + k - 1];
-        double *own = at(i), *other = at(i - k);
-        for (int d = 0; d < width; ++d) own[d] -= factor * other[d];
+        double *row_i = at(i), *other = at(i - k);
+        for (int d = 0; d < width; ++d) row_i[d] -= factor * other[d];
       }
     for (int i = count_; i-- > 0;) {
-      double* own = at(i);
-      for (int d = 0; d < width; ++d) own[d] /= pivots_[i];
+      double* row_i = at(i);
+      for (int d = 0; d < width; ++d) row_i[d] /= pivots_[i];
       for (int k = 1; k <= std::min(count_ - 1 - i, 2); ++k) {
         const double factor = below_[2 * (i + k) + k - 1];
         const double* other = at(i + k);
-        for (int d = 0; d < width; ++d) own[d] -= factor * other[d];
+        for (int d = 0; d < width; ++d) row_i[d] -= factor * other[d];
       }
     }
   }
@@ -114,7 +114,7 @@ class PathCost {
   // `drifts` (F - 1, D) is the motion from frame to frame that costs nothing; null is none.
   PathCost(const Chain& chain, int frames, const PathWeights& weights, const double* drifts)
       : chain_(chain), frames_(frames), width_(chain.dofs), weights_(weights), drifts_(drifts),
-        away_(chain.dofs), still_(chain.dofs, 0.0) {}
+        away_(chain.dofs), zero_(chain.dofs, 0.0) {}
 
   // Of a path (F, Q), and its gradient (F, D) where one is asked for.
   double evaluate(const double* anchors, const double* q, std::vector<double>* slope = nullptr) {
@@ -156,7 +156,7 @@ class PathCost {
  private:
   std::size_t at(int t) const { return static_cast<std::size_t>(t) * chain_.coordinates; }
   std::size_t row(int t) const { return static_cast<std::size_t>(t) * width_; }
-  const double* drift_of(int t) const { return drifts_ ? drifts_ + row(t) : still_.data(); }
+  const double* drift_of(int t) const { return drifts_ ? drifts_ + row(t) : zero_.data(); }
 
   // What pulls at the motion from one frame to the next pulls at both poses.
   void spread(int t, std::vector<double>& slope) const {
@@ -179,7 +179,7 @@ class PathCost {
   const int frames_, width_;
   const PathWeights weights_;
   const double* drifts_;
-  std::vector<double> speeds_, forces_, away_, still_;
+  std::vector<double> speeds_, forces_, away_, zero_;
 };
 
 }  // namespace animtool::ik

@@ -53,8 +53,8 @@ void add_dofs(const Chain& chain, const std::vector<int>& dof_of, Program& progr
   program.dofs.erase(std::unique(program.dofs.begin(), program.dofs.end()), program.dofs.end());
   for (Instruction& one : program.instructions)
     if (one.op == Op::COORDINATE || one.op == Op::BALL) {
-      const auto own = std::lower_bound(program.dofs.begin(), program.dofs.end(), dof_of[one.which]);
-      one.slot = static_cast<int>(own - program.dofs.begin());
+      const auto position = std::lower_bound(program.dofs.begin(), program.dofs.end(), dof_of[one.which]);
+      one.slot = static_cast<int>(position - program.dofs.begin());
     }
 }
 

@@ -1,4 +1,4 @@
-// The arrays of a problem, read and checked.
+// Reads and checks the arrays of a problem.
 #pragma once
 
 #include "base/checks.h"

@@ -9,35 +9,35 @@
 
 namespace animtool::ik {
 
-RigMap::RigMap(const RigMapArrays& given, const Chain& chain, std::size_t width) {
-  const std::size_t count = chain.coordinates, balls = given.balls.shape(0);
-  const std::size_t mimics = given.mimics.shape(0);
-  check::shape("columns", given.columns, {count});
-  check::shape("scales", given.scales, {count});
-  check::shape("periods", given.periods, {count, 2});
-  check::shape("balls", given.balls, {balls});
-  check::shape("ball_frames", given.ball_frames, {balls, 4});
-  check::shape("mimics", given.mimics, {mimics, 2});
-  check::shape("mimic_numbers", given.mimic_numbers, {mimics, 2});
-  check::indices("columns", given.columns.data(), count, 0, static_cast<std::int64_t>(width));
-  check::indices("mimics", given.mimics.data(), 2 * mimics, 0, static_cast<std::int64_t>(width));
+RigMap::RigMap(const RigMapArrays& arrays, const Chain& chain, std::size_t width) {
+  const std::size_t count = chain.coordinates, balls = arrays.balls.shape(0);
+  const std::size_t mimics = arrays.mimics.shape(0);
+  check::shape("columns", arrays.columns, {count});
+  check::shape("scales", arrays.scales, {count});
+  check::shape("periods", arrays.periods, {count, 2});
+  check::shape("balls", arrays.balls, {balls});
+  check::shape("ball_frames", arrays.ball_frames, {balls, 4});
+  check::shape("mimics", arrays.mimics, {mimics, 2});
+  check::shape("mimic_numbers", arrays.mimic_numbers, {mimics, 2});
+  check::indices("columns", arrays.columns.data(), count, 0, static_cast<std::int64_t>(width));
+  check::indices("mimics", arrays.mimics.data(), 2 * mimics, 0, static_cast<std::int64_t>(width));
   for (std::size_t c = 0; c < count; ++c) {
-    const double* period = given.periods.data() + 2 * c;
-    if (!(given.scales.data()[c] > 0)) check::refuse("scales", "a scale is not more than 0");
-    coordinates_.push_back({static_cast<std::size_t>(given.columns.data()[c]),
-                            given.scales.data()[c], period[0], period[1]});
+    const double* period = arrays.periods.data() + 2 * c;
+    if (!(arrays.scales.data()[c] > 0)) check::refuse("scales", "a scale is not more than 0");
+    coordinates_.push_back({static_cast<std::size_t>(arrays.columns.data()[c]),
+                            arrays.scales.data()[c], period[0], period[1]});
   }
   for (std::size_t i = 0; i < balls; ++i) {
-    const std::int64_t first = given.balls.data()[i];
+    const std::int64_t first = arrays.balls.data()[i];
     check::between("balls", first, 0, static_cast<std::int64_t>(count) - 4);
     Ball ball{static_cast<std::size_t>(first), {}, {}};
-    std::copy(given.ball_frames.data() + 4 * i, given.ball_frames.data() + 4 * i + 4, ball.frame);
+    std::copy(arrays.ball_frames.data() + 4 * i, arrays.ball_frames.data() + 4 * i + 4, ball.frame);
     for (int k = 0; k < 4; ++k) ball.back[k] = k < 3 ? -ball.frame[k] : ball.frame[k];
     balls_.push_back(ball);
   }
   for (std::size_t i = 0; i < mimics; ++i) {
-    const std::int64_t* pair = given.mimics.data() + 2 * i;
-    const double* numbers = given.mimic_numbers.data() + 2 * i;
+    const std::int64_t* pair = arrays.mimics.data() + 2 * i;
+    const double* numbers = arrays.mimic_numbers.data() + 2 * i;
     mimics_.push_back({static_cast<std::size_t>(pair[0]), static_cast<std::size_t>(pair[1]),
                        numbers[0], numbers[1]});
   }
@@ -47,11 +47,11 @@ void RigMap::to_chain(const double* rig, double* q) const {
   for (std::size_t c = 0; c < coordinates_.size(); ++c)
     q[c] = rig[coordinates_[c].column] / coordinates_[c].scale;
   for (const Ball& ball : balls_) {
-    double* own = q + ball.first;
+    double* values = q + ball.first;
     double turned[3];
-    make_unit(own);
-    turn(ball.frame, own, turned);
-    std::copy(turned, turned + 3, own);
+    make_unit(values);
+    rotate_vector(ball.frame, values, turned);
+    std::copy(turned, turned + 3, values);
   }
 }
 
@@ -60,15 +60,15 @@ void RigMap::to_rig(const double* q, double* rig) const {
     const auto& [column, scale, low, high] = coordinates_[c];
     double value = q[c];
     if (std::isfinite(low) && (value < low || value > high)) {
-      const double whole = std::nearbyint((value - (low + high) / 2) / TURN);
-      value = std::clamp(value - TURN * whole, low, high);
+      const double revolutions = std::nearbyint((value - (low + high) / 2) / REVOLUTION);
+      value = std::clamp(value - REVOLUTION * revolutions, low, high);
     }
     rig[column] = value * scale;
   }
   for (const Ball& ball : balls_) {
-    const double* own = q + ball.first;
+    const double* values = q + ball.first;
     double turned[3];
-    turn(ball.back, own, turned);
+    rotate_vector(ball.back, values, turned);
     for (int i = 0; i < 3; ++i)
       rig[coordinates_[ball.first + i].column] = turned[i] * coordinates_[ball.first + i].scale;
   }

@@ -1,4 +1,4 @@
-// The coordinates of a rig as those of a chain of its joints, and back.
+// Maps coordinates of a rig to those of a chain, and back.
 #pragma once
 
 #include <cstdint>
@@ -26,7 +26,7 @@ struct RigMapArrays {
 class RigMap {
  public:
   // `width`: coordinates of the rig.
-  RigMap(const RigMapArrays& given, const Chain& chain, std::size_t width);
+  RigMap(const RigMapArrays& arrays, const Chain& chain, std::size_t width);
 
   void to_chain(const double* rig, double* q) const;
 

@@ -1,4 +1,4 @@
-// Problems of one rig, solved in the rig's own terms.
+// Solves problems of one rig in the rig's coordinates.
 #include "ik/rig_solver.h"
 
 #include <algorithm>
@@ -20,7 +20,7 @@ using namespace ik;
 
 namespace {
 
-// Directions whose numbers are larger have no square.
+// Larger direction targets overflow when squared.
 constexpr double FARTHEST = 1e100;
 
 // Closed forms, as Python numbers them.
@@ -33,14 +33,14 @@ std::vector<T> copied(const In<T, N>& values) {
 
 // Arrays of the rig's joints that outlive a call.
 struct JointMemory {
-  explicit JointMemory(const RigSolverArrays& given)
-      : parents(copied(given.parents)), types(copied(given.types)),
-        columns(copied(given.joint_columns)), axes(copied(given.axes)),
-        translations(copied(given.rest_translations)), rotations(copied(given.rest_rotations)) {
-    const JointArrays joints{given.types, given.joint_columns, given.axes,
-                             given.rest_translations, given.rest_rotations};
+  explicit JointMemory(const RigSolverArrays& inputs)
+      : parents(copied(inputs.parents)), types(copied(inputs.types)),
+        columns(copied(inputs.joint_columns)), axes(copied(inputs.axes)),
+        translations(copied(inputs.rest_translations)), rotations(copied(inputs.rest_rotations)) {
+    const JointArrays joints{inputs.types, inputs.joint_columns, inputs.axes,
+                             inputs.rest_translations, inputs.rest_rotations};
     width = joints.check();
-    check::shape("parents", given.parents, {types.size()});
+    check::shape("parents", inputs.parents, {types.size()});
   }
 
   JointArrays arrays() const {
@@ -57,39 +57,39 @@ struct JointMemory {
   std::size_t width;
 };
 
-RigMapArrays map_of(const RigSolverArrays& given) {
-  return {given.columns,     given.scales, given.periods,      given.balls,
-          given.ball_frames, given.mimics, given.mimic_numbers};
+RigMapArrays map_of(const RigSolverArrays& inputs) {
+  return {inputs.columns,     inputs.scales, inputs.periods,      inputs.balls,
+          inputs.ball_frames, inputs.mimics, inputs.mimic_numbers};
 }
 
-Settings settings_of(const RigSolverArrays& given) {
-  return {given.length_tolerance, given.angle_tolerance, given.damping, given.iterations,
-          given.restarts,         given.seed,            given.seconds, given.ordered && !given.warm};
+Settings settings_of(const RigSolverArrays& inputs) {
+  return {inputs.length_tolerance, inputs.angle_tolerance, inputs.damping, inputs.iterations,
+          inputs.restarts,         inputs.seed,            inputs.seconds, inputs.ordered && !inputs.warm};
 }
 
 }  // namespace
 
 struct RigSolver::Parts {
-  explicit Parts(const RigSolverArrays& given)
-      : task(read_task(given.nodes, given.numbers, given.goals, given.goal_numbers,
-                       given.rest_weight)),
-        plain(task.chain), settings(checked_settings(settings_of(given))),
-        solver(make_solver(given.method, task, settings)), joints(given),
-        map(map_of(given), plain, joints.width),
-        limbs(read_limbs(given.limbs, given.limb_numbers, task.goals.size())),
-        goal_frames(copied(given.goal_frames)), length(given.length),
-        ordered(given.ordered || given.warm), warm(given.warm) {
+  explicit Parts(const RigSolverArrays& inputs)
+      : task(read_task(inputs.nodes, inputs.numbers, inputs.goals, inputs.goal_numbers,
+                       inputs.rest_weight)),
+        plain(task.chain), settings(checked_settings(settings_of(inputs))),
+        solver(make_solver(inputs.method, task, settings)), joints(inputs),
+        map(map_of(inputs), plain, joints.width),
+        limbs(read_limbs(inputs.limbs, inputs.limb_numbers, task.goals.size())),
+        goal_frames(copied(inputs.goal_frames)), length(inputs.length),
+        ordered(inputs.ordered || inputs.warm), warm(inputs.warm) {
     const std::size_t goals = task.goals.size();
-    check::shape("goal_frames", given.goal_frames, {goals, 4});
+    check::shape("goal_frames", inputs.goal_frames, {goals, 4});
     check::positive("length", length);
-    check::shape("limb_joints", given.limb_joints, {check::ANY, 2});
-    for (std::size_t i = 0; i < given.limb_joints.shape(0); ++i) {
-      const std::int64_t* row = given.limb_joints.data() + 2 * i;
+    check::shape("limb_joints", inputs.limb_joints, {check::ANY, 2});
+    for (std::size_t i = 0; i < inputs.limb_joints.shape(0); ++i) {
+      const std::int64_t* row = inputs.limb_joints.data() + 2 * i;
       check::indices("limb_joints", row, 1, 0, static_cast<std::int64_t>(joints.types.size()));
       check::indices("limb_joints", row + 1, 1, 0, static_cast<std::int64_t>(goals));
       limb_joints.emplace_back(row[0], row[1]);
     }
-    make_closed(given.closed);
+    make_closed(inputs.closed);
   }
 
   void make_closed(int kind) {
@@ -103,20 +103,20 @@ struct RigSolver::Parts {
       closed = make_limb(task);
     }
     if (kind == static_cast<int>(Closed::ARM)) {
-      std::unique_ptr<Arm> made =
+      std::unique_ptr<Arm> six_pin_arm =
           make_arm(task, settings.length_tolerance, settings.angle_tolerance);
-      if (!made) check::refuse("closed", "the chain is no arm of six pins");
-      arm = made.get();
-      closed = std::move(made);
+      if (!six_pin_arm) check::refuse("closed", "the chain is no arm of six pins");
+      arm = six_pin_arm.get();
+      closed = std::move(six_pin_arm);
     }
   }
 
-  void place(const double* given, double* targets) const {
-    std::copy(given, given + task.goals.size() * TARGET_WIDTH, targets);
+  void pack_targets(const double* inputs, double* targets) const {
+    std::copy(inputs, inputs + task.goals.size() * TARGET_WIDTH, targets);
     for (std::size_t e = 0; e < task.goals.size(); ++e) {
       const double* frame = goal_frames.data() + 4 * e;
       each_kind([&]<class Kind>(int part) {
-        Kind::place(targets + TARGET_WIDTH * e + COLUMNS[part], frame, length);
+        Kind::to_chain(targets + TARGET_WIDTH * e + COLUMNS[part], frame, length);
       });
     }
   }
@@ -170,24 +170,24 @@ struct RigSolver::Parts {
   std::vector<double> translations, rotations;
 };
 
-RigSolver::RigSolver(const RigSolverArrays& given) : parts_(std::make_unique<Parts>(given)) {}
+RigSolver::RigSolver(const RigSolverArrays& inputs) : parts_(std::make_unique<Parts>(inputs)) {}
 
 RigSolver::~RigSolver() = default;
 
 RigSolved RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
                            std::optional<In<double, 2>> preferred, bool placed) {
   const std::lock_guard<std::mutex> lock(busy_);
-  Parts& own = *parts_;
-  const std::size_t batch = starts.shape(0), width = own.joints.width;
-  const std::size_t goals = own.task.goals.size(), chain = own.plain.coordinates;
-  const std::size_t joints = own.joints.types.size();
+  Parts& parts = *parts_;
+  const std::size_t batch = starts.shape(0), width = parts.joints.width;
+  const std::size_t goals = parts.task.goals.size(), chain = parts.plain.coordinates;
+  const std::size_t joints = parts.joints.types.size();
   check::shape("starts", starts, {batch, width});
   check::finite("starts", starts);
   if (preferred) {
     check::shape("preferred", *preferred, {batch, width});
     check::finite("preferred", *preferred);
   }
-  own.check_world("targets", batch, targets);
+  parts.check_world("targets", batch, targets);
   Out<double, 2> coordinates(batch, width), scales(batch, goals);
   Out<double, 3> misses(batch, goals, PARTS);
   Out<std::int64_t, 2> reports(batch, 3);
@@ -198,7 +198,7 @@ RigSolved RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
   std::vector<double> start(chain), rest(chain), solved(chain), last(chain), searched(chain);
   std::vector<double> target(goals * TARGET_WIDTH), sought(goals * TARGET_WIDTH);
   const std::unique_ptr<bool[]> eased(new bool[std::max<std::size_t>(goals, 1)]);
-  bool found = false;   // a frame that asked for something, whose pose is in `last`
+  bool has_last = false;   // a frame that asked for something, whose pose is in `last`
   bool looked = false;  // and one that was searched for, whose pose is in `searched`
   for (std::size_t b = 0; b < batch; ++b) {
     double* miss = misses.get() + b * goals * PARTS;
@@ -206,27 +206,27 @@ RigSolved RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
     std::int64_t* report = reports.get() + 3 * b;
     double* rig = coordinates.get() + b * width;
     std::copy(starts.data() + b * width, starts.data() + (b + 1) * width, rig);
-    own.map.to_chain(rig, start.data());
-    if (preferred) own.map.to_chain(preferred->data() + b * width, rest.data());
+    parts.map.to_chain(rig, start.data());
+    if (preferred) parts.map.to_chain(preferred->data() + b * width, rest.data());
     else rest = start;
-    own.place(targets.data() + b * goals * TARGET_WIDTH, target.data());
-    extend(own.limbs, goals, target.data(), sought.data(), scale, eased.get());
-    const bool after = own.warm && own.closed && own.closed->follows() && found;
+    parts.pack_targets(targets.data() + b * goals * TARGET_WIDTH, target.data());
+    extend(parts.limbs, goals, target.data(), sought.data(), scale, eased.get());
+    const bool after = parts.warm && parts.closed && parts.closed->follows() && has_last;
     const double* from = after ? last.data() : start.data();
     std::fill(report, report + 3, 0);
     seconds.get()[b] = 0;
-    const bool closed = own.closed && own.closed->solve(from, target.data(), sought.data(),
+    const bool closed = parts.closed && parts.closed->solve(from, target.data(), sought.data(),
                                                         scale[0], solved.data(), miss);
     if (!closed) {
-      const bool next = own.ordered && looked;
-      if (own.warm && looked && !after) from = searched.data();
-      Ran ran = run_one(*own.solver, own.plain, own.task, from, target.data(), sought.data(),
+      const bool next = parts.ordered && looked;
+      if (parts.warm && looked && !after) from = searched.data();
+      Ran ran = run_one(*parts.solver, parts.plain, parts.task, from, target.data(), sought.data(),
                         scale, rest.data(), next);
       seconds.get()[b] = ran.seconds;
       report[0] = static_cast<std::int64_t>(ran.outcome.status);
       report[1] = ran.outcome.iterations;
       report[2] = ran.outcome.descents;
-      const State& best = own.solver->best();
+      const State& best = parts.solver->best();
       std::copy_n(ran.outcome.status == Status::BROKEN ? from : best.q.data(), chain,
                   solved.data());
       std::copy(best.misses.begin(), best.misses.end(), miss);
@@ -234,24 +234,24 @@ RigSolved RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
       looked = true;
     }
     // A limb of which a frame asks nothing stays where the last frame left it.
-    const bool idle = own.closed && own.warm && !rows_asked(own.task, target.data());
-    if (!idle) last = solved, found = true;
-    else if (found) solved = last;
-    own.map.to_rig(solved.data(), rig);
-    bool all = true, given_way = true;
+    const bool idle = parts.closed && parts.warm && !rows_asked(parts.task, target.data());
+    if (!idle) last = solved, has_last = true;
+    else if (has_last) solved = last;
+    parts.map.to_rig(solved.data(), rig);
+    bool all = true, yielded = true;
     for (std::size_t e = 0; e < goals; ++e) {
-      const bool reaches = own.reaches(miss + PARTS * e);
+      const bool reaches = parts.reaches(miss + PARTS * e);
       reached.get()[b * goals + e] = reaches;
       all = all && reaches;
-      given_way = given_way && (reaches || eased[e]);
+      yielded = yielded && (reaches || eased[e]);
       for (int part = 0; part < PARTS; ++part)
-        if (METRIC[part]) miss[PARTS * e + part] *= own.length;
+        if (METRIC[part]) miss[PARTS * e + part] *= parts.length;
     }
     // A target that was brought into reach may have been out of it.
     if (report[0] == static_cast<std::int64_t>(Status::REACHED) && !all)
-      report[0] = static_cast<std::int64_t>(given_way ? Status::YIELDED : Status::NEAREST);
+      report[0] = static_cast<std::int64_t>(yielded ? Status::YIELDED : Status::NEAREST);
     if (placed)
-      own.pose(rig, scale, positions.get() + 3 * b * joints, linear.get() + 9 * b * joints);
+      parts.pose(rig, scale, positions.get() + 3 * b * joints, linear.get() + 9 * b * joints);
   }
   return {std::move(coordinates), std::move(misses), std::move(reports), std::move(seconds),
           std::move(reached),     std::move(scales), std::move(positions), std::move(linear)};
@@ -259,23 +259,23 @@ RigSolved RigSolver::solve(In<double, 2> starts, In<double, 3> targets,
 
 Out<double, 2> RigSolver::branches(In<double, 1> start, In<double, 2> targets) {
   const std::lock_guard<std::mutex> lock(busy_);
-  Parts& own = *parts_;
-  if (!own.arm) check::refuse("closed", "the chain is no arm of six pins");
-  const std::size_t width = own.joints.width, goals = own.task.goals.size();
+  Parts& parts = *parts_;
+  if (!parts.arm) check::refuse("closed", "the chain is no arm of six pins");
+  const std::size_t width = parts.joints.width, goals = parts.task.goals.size();
   check::shape("start", start, {width});
   check::shape("targets", targets, {goals, TARGET_WIDTH});
   check::finite("start", start);
-  own.check_world("targets", 1, {targets.data(), {1, goals, TARGET_WIDTH}});
-  std::vector<double> from(own.plain.coordinates), target(goals * TARGET_WIDTH);
+  parts.check_world("targets", 1, {targets.data(), {1, goals, TARGET_WIDTH}});
+  std::vector<double> from(parts.plain.coordinates), target(goals * TARGET_WIDTH);
   double poses[MOST_BRANCHES * ARM_PINS];
-  own.map.to_chain(start.data(), from.data());
-  own.place(targets.data(), target.data());
-  const std::size_t count = own.arm->branches(from.data(), target.data(), poses);
+  parts.map.to_chain(start.data(), from.data());
+  parts.pack_targets(targets.data(), target.data());
+  const std::size_t count = parts.arm->branches(from.data(), target.data(), poses);
   Out<double, 2> coordinates(count, width);
   for (std::size_t i = 0; i < count; ++i) {
     double* rig = coordinates.get() + i * width;
     std::copy(start.data(), start.data() + width, rig);
-    own.map.to_rig(poses + ARM_PINS * i, rig);
+    parts.map.to_rig(poses + ARM_PINS * i, rig);
   }
   return coordinates;
 }

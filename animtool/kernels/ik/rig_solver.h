@@ -54,7 +54,7 @@ using RigSolved =
 
 class RigSolver {
  public:
-  explicit RigSolver(const RigSolverArrays& given);
+  explicit RigSolver(const RigSolverArrays& arrays);
   ~RigSolver();
 
   RigSolved solve(In<double, 2> starts, In<double, 3> targets,

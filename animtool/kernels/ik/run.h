@@ -1,4 +1,4 @@
-// A solver on one problem after the other.
+// Runs a solver on consecutive problems.
 #pragma once
 
 #include <memory>
@@ -7,7 +7,7 @@
 
 namespace animtool::ik {
 
-// By the number of its method; refuses what cannot solve the chain.
+// By method number; refuses methods that do not support the chain.
 std::unique_ptr<Solver> make_solver(int method, Task& task, const Settings& settings);
 
 // Refuses numbers out of their range.

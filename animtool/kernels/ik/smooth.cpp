@@ -1,4 +1,4 @@
-// A path of poses made smoother, while its goals stay where they are and limits kept.
+// Smooths a path of poses within limits while its goals keep their points.
 //
 // Over all frames at once: min sum |q - anchor|^2 + speed |v|^2 + acceleration |a|^2 by
 // Gauss-Newton, its steps in the null space of the goals' Jacobians. Of balls, differences
@@ -44,7 +44,7 @@ class PathSmoother {
         targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH),
         stretches_(stretches), cost_(task_.chain, frames, path.weights, drifts),
         band_(frames, path.first, path.end, path.weights), search_(task_, tight_),
-        stepper_(task_), state_(task_), linear_(task_), spaces_(frames), held_(frames, 0), away_(width_) {}
+        stepper_(task_), state_(task_), linear_(task_), spaces_(frames), stuck_(frames, 0), away_(width_) {}
 
   // Improves a path (F, Q) in place.
   PathOutcome run(double* path) {
@@ -144,10 +144,10 @@ class PathSmoother {
     if (reached(state_)) return;
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       const Goal& goal = task_.goals[e];
-      double* wanted = target(t) + TARGET_WIDTH * e;
+      double* kept_target = target(t) + TARGET_WIDTH * e;
       const View view = view_of(goal, state_, &state_.points[3 * e]);
       each_kind([&]<class Kind>(int part) {
-        if (!Kind::LIMB || goal.middle >= 0) Kind::keep(view, wanted + COLUMNS[part]);
+        if (!Kind::LIMB || goal.middle >= 0) Kind::keep(view, kept_target + COLUMNS[part]);
       });
     }
   }
@@ -180,7 +180,7 @@ class PathSmoother {
     end_ = std::min(sharpest + reach + 1, path_.end);
     std::fill(looked.begin() + std::max(sharpest - reach / 2, 0),
               looked.begin() + std::min(sharpest + reach / 2 + 1, frames_), 1);
-    std::fill(held_.begin(), held_.end(), 0);
+    std::fill(stuck_.begin(), stuck_.end(), 0);
     band_ = TimeBand(frames_, first_, end_, path_.weights);
     return true;
   }
@@ -218,7 +218,7 @@ class PathSmoother {
     for (int t = first_; t < end_; ++t) {
       const double away = std::fabs(t - middle) / reach;
       if (away >= 1) continue;
-      const double eased = std::cos(away * TURN / 4);
+      const double eased = std::cos(away * REVOLUTION / 4);
       const double at = std::clamp(t + by * eased * eased, 0.0, frames_ - 1.0);
       const int from = std::min(static_cast<int>(at), frames_ - 2);
       difference(task_.chain, pose(now_, from), pose(now_, from + 1), away_.data());
@@ -247,7 +247,7 @@ class PathSmoother {
     evaluate(now_, &slope_);
     for (int i = 0; i < TRIES; ++i) {
       const double stiffness = attempt();
-      if (longest() < LONGEST_TURN && take(i + 1 < TRIES)) {
+      if (longest() < MAX_ROTATION && take(i + 1 < TRIES)) {
         const double next = evaluate(next_);
         if (next < cost) {
           now_.swap(next_);
@@ -297,11 +297,11 @@ class PathSmoother {
   // Takes out of x what goals and limits feel, frame by frame.
   void project(std::vector<double>& x) {
     for (int t = first_; t < end_; ++t) {
-      double* own = frame(x, t);
-      if (held_[t])
-        std::fill(own, own + width_, 0.0);
+      double* values = frame(x, t);
+      if (stuck_[t])
+        std::fill(values, values + width_, 0.0);
       else
-        spaces_[t].project(own, work_);
+        spaces_[t].project(values, work_);
     }
   }
 
@@ -310,9 +310,9 @@ class PathSmoother {
     const std::size_t size = slope_.size();
     project(step_);
     for (int t = first_; t < end_; ++t) {
-      if (held_[t]) continue;
-      double* own = frame(step_, t);
-      for (int d = 0; d < width_; ++d) own[d] += spaces_[t].step[d];
+      if (stuck_[t]) continue;
+      double* values = frame(step_, t);
+      for (int d = 0; d < width_; ++d) values[d] += spaces_[t].step[d];
     }
     image_.assign(size, 0.0);
     band_.multiply(step_, width_, image_);
@@ -357,16 +357,16 @@ class PathSmoother {
   std::size_t end() const { return static_cast<std::size_t>(end_) * width_; }
 
   bool fix_violations() {
-    bool found = false;
+    bool improved = false;
     for (int t = first_; t < end_; ++t) {
       GoalSpace& space = spaces_[t];
       std::copy(pose(now_, t), pose(now_, t) + coordinates_, state_.q.begin());
       if (!stepper_.fix_violations(state_, frame(step_, t), space.fixed, space.pinned)) continue;
       look(t);
       span(t);
-      found = true;
+      improved = true;
     }
-    return found;
+    return improved;
   }
 
   // next_ <- the path after the step, brought back to the goals. False where a frame does
@@ -376,11 +376,11 @@ class PathSmoother {
     moved_.resize(coordinates_);
     bool good = true;
     for (int t = first_; t < end_; ++t) {
-      if (held_[t]) continue;
+      if (stuck_[t]) continue;
       stepper_.move(pose(now_, t), frame(step_, t), moved_.data());
       if (bring(t, moved_.data())) continue;
       good = false;
-      held_[t] = !again;
+      stuck_[t] = !again;
     }
     return good;
   }
@@ -401,7 +401,7 @@ class PathSmoother {
   Linearized linear_;
   std::vector<GoalSpace> spaces_;
   GoalSpace::Work work_;
-  std::vector<char> held_;
+  std::vector<char> stuck_;
   std::vector<double> now_, next_, anchors_, away_, slope_, step_, image_;
   std::vector<double> rest_, along_, conditioned_, moved_;
   double damping_ = 0;
@@ -413,10 +413,10 @@ class PathSmoother {
 
 using namespace ik;
 
-IkSmoothed smooth_ik(const IkSmoothing& given) {
+IkSmoothed smooth_ik(const IkSmoothing& arrays) {
   const auto& [nodes, numbers, goals, goal_numbers, path, targets, sought, stretches, drifts,
                anchor, speed, acceleration, first, end, length_tolerance, angle_tolerance,
-               damping, rounds] = given;
+               damping, rounds] = arrays;
   Task task = read_task(nodes, numbers, goals, goal_numbers, 0);
   const Chain plain = task.chain;
   const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);

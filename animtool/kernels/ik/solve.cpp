@@ -1,4 +1,4 @@
-// Inverse kinematics of one pose after the other.
+// Inverse kinematics of consecutive poses.
 #include "ik/solve.h"
 
 #include <chrono>
@@ -57,7 +57,7 @@ Ran run_one(Solver& solver, const Chain& plain, Task& task, const double* start,
 
 using namespace ik;
 
-void place_ik_targets(Filled<double, 3> targets, In<double, 2> frames, double length) {
+void to_chain_targets(Filled<double, 3> targets, In<double, 2> frames, double length) {
   const std::size_t goals = targets.shape(1);
   check::shape("targets", targets, {check::ANY, check::ANY, TARGET_WIDTH});
   check::shape("frames", frames, {goals, 4});
@@ -65,7 +65,7 @@ void place_ik_targets(Filled<double, 3> targets, In<double, 2> frames, double le
   for (std::size_t row = 0; row < targets.shape(0) * goals; ++row) {
     double* target = targets.data() + TARGET_WIDTH * row;
     const double* frame = frames.data() + 4 * (row % goals);
-    each_kind([&]<class Kind>(int part) { Kind::place(target + COLUMNS[part], frame, length); });
+    each_kind([&]<class Kind>(int part) { Kind::to_chain(target + COLUMNS[part], frame, length); });
   }
 }
 
@@ -77,10 +77,10 @@ std::vector<IkGoalKind> ik_goal_kinds() {
   return kinds;
 }
 
-IkSolved solve_ik(const IkProblems& given) {
+IkSolved solve_ik(const IkProblems& problems) {
   const auto& [nodes, numbers, goals, goal_numbers, starts, targets, sought, stretches, rests,
                rest_weight, length_tolerance, angle_tolerance, damping, iterations, restarts,
-               seed, seconds, ordered, warm, method] = given;
+               seed, seconds, ordered, warm, method] = problems;
   Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   const Chain plain = task.chain;
   const std::size_t batch = starts.shape(0), width = starts.shape(1), e = goals.shape(0);

@@ -13,7 +13,7 @@ namespace animtool {
 using IkGoalKind = std::tuple<const char*, int, int, bool, bool>;
 std::vector<IkGoalKind> ik_goal_kinds();
 
-void place_ik_targets(Filled<double, 3> targets, In<double, 2> frames, double length);
+void to_chain_targets(Filled<double, 3> targets, In<double, 2> frames, double length);
 
 // coordinates, misses, reports, seconds
 using IkSolved = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 2>, Out<double, 1>>;
@@ -31,7 +31,7 @@ struct IkProblems {
   bool ordered, warm;
   int method;
 };
-IkSolved solve_ik(const IkProblems& given);
+IkSolved solve_ik(const IkProblems& problems);
 
 // sought, scales, eased
 using IkExtended = std::tuple<Out<double, 3>, Out<double, 2>, Out<bool, 2>>;
@@ -58,7 +58,7 @@ struct IkSmoothing {
   double length_tolerance, angle_tolerance, damping;
   int rounds;
 };
-IkSmoothed smooth_ik(const IkSmoothing& given);
+IkSmoothed smooth_ik(const IkSmoothing& problems);
 
 // coordinates, misses, searched, taken, rounds, cost before and after
 using IkFitted = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 1>,
@@ -75,7 +75,7 @@ struct IkFitting {
   int iterations, rounds;
   bool tracked;
 };
-IkFitted fit_ik(const IkFitting& given);
+IkFitted fit_ik(const IkFitting& problems);
 
 Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                                       In<double, 3> paths, In<double, 2> costs,

@@ -1,4 +1,4 @@
-// Of one frame of a path: the directions that its goals and fixed limits leave free.
+// Null space of the goals and fixed limits of one frame of a path.
 #pragma once
 
 #include <cmath>
@@ -84,13 +84,13 @@ class GoalSpace {
                                                 [](std::size_t) { return DAMPING / 2; });
     solve_forward<Inverses>(Rows{gram, static_cast<std::size_t>(m)}, m, work.missing.data());
     for (int i = 0; i < m; ++i) {
-      const double* own = gram + static_cast<std::size_t>(i) * m;
+      const double* row_i = gram + static_cast<std::size_t>(i) * m;
       double* row = basis_.data() + static_cast<std::size_t>(i) * width_;
       for (int j = 0; j < i; ++j) {
         const double* done = basis_.data() + static_cast<std::size_t>(j) * width_;
-        for (int d = 0; d < width_; ++d) row[d] -= own[j] * done[d];
+        for (int d = 0; d < width_; ++d) row[d] -= row_i[j] * done[d];
       }
-      for (int d = 0; d < width_; ++d) row[d] *= own[i];
+      for (int d = 0; d < width_; ++d) row[d] *= row_i[i];
       for (int d = 0; d < width_; ++d) step[d] += work.missing[i] * row[d];
     }
   }

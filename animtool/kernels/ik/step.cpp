@@ -6,9 +6,9 @@ namespace animtool::ik {
 bool Stepper::fix_violations(const State& state, const double* step, std::vector<Fixed>& fixed,
                              std::vector<Pinned>& pinned) {
   fixed_.swap(fixed), pinned_.swap(pinned);
-  const bool found = fix_violations(state, step);
+  const bool solved = fix_violations(state, step);
   fixed_.swap(fixed), pinned_.swap(pinned);
-  return found;
+  return solved;
 }
 
 bool Stepper::step(const State& state, const Linearized& linear, double damping, bool curved,
@@ -55,9 +55,9 @@ void Stepper::hessian(const State& state, const Linearized& linear, bool curved,
 
 void Stepper::move(const Node& node, const double* now, const double* by, double* next) {
   if (node.kind == Kind::BALL) {
-    double turn[4], turned[4];
-    exponential(by, turn);
-    product(turn, now, turned);
+    double rotation[4], turned[4];
+    exponential(by, rotation);
+    product(rotation, now, turned);
     normalize(turned);
     if (limited(node) && !well_inside(node, turned)) clamp_ball(turned, node.limit);
     std::copy(turned, turned + 4, next);
@@ -114,13 +114,13 @@ void Stepper::fix(int n, const double* normal, double value) {
 }
 
 bool Stepper::fix_violations(const State& state, const double* step) {
-  bool found = false;
+  bool solved = false;
   for (std::size_t n = 0; n < task_.chain.nodes.size(); ++n) {
     const Node& node = task_.chain.nodes[n];
     if (!limited(node)) continue;
     const double* q = &state.q[node.coordinate];
     if (node.kind == Kind::BALL) {
-      found = fix_ball(static_cast<int>(n), q, step + node.dof) || found;
+      solved = fix_ball(static_cast<int>(n), q, step + node.dof) || solved;
       continue;
     }
     if (pinned_[n].box) continue;
@@ -129,18 +129,18 @@ bool Stepper::fix_violations(const State& state, const double* step) {
     const double bound = next < node.limit[0] ? node.limit[0] : node.limit[1];
     fixed_.push_back({node.dof, 1, {1, 0, 0}, bound - q[0], static_cast<int>(n)});
     pinned_[n].box = true;
-    found = true;
+    solved = true;
   }
-  return found;
+  return solved;
 }
 
 bool Stepper::fix_ball(int n, const double* q, const double* step) {
   const Node& node = task_.chain.nodes[n];
   Pinned& pinned = pinned_[n];
   if (pinned.swing && pinned.twist) return false;
-  double turn[4], next[4];
-  exponential(step, turn);
-  product(turn, q, next);
+  double rotation[4], next[4];
+  exponential(step, rotation);
+  product(rotation, q, next);
   if (well_inside(node, next)) return false;
   const Beyond out = beyond(split(next, node.limit), node.limit);
   const bool swing = out.swing && !pinned.swing, twist = out.twist && !pinned.twist;
@@ -215,19 +215,19 @@ bool Stepper::solve_primal(const Linearized& linear, double damping, double* out
 
 void Stepper::shut(const Fixed& fixed) {
   const double* c = fixed.direction;
-  double own = 0;
+  double felt = 0;
   for (int i = 0; i < side_; ++i) {
     felt_[i] = 0;
     for (int k = 0; k < fixed.width; ++k) felt_[i] += entry(i, fixed.dof + k) * c[k];
   }
-  for (int k = 0; k < fixed.width; ++k) own += c[k] * felt_[fixed.dof + k];
+  for (int k = 0; k < fixed.width; ++k) felt += c[k] * felt_[fixed.dof + k];
   for (int k = 0; k < fixed.width; ++k) {
     const int at = fixed.dof + k;
     for (int i = 0; i < side_; ++i)
       if (i < fixed.dof || i >= fixed.dof + fixed.width) entry(i, at) -= felt_[i] * c[k];
     for (int n = 0; n <= k; ++n) {
       const int other = fixed.dof + n;
-      entry(at, other) += (own + 1) * c[k] * c[n] - felt_[at] * c[n] - c[k] * felt_[other];
+      entry(at, other) += (felt + 1) * c[k] * c[n] - felt_[at] * c[n] - c[k] * felt_[other];
     }
   }
 }
@@ -304,7 +304,7 @@ bool Stepper::solve_curved(const State& state, const Linearized& linear, double 
       bend += search_[d] * product_[d], norm += search_[d] * search_[d];
     if (bend <= 1e-14 * norm) {
       if (round > 0) break;
-      const double far = LONGEST_TURN / std::sqrt(norm);
+      const double far = MAX_ROTATION / std::sqrt(norm);
       for (int d = 0; d < dofs; ++d) out[d] += far * search_[d];
       break;
     }

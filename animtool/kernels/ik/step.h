@@ -1,4 +1,4 @@
-// One damped step that keeps the limits.
+// One damped step within the limits.
 //
 // min |r - J d|^2 / 2 + damping |d|^2 / 2 over steps inside the limits, by fixing what
 // would go beyond at the limit and solving again for the rest.
@@ -11,8 +11,8 @@
 
 namespace animtool::ik {
 
-// Most that a joint turns in one step [rad].
-constexpr double LONGEST_TURN = 1.0;
+// Largest rotation of a joint in one step [rad].
+constexpr double MAX_ROTATION = 1.0;
 
 class Stepper {
  public:
@@ -47,7 +47,7 @@ class Stepper {
             double longest, double* out);
 
   // How far the last step turns a joint or, curved, anything in the world [rad].
-  double turn() const { return turn_; }
+  double rotation() const { return rotation_; }
 
   // What the model says the step gains, without the damping.
   double predicted(const State& state, const Linearized& linear, bool curved,
@@ -87,7 +87,7 @@ class Stepper {
   // turns in the world does not either, for these are far off once it has.
   void shorten(const State& state, bool curved, double most, double* step) {
     const double longest = curved ? turning(state, step) : turning(step);
-    turn_ = std::min(longest, most);
+    rotation_ = std::min(longest, most);
     if (longest <= most) return;
     for (int d = 0; d < task_.chain.dofs; ++d) step[d] *= most / longest;
   }
@@ -158,7 +158,7 @@ class Stepper {
   Curvature curvature_;
   const int side_;  // of the matrix
   std::vector<double> matrix_, right_, image_, felt_, free_, search_, rest_, product_, turned_;
-  double turn_ = 0;
+  double rotation_ = 0;
   std::vector<Fixed> fixed_;
   std::vector<Pinned> pinned_;
 };

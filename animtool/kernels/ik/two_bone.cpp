@@ -91,8 +91,8 @@ double angle_about(const double* line, const double* a, const double* b) {
   return std::atan2(dot(axis, turned), dot(u, v));
 }
 
-double nearest_turn(double angle, double to) {
-  return angle + TURN * std::nearbyint((to - angle) / TURN);
+double nearest_revolution(double angle, double to) {
+  return angle + REVOLUTION * std::nearbyint((to - angle) / REVOLUTION);
 }
 
 class TwoBone : public ClosedForm {
@@ -115,9 +115,9 @@ class TwoBone : public ClosedForm {
     std::fill(misses, misses + PARTS, 0.0);
     std::copy(start, start + (elbow_.kind == Kind::BALL ? 8 : 5), q);
     // A pole by itself is no matter of reach: another solver turns the limb to it.
-    const bool has_place = weight_of(goal_, target, position) > 0;
+    const bool has_position = weight_of(goal_, target, position) > 0;
     const bool has_pole = weight_of(goal_, target, poled) > 0;
-    if (!has_place) return !has_pole;
+    if (!has_position) return !has_pole;
     double lower[3], towards[3], tip[3], pole[3], world[4], reached[3];
     for (int i = 0; i < 3; ++i) {
       upper_[i] = scale * offset_[i];
@@ -128,15 +128,15 @@ class TwoBone : public ClosedForm {
     const double opened = bend(length(upper_), length(lower), length(towards));
     const bool valid = open_elbow(q, lower, opened);
     find_tip(q, lower, tip);
-    turn_shoulder(q, tip, towards);
-    if (has_pole) turn_to_pole(q, towards, pole);
+    rotate_shoulder(q, tip, towards);
+    if (has_pole) rotate_to_pole(q, towards, pole);
     product(rest_, q, world);
-    turn(world, tip, reached);
+    rotate_vector(world, tip, reached);
     double away[3], elbow[3];
     for (int i = 0; i < 3; ++i) away[i] = target[COLUMNS[position] + i] - base_[i] - reached[i];
     misses[position] = length(away);
     if (has_pole) {
-      turn(world, upper_, elbow);
+      rotate_vector(world, upper_, elbow);
       misses[poled] = std::fabs(angle_about(reached, elbow, pole));
     }
     return valid;
@@ -152,23 +152,23 @@ class TwoBone : public ClosedForm {
     if (elbow_.kind == Kind::PIN) {
       const double offset = std::atan2(lower[1], lower[0]) - std::atan2(across[1], across[0]);
       const double side = std::sin(q[4] + offset) < 0 ? -1 : 1;
-      const double first = nearest_turn(side * opened - offset, q[4]);
-      const double other = nearest_turn(-side * opened - offset, q[4]);
+      const double first = nearest_revolution(side * opened - offset, q[4]);
+      const double other = nearest_revolution(-side * opened - offset, q[4]);
       const auto inside = [&](double angle) {
         return angle >= elbow_.limit[0] && angle <= elbow_.limit[1];
       };
       q[4] = inside(first) ? first : other;
       return inside(first) || inside(other);
     }
-    double* own = q + 4;
-    double direction[3], normal[3], axis[3], turned[4], made[4];
-    turn(own, lower, direction);
+    double* values = q + 4;
+    double direction[3], normal[3], axis[3], turned[4], composed[4];
+    rotate_vector(values, lower, direction);
     cross(across, direction, normal);
     unit_or_across(normal, across, axis);
     about(axis, opened - std::atan2(dot(axis, normal), dot(across, direction)), turned);
-    product(turned, own, made);
-    make_unit(made);
-    std::copy(made, made + 4, own);
+    product(turned, values, composed);
+    make_unit(composed);
+    std::copy(composed, composed + 4, values);
     return true;
   }
 
@@ -178,7 +178,7 @@ class TwoBone : public ClosedForm {
     double motion[4], turned[3];
     if (elbow_.kind == Kind::PIN) about(z, q[4], motion);
     else std::copy(q + 4, q + 8, motion);
-    turn(motion, lower, turned);
+    rotate_vector(motion, lower, turned);
     for (int i = 0; i < 3; ++i) tip[i] = upper_[i] + dot(turned, elbow_.rest + 3 * i);
   }
 
@@ -188,31 +188,31 @@ class TwoBone : public ClosedForm {
   }
 
   // Turns the tip to its target by the shortest way.
-  void turn_shoulder(double* q, const double* tip, const double* towards) const {
+  void rotate_shoulder(double* q, const double* tip, const double* towards) const {
     double world[4];
     product(rest_, q, world);
     // Twice: the first turn leaves what rounding makes of a half turn.
     for (int i = 0; i < 2; ++i) {
-      double now[3], normal[3], axis[3], turned[4], made[4];
-      turn(world, tip, now);
+      double now[3], normal[3], axis[3], turned[4], composed[4];
+      rotate_vector(world, tip, now);
       cross(now, towards, normal);
       unit_or_across(normal, now, axis);
       about(axis, std::atan2(length(normal), dot(now, towards)), turned);
-      product(turned, world, made);
-      make_unit(made);
-      std::copy(made, made + 4, world);
+      product(turned, world, composed);
+      make_unit(composed);
+      std::copy(composed, composed + 4, world);
     }
     set_world(q, world);
   }
 
-  void turn_to_pole(double* q, const double* towards, const double* pole) const {
-    double world[4], elbow[3], axis[3], turned[4], made[4];
+  void rotate_to_pole(double* q, const double* towards, const double* pole) const {
+    double world[4], elbow[3], axis[3], turned[4], composed[4];
     product(rest_, q, world);
-    turn(world, upper_, elbow);
+    rotate_vector(world, upper_, elbow);
     unit_or_across(towards, towards, axis);
     about(axis, angle_about(towards, elbow, pole), turned);
-    product(turned, world, made);
-    set_world(q, made);
+    product(turned, world, composed);
+    set_world(q, composed);
   }
 
   const Goal goal_;

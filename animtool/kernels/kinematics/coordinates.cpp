@@ -35,41 +35,41 @@ std::size_t JointArrays::check() const {
 void local_frame(const JointArrays& joints, const double* q, double* translations,
                  double* rotations) {
   for (std::size_t j = 0; j < joints.size(); ++j) {
-    const double* own = q + joints.columns.data()[j];
+    const double* values = q + joints.columns.data()[j];
     const double* rest = joints.rest_rotations.data() + 4 * j;
     const double* axis = joints.axes.data() + 3 * j;
     double* t = translations + 3 * j;
     double* r = rotations + 4 * j;
     std::copy(joints.rest_translations.data() + 3 * j, joints.rest_translations.data() + 3 * j + 3,
               t);
-    double turn[4] = {0, 0, 0, 1}, moved[3], shift[3];
+    double rotation[4] = {0, 0, 0, 1}, moved[3], shift[3];
     switch (static_cast<Freedom>(joints.types.data()[j])) {
       case Freedom::FREE:
-        ik::turn(rest, own, moved);
+        ik::rotate_vector(rest, values, moved);
         for (int i = 0; i < 3; ++i) t[i] += moved[i];
-        std::copy(own + 3, own + 7, turn);
-        ik::make_unit(turn);
+        std::copy(values + 3, values + 7, rotation);
+        ik::make_unit(rotation);
         break;
       case Freedom::BALL:
-        std::copy(own, own + 4, turn);
-        ik::make_unit(turn);
+        std::copy(values, values + 4, rotation);
+        ik::make_unit(rotation);
         break;
       case Freedom::PIN: {
-        const double sine = std::sin(own[0] / 2);
-        for (int i = 0; i < 3; ++i) turn[i] = axis[i] * sine;
-        turn[3] = std::cos(own[0] / 2);
+        const double sine = std::sin(values[0] / 2);
+        for (int i = 0; i < 3; ++i) rotation[i] = axis[i] * sine;
+        rotation[3] = std::cos(values[0] / 2);
         break;
       }
       case Freedom::SLIDE:
-        for (int i = 0; i < 3; ++i) shift[i] = own[0] * axis[i];
-        ik::turn(rest, shift, moved);
+        for (int i = 0; i < 3; ++i) shift[i] = values[0] * axis[i];
+        ik::rotate_vector(rest, shift, moved);
         for (int i = 0; i < 3; ++i) t[i] += moved[i];
         [[fallthrough]];
       case Freedom::FIXED:
         std::copy(rest, rest + 4, r);
         continue;
     }
-    ik::product(rest, turn, r);
+    ik::product(rest, rotation, r);
   }
 }
 

@@ -1,4 +1,4 @@
-// Coordinates of joints and the local transforms that they make.
+// Joint coordinates and local transforms.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 
 namespace animtool {
 
-// What joints can do: FREE has three of translation and a quaternion, BALL that alone.
+// Joint types: FREE has three translations and a quaternion, BALL only the quaternion.
 enum class Freedom { FIXED = 0, PIN = 1, SLIDE = 2, BALL = 3, FREE = 4 };
 
 // Joints as Python has them, of the caller's memory.

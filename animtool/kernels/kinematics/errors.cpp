@@ -1,4 +1,4 @@
-// How far points that joints carry are from where they were.
+// Distances between points of joints in two motions.
 #include <algorithm>
 #include <cmath>
 

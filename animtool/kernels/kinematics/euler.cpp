@@ -21,8 +21,8 @@ void half_sine_cosine(const double* degrees, double* sine, double* cosine, std::
   constexpr double kRound = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to an integer
   for (std::size_t i = 0; i < n; ++i) {
     const double shifted = degrees[i] * (1.0 / 180.0) + kRound;
-    const double turns = shifted - kRound;
-    const double x = (degrees[i] - 180.0 * turns) * (kPi / 360.0);
+    const double half_turn_count = shifted - kRound;
+    const double x = (degrees[i] - 180.0 * half_turn_count) * (kPi / 360.0);
     const double x2 = x * x;
     double s = -1.0 / 1307674368000.0;
     s = s * x2 + 1.0 / 6227020800.0;
@@ -42,16 +42,16 @@ void half_sine_cosine(const double* degrees, double* sine, double* cosine, std::
     c = c * x2 - 0.5;
     c = c * x2 + 1.0;
     // Odd quarter turns: (s, c) becomes (c, -s). Bit masks, so that the loop vectorises.
-    const auto odd = std::uint64_t{0} - (std::bit_cast<std::uint64_t>(shifted) & 1);
+    const auto odd_mask = std::uint64_t{0} - (std::bit_cast<std::uint64_t>(shifted) & 1);
     const auto sb = std::bit_cast<std::uint64_t>(s), cb = std::bit_cast<std::uint64_t>(c);
     const auto minus_sb = sb ^ (std::uint64_t{1} << 63);
-    sine[i] = std::bit_cast<double>((sb & ~odd) | (cb & odd));
-    cosine[i] = std::bit_cast<double>((cb & ~odd) | (minus_sb & odd));
+    sine[i] = std::bit_cast<double>((sb & ~odd_mask) | (cb & odd_mask));
+    cosine[i] = std::bit_cast<double>((cb & ~odd_mask) | (minus_sb & odd_mask));
   }
 }
 
 // q becomes q times the rotation (s, c) about one axis.
-void turn(double* q, int axis, double s, double c) {
+void rotate(double* q, int axis, double s, double c) {
   const int b = (axis + 1) % 3, d = (axis + 2) % 3;
   const double w = q[3], qa = q[axis], qb = q[b], qd = q[d];
   q[3] = w * c - qa * s;
@@ -92,8 +92,8 @@ Out<double, 3> euler_to_quaternion(In<double, 2> values, In<std::int32_t, 2> col
       q[0] = q[1] = q[2] = 0.0;
       q[3] = cosine[k];
       q[first] = sine[k];
-      if (columns.data()[k + 1] >= 0) turn(q, axes.data()[k + 1], sine[k + 1], cosine[k + 1]);
-      if (columns.data()[k + 2] >= 0) turn(q, axes.data()[k + 2], sine[k + 2], cosine[k + 2]);
+      if (columns.data()[k + 1] >= 0) rotate(q, axes.data()[k + 1], sine[k + 1], cosine[k + 1]);
+      if (columns.data()[k + 2] >= 0) rotate(q, axes.data()[k + 2], sine[k + 2], cosine[k + 2]);
       const double* last = before + 4 * j;
       const double dot = q[0] * last[0] + q[1] * last[1] + q[2] * last[2] + q[3] * last[3];
       if (dot < 0)

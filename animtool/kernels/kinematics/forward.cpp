@@ -10,7 +10,7 @@ namespace animtool {
 
 namespace {
 
-// Where the joints of one frame are: linear parts (J, 3, 3) and origins (J, 3).
+// World transforms of one frame: linear parts (J, 3, 3) and origins (J, 3).
 struct World {
   double* linear;
   double* origins;
@@ -30,7 +30,7 @@ class Scratch {
 
 // R(q) . S(s) as numbers R: float rounds where UsdSkel does.
 template <typename R, typename T>
-inline void turn(const T* q, const T* s, double* r) {
+inline void scaled_rotation(const T* q, const T* s, double* r) {
   const R x = q[0], y = q[1], z = q[2], w = q[3];
   const double sums[9] = {y * y + z * z, x * y - z * w, x * z + y * w,
                           x * y + z * w, x * x + z * z, y * z - x * w,
@@ -46,7 +46,7 @@ template <typename R, typename T>
 inline void step(const World& world, std::int64_t parent, std::size_t joint, const T* t,
                  const T* q, const T* s) {
   double r[9];
-  turn<R>(q, s, r);
+  scaled_rotation<R>(q, s, r);
   double* linear = world.linear + 9 * joint;
   double* origin = world.origins + 3 * joint;
   if (parent < 0) {
@@ -84,17 +84,17 @@ struct Channel {
   }
 };
 
-Channel read_channel(const char* name, const MotionChannel& given, std::size_t frames,
+Channel read_channel(const char* name, const MotionChannel& arrays, std::size_t frames,
                      std::size_t joints, std::size_t width) {
-  const std::size_t moving = given.animated.shape(0);
-  check::shape(name, given.rest, {joints, width});
-  check::shape(name, given.animated, {moving});
-  check::shape(name, given.values, {frames, moving, width});
-  check::indices(name, given.animated, 0, static_cast<std::int64_t>(joints));
-  Channel channel{given.rest.data(), given.values.data(),
+  const std::size_t moving = arrays.animated.shape(0);
+  check::shape(name, arrays.rest, {joints, width});
+  check::shape(name, arrays.animated, {moving});
+  check::shape(name, arrays.values, {frames, moving, width});
+  check::indices(name, arrays.animated, 0, static_cast<std::int64_t>(joints));
+  Channel channel{arrays.rest.data(), arrays.values.data(),
                   std::vector<std::ptrdiff_t>(joints, -1), moving, width};
   for (std::size_t a = 0; a < moving; ++a)
-    channel.columns[static_cast<std::size_t>(given.animated.data()[a])] =
+    channel.columns[static_cast<std::size_t>(arrays.animated.data()[a])] =
         static_cast<std::ptrdiff_t>(a);
   return channel;
 }
@@ -141,21 +141,21 @@ void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
   }
 }
 
-void forward_motion(const MotionArrays& given) {
-  const std::size_t joints = given.parents.shape(0);
-  const std::size_t frames = given.rotations.values.shape(0);
-  check_parents(given.parents);
-  const Channel t = read_channel("translations", given.translations, frames, joints, 3);
-  const Channel q = read_channel("rotations", given.rotations, frames, joints, 4);
+void forward_motion(const MotionArrays& arrays) {
+  const std::size_t joints = arrays.parents.shape(0);
+  const std::size_t frames = arrays.rotations.values.shape(0);
+  check_parents(arrays.parents);
+  const Channel t = read_channel("translations", arrays.translations, frames, joints, 3);
+  const Channel q = read_channel("rotations", arrays.rotations, frames, joints, 4);
   std::optional<Channel> s;
-  if (given.scales) s = read_channel("scales", *given.scales, frames, joints, 3);
-  check::shape("positions", given.positions, {frames, joints, 3});
-  check::shape("linear", given.linear, {frames, joints, 3, 3});
+  if (arrays.scales) s = read_channel("scales", *arrays.scales, frames, joints, 3);
+  check::shape("positions", arrays.positions, {frames, joints, 3});
+  check::shape("linear", arrays.linear, {frames, joints, 3, 3});
   for (std::size_t f = 0; f < frames; ++f) {
-    const World world{given.linear.data() + 9 * f * joints,
-                      given.positions.data() + 3 * f * joints};
+    const World world{arrays.linear.data() + 9 * f * joints,
+                      arrays.positions.data() + 3 * f * joints};
     for (std::size_t j = 0; j < joints; ++j)
-      step<double>(world, given.parents.data()[j], j, t.at(f, j), q.at(f, j),
+      step<double>(world, arrays.parents.data()[j], j, t.at(f, j), q.at(f, j),
                    s ? s->at(f, j) : nullptr);
   }
 }

@@ -1,4 +1,4 @@
-// Joints and what they carry.
+// Kinematics of joints and points.
 #pragma once
 
 #include <cstdint>
@@ -39,7 +39,7 @@ struct MotionArrays {
   Filled<double, 3> positions;
   Filled<double, 4> linear;
 };
-void forward_motion(const MotionArrays& given);
+void forward_motion(const MotionArrays& arrays);
 
 // extents, error, frame, joint
 using RoundingReport = std::tuple<Out<double, 3>, double, std::size_t, std::size_t>;

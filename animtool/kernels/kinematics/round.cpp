@@ -1,4 +1,4 @@
-// Points as float32, and how far that moved them.
+// Rounds points to float32, and measures the error.
 #include <algorithm>
 #include <cmath>
 #include <limits>

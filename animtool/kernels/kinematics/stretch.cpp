@@ -1,4 +1,4 @@
-// Linear maps as a rotation after a stretch.
+// Polar decomposition of linear maps: a rotation after a stretch.
 #include <cmath>
 
 #include "base/checks.h"

@@ -1,4 +1,4 @@
-// Tracks of rotations as files have them, in float32 and each by itself, and as takes do.
+// Converts float32 rotation tracks of files to float64 arrays of takes.
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -19,14 +19,14 @@ std::tuple<double, double> squared_lengths(In<float, 2> quaternions) {
   check::shape("quaternions", quaternions, {check::ANY, 4});
   const float* q = quaternions.data();
   const std::size_t count = quaternions.shape(0);
-  float low = std::numeric_limits<float>::infinity(), high = 0, odd = 0;
+  float low = std::numeric_limits<float>::infinity(), high = 0, unusual_bits = 0;
   for (std::size_t i = 0; i < count; ++i, q += 4) {
     const float square = (q[0] * q[0] + q[1] * q[1]) + (q[2] * q[2] + q[3] * q[3]);
     low = square < low ? square : low;
     high = square > high ? square : high;
-    odd += square - square;  // 0, and NaN of what is not finite
+    unusual_bits += square - square;  // 0, and NaN of what is not finite
   }
-  if (odd != 0) low = high = std::numeric_limits<float>::quiet_NaN();
+  if (unusual_bits != 0) low = high = std::numeric_limits<float>::quiet_NaN();
   return {low, high};
 }
 

@@ -1,4 +1,4 @@
-// Bodies that attract each other: a direct sum, or an octree of cells.
+// N-body gravity: direct sums, or an octree.
 //
 // References:
 //     J. Barnes, P. Hut, A hierarchical O(N log N) force-calculation algorithm, Nature 324,
@@ -20,14 +20,14 @@ namespace animtool {
 
 namespace {
 
-// Bodies of a cell that is not divided, and of a group that walks the tree together.
+// Bodies in a leaf cell, and in a group that walks the tree together.
 constexpr std::size_t LEAF = 16, GROUP = 128;
-// Levels of cells: three such coordinates are a key of 63 bits.
+// Levels of the tree: three such coordinates fit a key of 63 bits.
 constexpr unsigned LEVELS = 21;
-// Of a coarse sum that says how strong accelerations are: distance over radius.
+// Opening ratio of a coarse sum that estimates accelerations: distance over radius.
 constexpr double COARSE = 1.4;
-// Share of the error that one cell may bring in: errors of hundreds are as often of one sign as
-// of the other, and bounds are rarely reached. Measured on discs, spheres and pairs of both.
+// Error budget of one cell: hundreds of errors partly cancel, and bounds are rarely reached.
+// Calibrated on discs, spheres and pairs of both.
 constexpr double SHARE = 0.3;
 
 struct Cell {
@@ -35,13 +35,13 @@ struct Cell {
   double mass;
   double moments[6];
   double radius;   // square of the largest distance from the centre
-  double largest;  // mass of one body
+  double largest;  // largest mass of one body
   double third;    // sum of mass times cubed distance, to the power of 2/5
   std::size_t begin, end, next;
   bool leaf;
 };
 
-// Bodies in lengths of the order of 1, and masses too: float32 goes a long way from there.
+// Bodies scaled to lengths and masses of order 1: float32 keeps its range.
 class Bodies {
  public:
   Bodies(const double* points, const double* masses, std::size_t count, double softening)
@@ -60,7 +60,7 @@ class Bodies {
       middle_[k] = low[k] + (high[k] - low[k]) / 2;
       size = std::max(size, (high[k] - low[k]) / 2);
     }
-    // By powers of two, which change no digit.
+    // By powers of two, which are exact.
     length_ = std::exp2(std::ceil(std::log2(size > 0 ? size : 1)));
     mass_ = std::exp2(std::ceil(std::log2(total > 0 ? total : 1)));
     const double soft = softening / length_;
@@ -86,7 +86,7 @@ class Bodies {
   std::size_t size() const { return count_; }
   double softened() const { return softened_; }
 
-  // Targets from one on; the last stands for those that are not.
+  // Padded targets: the last one is repeated.
   GravityTargets targets(std::size_t first, std::size_t end, const double* middle) const {
     GravityTargets to;
     for (std::size_t k = 0; k < GRAVITY_LANES; ++k) {
@@ -155,7 +155,7 @@ class Tree {
     }
   }
 
-  // The bounds and middle of a group.
+  // The bounds and centre of a group.
   struct Bounds {
     double low[3], high[3], middle[3];
 
@@ -179,7 +179,7 @@ class Tree {
     return found;
   }
 
-  // How strong accelerations of a group are, by a coarse sum at its centre of mass.
+  // Estimates the accelerations of a group by a coarse sum at its centre of mass.
   double strength(const Cell& group) const {
     const double soft = bodies_.softened();
     double sum[3] = {0, 0, 0};
@@ -203,7 +203,7 @@ class Tree {
     }
     const double around = std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
     const double within = group.radius + soft;
-    // The heaviest, which pulls the others most, is itself pulled by the rest alone.
+    // The heaviest body, which dominates the others, is attracted by the rest alone.
     return around + (within > 0 ? (group.mass - group.largest) / within : 0.0);
   }
 
@@ -320,7 +320,7 @@ void by_tree(Bodies& bodies, const double* points, const double* masses, double 
 
 void directly(Bodies& bodies, const double* points, const double* masses, double constant,
               const GravityFunctions& loops) {
-  // Sources that stay in the cache while all targets see them.
+  // Blocks of sources that stay in the cache for all targets.
   constexpr std::size_t TILE = 1024;
   bodies.place(points, masses, nullptr);
   const double middle[3] = {0, 0, 0};

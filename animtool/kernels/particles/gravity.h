@@ -1,14 +1,14 @@
-// Bodies that attract each other: sums over lanes of targets side by side.
+// N-body gravity: sums over lanes of targets.
 #pragma once
 
 #include <cstddef>
 
 namespace animtool {
 
-// Targets that are summed for at once.
+// Targets summed at once.
 constexpr std::size_t GRAVITY_LANES = 8;
-// Numbers of a distant cell: its centre of mass from the middle of the group, its mass, and
-// second moments about the centre: xx, xy, xz, yy, yz, zz.
+// Numbers of a distant cell: centre of mass relative to the group, mass, and second moments about
+// the centre: xx, xy, xz, yy, yz, zz.
 constexpr std::size_t GRAVITY_FAR = 10;
 
 struct GravityTargets {

@@ -8,9 +8,9 @@
 
 namespace animtool {
 
-// Sources between two additions of float32 to float64.
+// Sources between two additions of float32 sums to float64.
 constexpr std::size_t GRAVITY_BLOCK = 64;
-// Bodies whose squared distance is below do not act on each other: they are at one place.
+// Bodies at a smaller squared distance are coincident and do not interact.
 constexpr float GRAVITY_APART = 1e-37f;
 
 template <class On>
@@ -21,12 +21,12 @@ struct GravityLoops {
   static void add(const D& a, double* to) { (D::of(to) + a).store(to); }
   static void raise(const D& a, double* to) { most(D::of(to), a).store(to); }
   static F inverse_root(const F& a) { return 1.0f / root(a); }
-  // A value of bodies that are apart, else 0.
+  // A value if two bodies are distinct, else 0.
   static F where_apart(const F& squared, const F& value) {
     return kept(below(GRAVITY_APART, squared), value);
   }
 
-  // What pairs do, in numbers of either kind.
+  // Pair interactions, in either precision.
   template <class T>
   struct Partial {
     T x = 0.0f, y = x, z = x, potential = x, rate = x;
@@ -58,7 +58,7 @@ struct GravityLoops {
       const D reach = squared + soft;
       const F first = inverse_root(F(reach));
       const D root = D(where_apart(F(squared), first));
-      // The third-order step of Halley: from seven digits to all.
+      // Halley's third-order step: from seven digits to full precision.
       const D rest = 1.0 - reach * root * root;
       part.pull(off, from.mass[j], own, root + root * rest * (0.5 + 0.375 * rest));
     }
@@ -83,7 +83,7 @@ struct GravityLoops {
     }
   }
 
-  // Of the potential 1/s, s² = r² + ε², by Taylor to second order about the centre of mass.
+  // Potential 1/s, s² = r² + ε², expanded to second order about the centre of mass.
   static void far(const float* cells, std::size_t count, float softened,
                   const GravityTargets& to, GravitySums& sums) {
     const F here[3] = {F::of(to.from_middle[0]), F::of(to.from_middle[1]),

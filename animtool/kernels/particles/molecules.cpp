@@ -1,4 +1,4 @@
-// Molecules in a periodic box: who is near whom, and what they do to each other.
+// Molecules in a periodic box: neighbour lists and forces.
 #include "particles/molecules.h"
 
 #include <cmath>
@@ -37,7 +37,7 @@ std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> mol
   std::vector<std::int32_t> found;
   const double low[3] = {0, 0, 0};
   const Neighbours grid(points.data(), nullptr, count, reach, low, box.data());
-  // In the order in which the grid has them, those near are near in memory too.
+  // In grid order, neighbours are near in memory too.
   const Block<std::int32_t> ranks = block<std::int32_t>(count);
   std::int32_t rank = 0;
   const auto ranked = [&](std::size_t, std::size_t which, const double*, const std::int32_t*,

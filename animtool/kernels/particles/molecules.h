@@ -1,4 +1,4 @@
-// Molecules that act on their neighbours: four partners of one side by side.
+// Forces between neighbouring molecules: four partners at a time.
 #pragma once
 
 #include <cstddef>
@@ -6,13 +6,12 @@
 
 namespace animtool {
 
-// What acts between two, beside charges: c12/r¹² - c6/r⁶.
+// Lennard-Jones coefficients: c12/r¹² - c6/r⁶.
 struct MoleculeForce {
   double twelve, six;
 };
-// Rows of four numbers: where each is, and forces with half the energies of pairs; one more
-// row than there are molecules, of one that is nowhere. Partners of one molecule are a multiple
-// of four, filled up with that one.
+// Rows of four numbers: positions, and forces with half the pair energies; one extra padding row
+// far away. Partner lists are padded to a multiple of four.
 struct MoleculeSystem {
   std::size_t count, kinds;
   const double* rows;
@@ -22,11 +21,11 @@ struct MoleculeSystem {
   const MoleculeForce* forces;  // of each pair of kinds
   const double* charges;        // times the root of Coulomb's constant; null of none
   double box[3];
-  double cutoff, from;  // squares of distances: none beyond, and less from here on
+  double cutoff, from;  // squared cut-off, and squared start of the switch
   double damping;
 };
 
-// Adds to the rows of forces; returns the sum of what all pairs do along their distance.
+// Adds to the rows of forces; returns the virial of all pairs.
 using MoleculeFunction = double (*)(const MoleculeSystem& system, double* out);
 MoleculeFunction molecules_in_quads();  // null where the processor has no such registers
 

@@ -8,7 +8,7 @@
 
 namespace animtool {
 
-// Added to a number and taken away again, this leaves the nearest whole number.
+// Rounds to the nearest whole number when added and subtracted.
 constexpr double MOLECULE_ROUND = 6755399441055744.0;
 constexpr double ROOT_PI = 1.7724538509055160273;
 
@@ -16,7 +16,7 @@ template <class On>
 struct MoleculeLoops {
   using D = Four<On>;
 
-  // What is the same for all pairs.
+  // Shared by all pairs.
   struct Law {
     D cutoff, from, width, box[3], over[3];
     double shift, slope, damping, end;
@@ -34,8 +34,8 @@ struct MoleculeLoops {
     }
   };
 
-  // Energy of two charges of 1, and force over distance: damped, shifted to 0 at the cut-off
-  // with the force. C. J. Fennell, J. D. Gezelter, Journal of Chemical Physics 124, 2006.
+  // Energy of two unit charges, and force over distance: damped, shifted to 0 at the cut-off with
+  // the force. C. J. Fennell, J. D. Gezelter, Journal of Chemical Physics 124, 2006.
   static void coulomb(const Law& law, double squared, double& energy, double& force) {
     const double r = std::sqrt(squared), decay = std::erfc(law.damping * r) / r;
     const double bend =

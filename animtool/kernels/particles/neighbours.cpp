@@ -13,7 +13,7 @@ bool finite(const double* point) {
 
 std::int32_t* near_one(const NearPlaces& places, const NearRun* run, const NearRun* last,
                        const double* at, std::int32_t* next) {
-  // Each is written, and stays if it is near: a branch would go either way.
+  // Each is written, and kept if near: a branch would be unpredictable.
   for (; run < last; ++run)
     for (std::size_t i = run->begin; i < run->end; ++i) {
       const double x = places.x[i] - at[0], y = places.y[i] - at[1], z = places.z[i] - at[2];
@@ -31,7 +31,7 @@ Neighbours::Neighbours(const double* points, const std::int32_t* chosen, std::si
   if (!near_) near_ = near_one;
   std::copy_n(low, 3, low_);
   std::copy_n(period, 3, period_);
-  std::vector<double> moved;  // where those are that are not where `points` says
+  std::vector<double> moved;  // positions wrapped into the periods, if different from `points`
   const bool open = !(period_[0] > 0 || period_[1] > 0 || period_[2] > 0);
   index_.reserve(count);
   for (std::size_t i = 0; i < count; ++i) {
@@ -51,7 +51,7 @@ Neighbours::Neighbours(const double* points, const std::int32_t* chosen, std::si
       high[k] = i ? std::max(high[k], at(i)[k]) : at(i)[k];
     }
   for (std::size_t k = 0; k < 3; ++k) {
-    // Halves, as the whole of it may be beyond all numbers.
+    // Halved, as the full extent may overflow.
     const double half = high[k] / 2 - first_[k] / 2;
     over_[k] = 1 / (SLACK * std::max(radius_, 2 * (half / MOST_CELLS)));
     last_[k] = std::min(std::floor((high[k] - first_[k]) * over_[k]), MOST_CELLS);
@@ -81,8 +81,8 @@ Neighbours::Neighbours(const double* points, const std::int32_t* chosen, std::si
   index_ = std::move(index);
 }
 
-// Where points are within periods; those near an end are also seen beyond the other, axis after
-// axis, and have an index for each image.
+// Wraps points into the periods; points near an end are repeated beyond the other, axis by axis,
+// with an index for each image.
 std::vector<double> Neighbours::images(const double* points) {
   std::vector<double> places(3 * index_.size());
   for (std::size_t i = 0; i < index_.size(); ++i)
@@ -150,7 +150,7 @@ std::vector<Neighbours::Cell> Neighbours::cells_of(const std::uint64_t* keys,
   cells.reserve(different);
   for (std::size_t i = 0; i < count; ++i)
     if (cells.empty() || keys[i] != cells.back().key) cells.push_back({keys[i], i});
-  // No key of a cell is as large.
+  // No cell key is as large.
   cells.push_back({std::numeric_limits<std::uint64_t>::max(), count});
   return cells;
 }

@@ -1,8 +1,8 @@
-// Points that are near each other, found by the cells of a grid.
+// Neighbour search by the cells of a grid.
 //
-// Cells are as wide as the radius that is looked in, at least. Points are sorted by cell, row
-// by row, so that all that may be near a point are nine runs of them, and these move forwards
-// from cell to cell: no table of cells is kept, however far apart points are.
+// Cells are at least as wide as the search radius. Points are sorted by cell, row by row, so that
+// the neighbours of a point are in nine runs, which move forwards from cell to cell: no cell table
+// is kept, whatever the extent of the points.
 #pragma once
 
 #include <algorithm>
@@ -15,17 +15,17 @@
 
 namespace animtool {
 
-// Places of a grid, as those loops take them that are built for several processors: up to
-// NEAR_SPARE are read behind the last, and written behind the last that is found.
+// Grid positions, in the layout of loops built for several processors: up to NEAR_SPARE are read
+// past the end, and written past the last match.
 struct NearPlaces {
   const double *x, *y, *z;
-  double most;  // square of the radius
+  double most;  // squared radius
 };
 struct NearRun {
   std::size_t begin, end;
 };
 constexpr std::size_t NEAR_SPARE = 4;
-// Appends the places of runs that are within the radius of a point.
+// Appends the grid indices of runs within the radius of a point.
 using NearFunction = std::int32_t* (*)(const NearPlaces& places, const NearRun* run,
                                        const NearRun* last, const double* at,
                                        std::int32_t* next);
@@ -33,27 +33,26 @@ NearFunction near_in_quads();  // null where the processor has no such registers
 
 class Neighbours {
  public:
-  // Points `chosen` of `points` (N, 3), null for all; what is not finite is near nobody. An
-  // axis with a period goes on from its other end: it begins at `low`, and is two radii long
-  // at least.
+  // Points `chosen` of `points` (N, 3), null for all; non-finite ones have no neighbours. A
+  // periodic axis wraps around: it starts at `low`, and is at least two radii long.
   Neighbours(const double* points, const std::int32_t* chosen, std::size_t count, double radius,
              const double* low, const double* period);
 
-  // Places: the order of the grid.
+  // Number of grid positions, in grid order.
   std::size_t size() const { return index_.size(); }
   const double* x() const { return near_places_.x; }
   const double* y() const { return near_places_.y; }
   const double* z() const { return near_places_.z; }
   const std::int32_t* index() const { return index_.data(); }  // of `points`
 
-  // Calls with each of some points, null for all: its number among them, its index of
-  // `points`, where it is within periods, and the places of those within the radius, itself
-  // among them. Returns how many distances were looked at, and stops above `most`.
+  // Visits some points, null for all: the number among them, the index in `points`, the wrapped
+  // position, and grid indices within the radius, itself included. Returns the number of tested
+  // distances, and stops above `most`.
   template <class Function>
   double visit(const double* points, const std::int32_t* seekers, std::size_t count, double most,
                Function function) const;
 
-  // The same for each place; of pairs `once`, with the places behind it alone.
+  // The same for each grid position; with `once`, only with later ones.
   template <bool once, class Function>
   double visit_places(double most, Function function) const;
 
@@ -71,21 +70,21 @@ class Neighbours {
   std::vector<double> images(const double* points);
   static std::vector<Cell> cells_of(const std::uint64_t* keys, std::size_t count);
 
-  // Rows of cells that touch a cell: of each, it and those beside it are one run. The middle
-  // one is the cell's own; of those behind it in the grid, the first is.
+  // Rows of adjacent cells: each row is one run. The middle one contains the cell itself; of later
+  // ones in grid order, the first.
   static constexpr std::size_t RUNS = 9, OWN = 4;
-  // Empty cells on each side, so that cells beside those of any seeker have keys.
+  // Empty cells on each side, so that neighbours of any query cell have keys.
   static constexpr double PAD = 2;
-  // Wider than the radius by what rounding of a cell's number may come to.
+  // Wider than the radius by the rounding of cell numbers.
   static constexpr double SLACK = 1 + 1e-9;
-  // Cells of an axis: three such keys are one of 63 bits.
+  // Largest number of cells of an axis: three such keys fit 63 bits.
   static constexpr double MOST_CELLS = (1 << 21) - 2 * PAD - 1;
 
   double radius_, low_[3], period_[3], first_[3] = {0, 0, 0}, over_[3] = {1, 1, 1};
   double last_[3] = {0, 0, 0};  // cells of each axis, less one
   std::uint64_t row_ = 0, layer_ = 0;
-  std::vector<Cell> cells_;  // those that are not empty, and one behind all
-  Block<double> places_;  // of all along x, then y, then z
+  std::vector<Cell> cells_;  // non-empty cells, and a sentinel
+  Block<double> places_;  // positions along x, then y, then z
   NearPlaces near_places_{};
   NearFunction near_;
   std::vector<std::int32_t> index_;

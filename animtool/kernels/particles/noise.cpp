@@ -1,4 +1,4 @@
-// Swirling noise without divergence: the curl of three fields of gradient noise.
+// Divergence-free noise: the curl of three fields of gradient noise.
 #include <cmath>
 
 #include "base/checks.h"
@@ -8,7 +8,7 @@ namespace animtool {
 
 namespace {
 
-// The last mixing of splitmix64 (S. Vigna, 2015).
+// The finaliser of splitmix64 (S. Vigna, 2015).
 inline std::uint64_t mixed(std::uint64_t z) {
   z += 0x9E3779B97F4A7C15u;
   z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
@@ -29,7 +29,7 @@ inline Fade fade(double x) {
   return {x * x * x * (x * (x * 6 - 15) + 10), 30 * x * x * (x - 1) * (x - 1)};
 }
 
-// Adds to a curl those of the lattice of one moment.
+// Adds the curl of one time slice of the lattice.
 void add_swirls(const std::int64_t* cell, const double* inside, const Fade* fades,
                 std::int64_t slice, std::uint64_t seed, double share, double* out) {
   for (int corner = 0; corner < 8; ++corner) {
@@ -72,7 +72,7 @@ Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64
     Fade fades[3];
     for (int i = 0; i < 3; ++i) {
       const double at = points.data()[3 * n + i], low = std::floor(at);
-      // Beyond this, a lattice has no places of its own any more.
+      // Beyond this, lattice cells cannot be told apart.
       cell[i] = std::fabs(low) < 1e15 ? static_cast<std::int64_t>(low) : 0;
       inside[i] = at - low;
       fades[i] = fade(inside[i]);
@@ -80,7 +80,7 @@ Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64
     const double when = times.data()[n], now = std::floor(when);
     const std::int64_t slice = std::fabs(now) < 1e15 ? static_cast<std::int64_t>(now) : 0;
     const double share = fade(when - now).weight;
-    // The mean of two unlike fields would be weaker than either.
+    // The mean of two different fields would be weaker than either.
     const double size = std::sqrt(share * share + (1 - share) * (1 - share));
     double* out = result.get() + 3 * n;
     out[0] = out[1] = out[2] = 0;

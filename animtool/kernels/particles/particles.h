@@ -1,4 +1,4 @@
-// Particles that pull each other, and noise that stirs them.
+// Gravity, molecules and curl noise.
 #pragma once
 
 #include <cstdint>

@@ -18,7 +18,7 @@ MoleculeFunction molecules_in_quads() {
 
 namespace {
 
-// Which of four are, side by side from the first.
+// Packs the selected lanes of four to the front.
 alignas(16) constexpr std::int32_t PACKED[16][4] = {
     {0, 0, 0, 0}, {0, 0, 0, 0}, {1, 0, 0, 0}, {0, 1, 0, 0}, {2, 0, 0, 0}, {0, 2, 0, 0},
     {1, 2, 0, 0}, {0, 1, 2, 0}, {3, 0, 0, 0}, {0, 3, 0, 0}, {1, 3, 0, 0}, {0, 1, 3, 0},

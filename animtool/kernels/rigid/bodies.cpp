@@ -1,4 +1,4 @@
-// Rigid bodies as Python sees them.
+// Python interface of rigid bodies.
 #include "rigid/bodies.h"
 
 #include <algorithm>
@@ -24,7 +24,7 @@ void check_turn(const char* name, const double* p) {
     check::refuse(name, "a rotation has no direction");
 }
 
-// Numbers that ascend from 0 to an end.
+// Checks that numbers ascend from 0 to an end.
 void check_starts(const char* name, const In<std::int64_t, 1>& starts, std::size_t count,
                   std::size_t end) {
   check::shape(name, starts, {count + 1});

@@ -1,4 +1,4 @@
-// Rigid bodies as Python sees them: see `rigid/world.h` for what is done with them.
+// Python interface of rigid bodies: see `rigid/world.h` for the step itself.
 #pragma once
 
 #include "colliders/arrays.h"

@@ -1,6 +1,6 @@
-// Where convex bodies touch: the axis that parts two most (Gottschalk 1996, "Separating axis
-// theorem for oriented bounding boxes"; edges by Gauss maps as of Gregorius 2013, "The separating
-// axis test between convex polyhedra"), and points by clipping one face against another.
+// Contacts of convex bodies: the separating axis (Gottschalk 1996, "Separating axis theorem for
+// oriented bounding boxes"; edges by Gauss maps as of Gregorius 2013, "The separating axis test
+// between convex polyhedra"), and points by clipping one face against another.
 #include "rigid/cores.h"
 
 #include <algorithm>
@@ -13,17 +13,17 @@ namespace animtool::rigid {
 namespace {
 
 constexpr double FAR = std::numeric_limits<double>::infinity();
-// Of axes that part alike, faces go before edges, and those of the first body before those of
-// the second: by this share of the sizes, so that rounding does not change the points.
+// Among equal axes, faces are preferred to edges, and faces of the first body to those of the
+// second: by this fraction of the sizes, so that rounding does not change the points.
 constexpr double PREFER = 1e-3;
-// And of those that overlap, this share of the depth: an edge that leans but little from a face
-// has one point, and would let go of the others.
+// Likewise by this fraction of the depth for overlapping bodies: an edge nearly parallel to a face
+// has one point, and would lose the others.
 constexpr double PREFER_DEEP = 0.1;
-// The square of a sine below which two edges are parallel.
+// Squared sine below which two edges are parallel.
 constexpr double PARALLEL = 1e-12;
-// How exactly the faces of a box are at right angles.
+// Tolerance of right angles between the faces of a box.
 constexpr double EXACT = 1e-12;
-// The sine below which a segment lies on a face.
+// Sine below which a segment lies on a face.
 constexpr double LIES = 1e-2;
 
 struct Segment {
@@ -61,7 +61,7 @@ int corners(const Placed& p, std::size_t face) {
 
 Vec along(const Placed& p, const Edge& e) { return p.points[e.to] - p.points[e.from]; }
 
-// The point of a face that is nearest to another point.
+// The nearest point of a face to another point.
 Vec nearest_on_face(const Placed& p, std::size_t face, Vec at) {
   const Vec n = p.normals[face];
   const int count = corners(p, face);
@@ -80,7 +80,7 @@ Vec nearest_on_face(const Placed& p, std::size_t face, Vec at) {
   return within ? at - n * (dot(n, at) - p.offset(face)) : best;
 }
 
-// Adds points where a segment, or a face, that is clipped to the sides of another lies near it.
+// Adds contact points of a segment, or of a face clipped to the sides of another.
 void clip(const Placed& ref, std::size_t face, std::vector<Vec>& loop, std::vector<Vec>& spare) {
   const Vec n = ref.normals[face];
   const int count = corners(ref, face);
@@ -98,7 +98,7 @@ void clip(const Placed& ref, std::size_t face, std::vector<Vec>& loop, std::vect
   }
 }
 
-// Points of a face of the reference against what is clipped to it. The normal is that face's.
+// Contact points of a reference face with the clipped face. The normal is the reference's.
 void face_points(const Placed& ref, std::size_t face, const std::vector<Vec>& loop, double skin,
                  double ref_radius, double reach, std::vector<Touching>& found) {
   const Vec n = ref.normals[face];
@@ -160,7 +160,7 @@ Manifold of_points(Vec a, Vec b, Vec normal, double radius_a, double radius_b) {
   return made;
 }
 
-// Two of which neither has faces: balls and capsules.
+// Two without faces: spheres and capsules.
 Manifold meet_round(const Placed& a, const Placed& b, double reach) {
   const auto segment = [](const Placed& p) {
     return Segment{p.points[0], p.points[p.core->points.size() - 1]};
@@ -178,7 +178,7 @@ Manifold meet_round(const Placed& a, const Placed& b, double reach) {
   const double ra = a.core->radius, rb = b.core->radius;
   Manifold made = of_points(on_a, on_b, normal, ra, rb);
   if (made.points[0].gap > reach) made.count = 0;
-  // Two that are parallel touch along a line.
+  // Two parallel ones touch along a line.
   if (!made.count || !(sized > 0) || dot(crossed, crossed) > LIES * LIES * sized) return made;
   const double size = dot(d, d);
   double low = dot(q.from - p.from, d) / size, high = dot(q.to - p.from, d) / size;
@@ -197,8 +197,7 @@ Manifold meet_round(const Placed& a, const Placed& b, double reach) {
   return made;
 }
 
-// The points of a core with faces and of a round one that are nearest to each other, where they
-// do not overlap.
+// The nearest points of a core with faces and a round one, if they do not overlap.
 std::pair<Vec, Vec> nearest_of(const Placed& solid, const Placed& round) {
   std::pair<Vec, Vec> best;
   double least = FAR;
@@ -260,7 +259,7 @@ Manifold turned(Manifold made) {
   return made;
 }
 
-// Whether two edges make a face of the Minkowski difference.
+// Whether two edges form a face of the Minkowski difference.
 bool arcs_cross(Vec a, Vec b, Vec c, Vec d) {
   const Vec ba = cross(b, a), dc = cross(d, c);
   const double cba = dot(c, ba), dba = dot(d, ba), adc = dot(a, dc), bdc = dot(b, dc);
@@ -281,7 +280,7 @@ void look_at_faces(const Placed& a, const Placed& b, bool first, double slack, d
   }
 }
 
-// The axis of two boxes: of 15 that can part them, by half their sides.
+// The separating axis of two boxes, of 15 candidates, from their half extents.
 Axis parting_boxes(const Placed& a, const Placed& b, double reach, double slack) {
   const Vec off = b.centre - a.centre;
   Vec own[3], far[3];
@@ -295,7 +294,7 @@ Axis parting_boxes(const Placed& a, const Placed& b, double reach, double slack)
   Axis best;
   const auto try_face = [&](double gap, double along, Vec n, bool first, int i) {
     if (!(gap > best.gap + (first || best.kind == Axis::NONE ? 0 : slack))) return;
-    // Faces of the first look to the second, and the other way round.
+    // Faces of the first face the second, and vice versa.
     best.gap = gap, best.normal = along < 0 ? -n : n;
     best.kind = first ? Axis::FIRST : Axis::SECOND;
     (first ? best.first : best.second) = 2 * i + (first ? along < 0 : along > 0);
@@ -379,7 +378,7 @@ void Core::finish() {
   find_box();
 }
 
-// Six faces, each pair opposite and at right angles to the others.
+// Six faces, in opposite pairs at right angles.
 void Core::find_box() {
   box = false;
   if (normals.size() != 6 || points.size() != 8) return;
@@ -426,7 +425,7 @@ Axis parting_axis(const Placed& a, const Placed& b, double reach) {
     }
     return best;
   }
-  // Of a triangle or a segment every pair of edges counts.
+  // For triangles and segments every pair of edges counts.
   const auto edge_count = [](const Placed& p) {
     return p.core->faces() ? p.core->edges.size() : p.core->points.size() - 1;
   };

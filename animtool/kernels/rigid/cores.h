@@ -1,4 +1,4 @@
-// Convex bodies as rigid bodies meet them: a core of points, and a radius about it.
+// Convex shapes of rigid bodies: a core of points, and a rounding radius.
 #pragma once
 
 #include <array>
@@ -19,7 +19,7 @@ struct Edge {
   int left, right;  // faces on both sides
 };
 
-// A ball has one point, a capsule two, and both have no faces; a triangle has two faces.
+// A sphere has one point, a capsule two, both without faces; a triangle has two faces.
 struct Core {
   std::vector<Vec> points;
   std::vector<int> starts{0}, loops;  // corners of each face, counter-clockwise from outside
@@ -27,9 +27,9 @@ struct Core {
   std::vector<double> offsets;
   std::vector<Edge> edges;
   double radius = 0;
-  bool box = false;  // faces are those of a box, in pairs along axes at right angles
-  double half[3] = {0, 0, 0};  // of its sides
-  double reach = 0;  // of the farthest point from the origin, with the radius
+  bool box = false;  // a box: faces in opposite pairs at right angles
+  double half[3] = {0, 0, 0};  // half extents
+  double reach = 0;  // distance of the farthest point from the origin, with the radius
   Vec centre;
 
   std::size_t faces() const { return normals.size(); }
@@ -40,7 +40,7 @@ struct Core {
   void find_box();
 };
 
-// Where a core is: its points and the normals of its faces in the world.
+// A posed core: its points and face normals in the world.
 struct Placed {
   const Core* core = nullptr;
   const Vec* points = nullptr;
@@ -58,7 +58,7 @@ struct Placed {
   }
 };
 
-// A core placed by a pose, with memory of its own.
+// A core placed by a pose, with its buffers.
 class Placing {
  public:
   void place(const Core& core, const Pose& pose) {
@@ -75,7 +75,7 @@ class Placing {
   Placed placed_;
 };
 
-// A point of contact, halfway between both surfaces, and how far these are apart there.
+// A contact point, halfway between both surfaces, and the gap there.
 struct Touching {
   Vec at;
   double gap;
@@ -83,15 +83,15 @@ struct Touching {
 
 constexpr int MOST_POINTS = 4;
 
-// Where two bodies touch: the normal is from the first to the second.
+// A contact manifold: the normal is from the first to the second.
 struct Manifold {
   Vec normal;
   int count = 0;
   std::array<Touching, MOST_POINTS> points{};
 };
 
-// How far two are apart along the axis that parts them most, negative where they overlap; it
-// is no more than their distance. Stops early, with infinity, where that is beyond a reach.
+// The separation along the best axis, negative if they overlap; at most their distance. Stops
+// early, with infinity, beyond a limit.
 struct Axis {
   double gap = -std::numeric_limits<double>::infinity();
   Vec normal;                                // from the first to the second
@@ -102,10 +102,10 @@ struct Axis {
 
 Axis parting_axis(const Placed& a, const Placed& b, double reach);
 
-// How two touch where they are no farther apart than a reach; no points where they are.
+// The contact of two within a distance; no points beyond it.
 Manifold meet(const Placed& a, const Placed& b, double reach);
 
-// The nearest to the deepest four of some points of contact.
+// Reduces contact points to the four that matter most, starting at the deepest.
 void keep_four(std::vector<Touching>& points, Vec normal, Manifold& into);
 
 }  // namespace animtool::rigid

@@ -1,4 +1,4 @@
-// What drives of joints do in a small step, and the masses that they move.
+// Drives of joints in a substep, and their effective masses.
 #include "rigid/drives.h"
 
 #include <algorithm>
@@ -10,22 +10,23 @@ namespace animtool::rigid {
 
 namespace {
 
-// What swings farther in a small step is not followed, and damped [rad].
+// Phase of a swing in a substep above which it is damped, not resolved [rad].
 constexpr double FARTHEST = 2;
-// What decays by so much, as a power of e, is at rest.
+// Decay exponent above which a motion is at rest.
 constexpr double DECAYED = 20;
-// Most equations of joints that are looked at together, and around one drive of more.
+// Largest number of joint equations solved together, and around one drive in larger islands.
 constexpr std::size_t TOGETHER = 96, NEAR = 48;
-// An equation that others imply, over its own mass; who is held whole is so much heavier.
+// Relative mass below which an equation is redundant; fully constrained bodies are this much
+// heavier.
 constexpr double IMPLIED = 1e-9, HELD = 1e6;
-// Equations with less of their own than this are not solved one after the other in few rounds.
-// With less than the other of these a drive does not feel the mass behind them.
+// Equations with less independent mass than the first converge slowly by iteration; below the
+// second, a drive does not feel the mass behind it.
 constexpr double APART = 0.02, KNOWN = 1e-3;
 
-// How x'' = pull - stiffness x - damping x' answers after 1, from rest at 0 or with a speed.
+// Response of x'' = pull - stiffness x - damping x' after time 1, from rest at 0 or with a speed.
 struct Response {
-  double by_pull;   // twice the way
-  double by_speed;  // the way
+  double by_pull;   // twice the displacement
+  double by_speed;  // displacement
   double decay;     // of speed
   double extra;     // 1 / by_pull - 1
   double lag;       // 1 - by_speed / by_pull
@@ -34,7 +35,7 @@ struct Response {
 Response response_of(double stiffness, double damping) {
   Response found{};
   if (stiffness + damping <= 1) {
-    // A power series, which has small differences as they are.
+    // A power series, which keeps small differences exact.
     double before = 0, term = 0.5, rest = 0, lag = 0, by_speed = 1, decay = 1;
     for (int n = 2; n < 18; ++n) {
       const double next = -(stiffness * before + damping * n * term) / ((n + 1.0) * n);
@@ -65,7 +66,7 @@ Response response_of(double stiffness, double damping) {
   return found;
 }
 
-// How fast a damped spring on a mass swings [1/s].
+// Angular frequency of a damped spring on a mass [1/s].
 double swing(const Joint& joint, double mass) {
   const double z = joint.damping / mass / 2;
   return std::sqrt(std::max(joint.stiffness / mass - z * z, 0.0));
@@ -75,12 +76,13 @@ bool followed(const Joint& joint, const Drive& drive, double h) {
   return drive.known && drive.mass > 0 && swing(joint, drive.mass) * h <= FARTHEST;
 }
 
-// Bodies that equations of joints are of, as a matrix of inverse masses.
+// Inverse mass matrix of joint equations.
 class Masses {
  public:
   explicit Masses(const std::vector<Speed>& speeds) : speeds_(speeds) {}
 
-  // Returns what those before leave it to do, of 1; no less than what is implied.
+  // Returns the fraction of freedom that earlier equations leave it; at least that of a redundant
+  // one.
   double add(const Joint& joint, const Row& row) {
     std::vector<double> line = coupled(joint, row);
     const double own = over(joint, row, joint, row);
@@ -93,7 +95,7 @@ class Masses {
     return share;
   }
 
-  // What an impulse of 1 changes the speed of its row by, with all equations held.
+  // Speed change of a row by a unit impulse, with all equations constrained.
   double ease(const Joint& joint, const Row& row) const {
     const double own = over(joint, row, joint, row);
     double left = own;
@@ -107,7 +109,7 @@ class Masses {
     const Row* row;
   };
 
-  // A row of Cholesky's triangle, without its last.
+  // A row of the Cholesky factor, without its diagonal.
   std::vector<double> coupled(const Joint& joint, const Row& row) const {
     std::vector<double> line(rows_.size());
     for (std::size_t i = 0; i < rows_.size(); ++i)
@@ -117,7 +119,7 @@ class Masses {
     return line;
   }
 
-  // What an impulse of one row changes the speed of another by.
+  // Speed change of one row by a unit impulse of another.
   double over(const Joint& p, const Row& u, const Joint& q, const Row& v) const {
     double sum = 0;
     const auto meet = [&](std::size_t body, double sign, Vec arm_u, Vec arm_v) {
@@ -136,10 +138,10 @@ class Masses {
   std::vector<Of> rows_;
 };
 
-// What equations of joints leave each other to do.
+// Independence of joint equations.
 struct Condition {
-  double least = 1;      // of those that are not implied
-  bool implied = false;  // whether some are
+  double least = 1;      // smallest of the independent ones
+  bool implied = false;  // whether some are redundant
 
   void add(double share) {
     if (share > IMPLIED) least = std::min(least, share);
@@ -159,7 +161,7 @@ bool share_body(const Joint& p, const Joint& q) {
   return has(p.a) || has(static_cast<std::ptrdiff_t>(p.b));
 }
 
-// The joints nearest to one of an island, itself first, with so many equations.
+// The joints nearest to one of an island, itself first, up to a number of equations.
 std::vector<std::size_t> near(const std::vector<Joint>& joints,
                               const std::vector<std::size_t>& island,
                               const std::vector<Rows>& rows, std::size_t begin) {
@@ -176,7 +178,7 @@ std::vector<std::size_t> near(const std::vector<Joint>& joints,
   return found;
 }
 
-// Who is held whole is not pushed harder than a hard joint would do for itself.
+// Fully constrained bodies are not pushed harder than a hard joint would.
 void bound(const Drive& drive, Row& row) {
   const double most = drive.mass < row.mass * HELD / 2 ? row.give : row.mass;
   if (row.give > most) row.push *= most / row.give, row.give = most;

@@ -1,9 +1,9 @@
-// Drives of joints: springs and dampers whose motion is exact in a small step, whatever their
-// stiffness and damping, where what else pulls does not change in it.
+// Drives of joints: springs and dampers with exact motion in a substep, for any stiffness and
+// damping, as long as other forces are constant in it.
 //
-// The mass that a drive moves is what an impulse of it finds, with all joints around. What else
-// pulls is read off the velocities that are being solved, so that contacts, limits and joints are
-// solved with drives. Hochbruck and Ostermann (2010), "Exponential integrators", section 2.3.
+// The effective mass of a drive is its response to an impulse, with all joints around. Other forces
+// are taken from the velocities being solved, so that contacts, limits and joints are solved with
+// drives. Hochbruck and Ostermann (2010), "Exponential integrators", section 2.3.
 #pragma once
 
 #include <array>
@@ -14,30 +14,30 @@
 
 namespace animtool::rigid {
 
-// Of one equation of a drive, from step to step.
+// State of one drive equation between steps.
 struct Drive {
-  double mass = 0;    // that it moves; 0 where it has no equation
-  bool known = false; // whether joints let it feel that
-  double speed = 0;   // where a small step begins
+  double mass = 0;    // effective mass; 0 without an equation
+  bool known = false; // whether joints let it move that mass
+  double speed = 0;   // speed at the start of a substep
   double error = 0;
-  double first = 0;   // impulse of the first half of a small step
+  double first = 0;   // impulse of the first half of a substep
 };
 
 using Drives = std::array<Drive, 3>;
 
 inline bool driven(const Joint& joint) { return joint.stiffness > 0 || joint.damping > 0; }
 
-// How fast a drive of a mass swings [1/s]; 0 where it creeps, or is at rest before a time is over.
+// Angular frequency of a drive of a mass [1/s]; 0 if it creeps or comes to rest within a time.
 double swing_of(const Joint& joint, double mass, double time);
 
-// What a row of a drive does in the first half of a small step, from where it is and how fast.
+// Impulse of a drive's row in the first half of a substep, from position and speed.
 void begin_drive(const Joint& joint, Drive& drive, Row& row, double speed, double h);
 
-// And in both halves, from the speed with which bodies went on.
+// Impulse in both halves, from the speed of the motion.
 void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, double h);
 
-// Finds the masses that drives move among the joints of an island, whose rows are theirs. Returns
-// whether it knows that no equation of these joints is implied by others, or nearly.
+// Computes effective masses of drives in an island, whose rows are given. Returns whether no joint
+// equation is redundant, or nearly.
 bool find_masses(const std::vector<Joint>& joints, const std::vector<std::size_t>& island,
                  const std::vector<Rows>& rows, const std::vector<Speed>& speeds,
                  std::vector<Drives>& drives);

@@ -7,14 +7,14 @@ namespace animtool::rigid {
 
 namespace {
 
-// Pairs that approach as fast as the fastest, up to this share, are solved together.
+// Pairs approaching within this fraction of the fastest are solved together.
 constexpr double TOGETHER = 1e-3;
-// An impact is solved until velocities change by less than this share of the fastest approach.
+// An impact is converged if velocities change by less than this fraction of the fastest approach.
 constexpr double SOLVED = 1e-7;
 constexpr int ROUNDS_OF_ONE = 40, ROUNDS_PER_JOINT = 8;
-// Impacts of a small step: as many as bodies pass on in turn; what is left comes to rest.
+// Largest number of impacts in a substep, in a chain of bodies; the rest is inelastic.
 constexpr std::size_t IMPACTS = 16, IMPACTS_PER_PATCH = 4;
-// After the first of them, what approaches slower than this share of the fastest is left too.
+// After the first impact, approaches below this fraction of the fastest are ignored too.
 constexpr double LITTLE = 0.05;
 // Rounding of a sum of energies.
 constexpr double EXACT = 1e-13;
@@ -61,7 +61,7 @@ void Impacts::run(const std::function<double(const Patch&)>& rests, std::vector<
   }
 }
 
-// Which patches each body has.
+// Patches of each body.
 void Impacts::list_patches() {
   const std::size_t count = world_.bodies.size();
   starts_.assign(count + 2, 0);
@@ -83,7 +83,7 @@ bool Impacts::meets(const Patch& patch, const Point& p) const {
   return p.now <= -speed_along(speeds_, patch, p, 0) * soon_;
 }
 
-// How fast a pair approaches where it touches.
+// Approach speed of a pair at its contact.
 double Impacts::closing(const Patch& patch) const {
   double most = 0;
   for (std::size_t k = patch.begin; k < patch.end; ++k)
@@ -92,7 +92,7 @@ double Impacts::closing(const Patch& patch) const {
   return most;
 }
 
-// The equations of a pair: along the normal and, where there is friction, across it.
+// Equations of a pair: along the normal and, with friction, across it.
 void Impacts::gather(const Patch& patch, double rest) {
   bodies_.push_back(patch.a);
   if (patch.b < world_.bodies.size()) bodies_.push_back(patch.b);
@@ -116,7 +116,7 @@ void Impacts::gather(const Patch& patch, double rest) {
   }
 }
 
-// What joints hold the bodies of an impact to, and those to others, and so on.
+// Collects bodies connected by joints to those of an impact, transitively.
 void Impacts::gather_joints() {
   const auto touched = [&](std::size_t i) {
     return std::find(bodies_.begin(), bodies_.end(), i) != bodies_.end();
@@ -189,8 +189,8 @@ void Impacts::solve(double speed) {
   }
 }
 
-// Takes so much of an impact that energy does not grow, but for what colliders and the
-// animation add: along the impulses it is a parabola.
+// Scales an impact so that energy does not grow, except for what colliders and the animation add:
+// along the impulses it is a parabola.
 void Impacts::bound_energy() {
   double slope = 0, size = 0, whole = 0;
   for (std::size_t i = 0; i < bodies_.size(); ++i) {
@@ -200,7 +200,7 @@ void Impacts::bound_energy() {
     slope += dot(old.v, way) / body.ease, size += dot(way, way) / body.ease / 2;
     whole += dot(old.v, old.v) / body.ease / 2;
   }
-  // What turns is known by the impulses that turned it: w I dw is w times the twist.
+  // Rotational work from the impulses themselves: w I dw is w times the twist.
   for (const Pull& pull : pulls_) {
     const auto at = [&](std::size_t body) {
       return std::lower_bound(bodies_.begin(), bodies_.end(), body) - bodies_.begin();

@@ -1,8 +1,8 @@
-// Impacts: bodies that meet fast enough to bounce. The points of a pair are solved together from
-// the velocities before, with the joints of both bodies (Newton's law of restitution, Coulomb's
-// friction). Pairs that approach because of it are solved next, with their new velocities, until
-// none approaches (sequential impacts, as in Newton's cradle); pairs that approach equally fast
-// are solved together. Where friction would add kinetic energy, the impulses are scaled down.
+// Impacts: contacts fast enough to bounce. The points of a pair are solved together from the
+// velocities before, with the joints of both bodies (Newton's law of restitution, Coulomb's
+// friction). Pairs that approach as a result are solved next, with their new velocities, until none
+// approaches (sequential impacts, as in Newton's cradle); equally fast pairs are solved together.
+// If friction would add kinetic energy, the impulses are scaled down.
 #pragma once
 
 #include <functional>
@@ -12,19 +12,18 @@
 
 namespace animtool::rigid {
 
-// Points nearer than this share of the size touch.
+// Points nearer than this fraction of the size touch.
 constexpr double TOUCHING = 1e-4;
 
 class Impacts {
  public:
-  // Of an island: its patches and points, and the rows of its joints. What approaches slower
-  // than a tolerance [m/s] does not meet; who arrives as soon as this [s] is there.
+  // Impacts of an island: its patches and points, and the rows of its joints. Approaches slower
+  // than a tolerance [m/s] are ignored; arrivals within this time [s] count as contact.
   Impacts(const World& world, const std::vector<Patch>& patches, const std::vector<Point>& points,
           const std::vector<std::size_t>& joints, const std::vector<Rows>& rows,
           std::vector<Speed>& speeds, double tolerance, double soon);
 
-  // Changes velocities, and marks whom it has pushed. `rests` is the speed below which a patch
-  // does not bounce.
+  // Changes velocities, and marks the bodies it pushed. Patches slower than `rests` do not bounce.
   void run(const std::function<double(const Patch&)>& rests, std::vector<char>& pushed);
 
  private:
@@ -32,10 +31,10 @@ class Impacts {
     std::size_t a, b;
     Vec line, arm_a, arm_b, turn_a, turn_b;
     double mass, given;
-    double target = 0;      // speed after it
+    double target = 0;      // speed after the impact
     double impulse = 0;
     bool one_sided = false, joint = false;
-    int across = 0;         // of friction, 1 or 2; the normal's is before both
+    int across = 0;         // of friction, 1 or 2; the normal equation precedes both
     double friction = 0;
   };
 
@@ -59,7 +58,7 @@ class Impacts {
   std::vector<std::size_t> starts_, listed_;  // patches of each body
   std::vector<Pull> pulls_;
   std::vector<std::size_t> bodies_;  // of an impact, ascending
-  std::vector<Speed> before_;        // theirs
+  std::vector<Speed> before_;        // their velocities
 };
 
 }  // namespace animtool::rigid

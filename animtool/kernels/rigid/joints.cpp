@@ -12,7 +12,7 @@ namespace {
 
 constexpr double ANY = std::numeric_limits<double>::infinity();
 
-// The rotation vector of a turn, the short way round.
+// The rotation vector of a rotation, the short way.
 Vec vector_of(Turn q) {
   if (q.w < 0) q = {-q.x, -q.y, -q.z, -q.w};
   const Vec v{q.x, q.y, q.z};
@@ -48,7 +48,7 @@ class Writing {
   Rows rows;
 
  private:
-  // What nothing can turn, such as a rod about itself, has no equation.
+  // Axes without inertia, such as a rod's, have no equation.
   Row& add(Row row, double error, double given, int slot) {
     const double k = dot(row.line, row.line) * (a_.ease + b_.ease) +
                      dot(row.arm_a, a_.turned(row.arm_a)) + dot(row.arm_b, b_.turned(row.arm_b));
@@ -73,7 +73,7 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
   const Turn between = conjugate(a.turn) * b.turn;
   const bool slides = joint.kind == Joined::PRISMATIC;
   const Vec axes[3] = {x, y, z};
-  // Along a slide the arm of the first reaches to where the second is.
+  // On a slide the arm of the first body reaches to the anchor of the second.
   const Vec reach_a = slides ? arm_a + off : arm_a;
   const Vec going = a.velocity + cross(a.spin, slides ? off : Vec{});
   for (int i = slides ? 1 : 0; i < 3; ++i)
@@ -102,13 +102,13 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
   double twist = 2 * std::atan2(between.w < 0 ? -between.x : between.x, std::fabs(between.w));
   const bool ball = joint.kind == Joined::BALL;
   if (!ball) {
-    // Of angles that differ by turns, the nearest to those that are allowed, or wanted.
+    // Of angles that differ by full rotations, the nearest to the allowed or target ones.
     const double about = limited ? (joint.low + joint.high) / 2 : joint.target;
     twist -= TURN * std::round((twist - about) / TURN);
   }
   const Vec far = rotate(b.turn, {1, 0, 0});
   const double lean = 1 + dot(x, far);
-  // How the twist of a ball changes, where it is not bent back.
+  // Rate of the twist of a ball, if it is not bent back.
   const Vec axis = ball && lean > 1e-6 ? (x + far) * (1 / lean) : x;
   if (limited) {
     const double given = -dot(axis, a.spin);

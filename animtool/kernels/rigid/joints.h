@@ -1,4 +1,4 @@
-// Joints between two bodies, or a frame that the animation moves and a body.
+// Joints between two bodies, or an animated frame and a body.
 #pragma once
 
 #include <array>
@@ -13,7 +13,8 @@ namespace animtool::rigid {
 
 enum class Joined : std::int64_t { FIXED, PIN, BALL, PRISMATIC };
 
-// A frame on a body: x is the axis of a pin, the way of a slide, and what a ball twists about.
+// A frame on a body: x is the axis of a pin, the direction of a slide, and the twist axis of a
+// ball.
 struct Frame {
   Vec at;
   Turn turn;
@@ -21,19 +22,19 @@ struct Frame {
 
 struct Joint {
   Joined kind = Joined::FIXED;
-  std::ptrdiff_t a = -1;  // body; -1 is a frame of the animation
+  std::ptrdiff_t a = -1;  // body; -1 for an animated frame
   std::size_t b = 0;      // body
   Frame on_a, on_b;
-  double low = 1, high = 0;       // of angle, slide or twist; none where low is above high
-  double swing[2] = {-1, -1};     // half-angles about y and z; none below 0
+  double low = 1, high = 0;       // of angle, slide or twist; none if low is above high
+  double swing[2] = {-1, -1};     // half-angles about y and z; none if negative
   double target = 0;              // of the drive: angle or slide
-  Turn goal;                      // of the drive of a ball: b as a sees it
-  double stiffness = 0, damping = 0;  // of the drive: N/m, N s/m, or with m rad for m
-  double speed = 0;               // that the damping of the drive draws to
-  double most = -1;               // force or torque of the drive; any below 0
+  Turn goal;                      // target of a ball's drive: b relative to a
+  double stiffness = 0, damping = 0;  // of the drive: N/m, N s/m, or per rad
+  double speed = 0;               // target speed of the drive's damping
+  double most = -1;               // largest force or torque of the drive; unlimited if negative
 };
 
-// Velocities of a body while a step is solved.
+// Velocities of a body during a step.
 struct Speed {
   Vec v, w;
   double ease = 0;  // 1 / mass
@@ -46,7 +47,7 @@ struct Speed {
   }
 };
 
-// How hard a constraint is: a damped spring, solved implicitly. Macklin et al. (2019), "Small
+// Compliance of a constraint: a damped spring, solved implicitly. Macklin et al. (2019), "Small
 // steps in physics simulation", and Catto (2011), "Soft constraints".
 struct Softness {
   double bias = 0, mass = 1, leak = 0;
@@ -61,24 +62,24 @@ struct Softness {
 
 // One equation: along a line and about an axis of each body.
 struct Row {
-  Vec line;           // 0 of rows that only turn
-  Vec arm_a, arm_b;   // about which each turns
-  double given = 0;   // speed that the animation adds
-  double error = 0;   // what should be 0, or not below it
-  double bend = 0;    // how much more the error changes in a small step, over its time
+  Vec line;           // 0 for rotation rows
+  Vec arm_a, arm_b;   // moment arms of both bodies
+  double given = 0;   // speed added by the animation
+  double error = 0;   // constraint error: should be 0, or not below it
+  double bend = 0;    // additional error in a substep from curvature, over its time
   double mass = 0, impulse = 0, half = 0;
   double least = 0, most = 0;  // of the impulse
-  double give = 0, push = 0;   // of a drive: impulse against speed, and against where it is
+  double give = 0, push = 0;   // of a drive: impulse by speed, and by position
   enum { LOCK, LIMIT, DRIVE } kind = LOCK;
   int slot = 0;
 };
 
-// Places of the rows of a joint in what is kept from step to step.
+// Slots of a joint's rows in the impulses kept between steps.
 enum { SLOT_LINE = 0, SLOT_TURN = 3, SLOT_LOW = 6, SLOT_HIGH = 7, SLOT_SWING = 8, SLOT_DRIVE = 9 };
 constexpr std::size_t ROWS = 12;
 constexpr double TURN = 2 * 3.14159265358979323846;  // [rad]
 
-// A frame in the world, and how it moves of itself.
+// A frame in the world, and its animated motion.
 struct Anchor {
   Vec at;
   Turn turn;
@@ -90,12 +91,12 @@ struct Rows {
   std::size_t count = 0;
 };
 
-// The equations of a joint whose frames are here, for a step of a length. `arm_a` and `arm_b`
-// are from the centres of both bodies.
+// The equations of a joint with its frames in the world, for a step. `arm_a` and `arm_b` are from
+// the centres of both bodies.
 Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Vec arm_b,
              const Speed& on_a, const Speed& on_b, double h);
 
-// How far the frames of a joint are apart that should be one [m].
+// Distance between the anchors of a joint [m].
 double stretch_of(const Joint& joint, const Anchor& a, const Anchor& b);
 
 }  // namespace animtool::rigid

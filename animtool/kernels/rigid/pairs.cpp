@@ -1,6 +1,6 @@
-// Who may touch whom within a step: a tree of boxes, made anew each step along a space-filling
-// curve (Karras 2012, "Maximizing parallelism in the construction of BVHs", its order alone), so
-// that the work grows as n log n; and how, at the time when they first touch.
+// Broad phase: a bounding volume tree, rebuilt each step along a space-filling curve (Karras 2012,
+// "Maximizing parallelism in the construction of BVHs", only its order), so that the work grows as
+// n log n; and the contact of pairs at their time of impact.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -16,9 +16,9 @@ using collide::Collider;
 using collide::load;
 using collide::Shape;
 
-// Distance up to which points of two bodies count as touching, over the smaller of both.
+// Distance below which points of two bodies touch, over the smaller size.
 constexpr double SKIN = 0.02;
-// Looks for the time when two first touch, and how near that is, over the smaller size.
+// Search for the time of impact, and its tolerance over the smaller size.
 constexpr int LOOKS = 48;
 constexpr double NEAR = 1e-3;
 
@@ -53,7 +53,7 @@ std::uint32_t spread(std::uint32_t v) {
   return (v | v << 2) & 0x09249249u;
 }
 
-// Boxes in the order of a curve, halved and halved again.
+// Boxes along the curve, halved recursively.
 class Tree {
  public:
   explicit Tree(const std::vector<Box>& boxes) : boxes_(boxes), order_(boxes.size()) {
@@ -78,7 +78,7 @@ class Tree {
     build(0, boxes.size());
   }
 
-  // Calls with each pair of boxes that overlap, once.
+  // Visits each pair of overlapping boxes once.
   template <class Call>
   void pairs(Call call) const {
     for (std::size_t i = 0; i < order_.size(); ++i) visit(0, 0, order_.size(), i, call);
@@ -99,7 +99,7 @@ class Tree {
     return self;
   }
 
-  // Leaves behind the one in the order.
+  // Leaves after this one in the order.
   template <class Call>
   void visit(std::size_t node, std::size_t from, std::size_t to, std::size_t i,
              Call& call) const {
@@ -151,7 +151,7 @@ Core core_of(const Collider& c) {
   return core;
 }
 
-// How bodies go within a step, where nothing stops them.
+// Free motion of bodies within a step.
 struct Going {
   State begin;
   Vec velocity, spin;
@@ -236,7 +236,7 @@ class Finder {
     }
   }
 
-  // Of two bodies, or of a body and a collider, which come behind the bodies.
+  // Of two bodies, or of a body and a collider; colliders are numbered after the bodies.
   bool apart(std::size_t a, std::size_t b) const {
     if (world_.apart.empty()) return false;
     const std::uint64_t key = static_cast<std::uint64_t>(std::min(a, b)) << 32 | std::max(a, b);
@@ -258,7 +258,7 @@ class Finder {
     return a != b && !(sleeps(i) && sleeps(j)) && !apart(a, b);
   }
 
-  // The speed with which the points of two come nearer along a direction, at most.
+  // Upper bound of the approach speed of two along a direction.
   static double closing(Vec way, double swing, Vec normal) {
     return std::max(-dot(way, normal), 0.0) + swing;
   }
@@ -282,7 +282,7 @@ class Finder {
     Contact made;
     made.motion = motion;
     made.radius = p.core->radius, made.other_radius = q.core->radius;
-    // Who is near, or slow, is met where it is; who comes from afar where it arrives.
+    // Near or slow pairs are tested at the start; far and fast ones at their arrival.
     if (gap <= skin + std::min(most, size * NEAR)) {
       const Manifold manifold = meet(p, q, skin + most);
       made.take(manifold, poses_[a], fixed ? motion->at(0) : poses_[b]);
@@ -307,8 +307,8 @@ class Finder {
     return {std::max(a.restitution, b.restitution), std::max(a.friction, b.friction)};
   }
 
-  // Goes to the time when two first touch by steps in which they cannot, and takes how they
-  // touch then; conservative advancement of Mirtich (1996), "Impulse-based dynamic simulation".
+  // Conservative advancement to the time of impact (Mirtich 1996, "Impulse-based dynamic
+  // simulation"), and the contact there.
   void arrive(const Placed& p, const Placed& q, std::size_t a, std::size_t b,
               const collide::Motion* motion, Contact& made, double gap, Axis axis, Vec way,
               double swing, double size, double most) {
@@ -356,8 +356,7 @@ class Finder {
             pose.rotated(load(inward))};
   }
 
-  // Planes and what bodies are to stay in: their points are looked at, each with the normal
-  // that it has there.
+  // Planes and containers: contact points with the normal at each.
   void meet_field(std::size_t s, std::size_t c) {
     const Placed& p = placings_[s].get();
     const Collider& collider = colliders_[c];
@@ -418,7 +417,7 @@ class Finder {
     if (behind && found_.size() == before) meet_inside(s, c, pose, reach);
   }
 
-  // Who is in a mesh as far as his centre is on the way out to the nearest of it.
+  // Bodies inside a mesh, whose centre is on the outward direction of the nearest point.
   void meet_inside(std::size_t s, std::size_t c, const Pose& pose, double reach) {
     const Placed& p = placings_[s].get();
     const auto out = collide::sample(colliders_[c], pose, p.centre, 0, p.core->reach + reach);
@@ -448,7 +447,7 @@ class Finder {
     const Placed& p = placings_[s].get();
     const collide::Mesh& mesh = colliders_[c].mesh;
     Core core;
-    // A container is met from behind, and what has two sides from that of the body.
+    // Containers collide from behind, two-sided triangles from the side of the body.
     const bool two_sided = colliders_[c].two_sided;
     const bool turned = colliders_[c].container || (two_sided && behind(mesh, t, pose, p.centre));
     for (int k = 0; k < 3; ++k)
@@ -460,7 +459,7 @@ class Finder {
     moved_b_.place(core, pose);
     const Placed& q = moved_b_.get();
     const Vec face = q.normals[0];
-    // What is behind a face is met by those on the other side, or as a whole.
+    // Points behind a face collide with its other side, or with the full mesh.
     if (!two_sided && dot(p.centre - q.points[0], face) < 0) return false;
     Manifold made = meet(q, p, reach);
     if (!made.count) return true;
@@ -471,8 +470,8 @@ class Finder {
     return true;
   }
 
-  // Whether a normal is one that the surface has there: at an edge between the normals of its
-  // two faces, so that a body that slides over inner edges does not stumble.
+  // Whether a normal is within the normal cone of the surface: at an edge between those of its two
+  // faces, so that sliding bodies do not catch on inner edges.
   static bool faces_out(const collide::Mesh& mesh, std::int32_t t, bool turned,
                         const Pose& pose, const Manifold& manifold, const Placed& q) {
     const Vec n = manifold.normal, face = q.normals[0];
@@ -491,15 +490,15 @@ class Finder {
     const Vec out_there =
         pose.rotated(load(mesh.edge_normals + 9 * t + 3 * (turned ? 2 - side : side)));
     const Vec sum = turned ? -out_there : out_there;
-    if (dot(sum, sum) == 0) return true;  // a rim
+    if (dot(sum, sum) == 0) return true;  // a boundary edge
     const Vec other = direction(direction(sum, face) * (2 * dot(direction(sum, face), face)) - face, face);
     const Vec along = q.points[(side + 1) % 3] - q.points[side];
     const Vec out = cross(along, face);
-    if (dot(other, out) <= 1e-6) return false;  // flat, or hollow
+    if (dot(other, out) <= 1e-6) return false;  // flat, or concave
     return lean >= dot(other, face) - 1e-3;
   }
 
-  // Whether a straight way goes through a triangle.
+  // Whether a segment crosses a triangle.
   static bool through(const Placed& q, Vec from, Vec to) {
     const Vec n = q.normals[0], way = to - from;
     const double begin = dot(n, from - q.points[0]), end = dot(n, to - q.points[0]);
@@ -522,7 +521,7 @@ class Finder {
       bool within = true;
       for (int k = 0; k < 3; ++k)
         within &= dot(cross(q.points[(k + 1) % 3] - q.points[k], at - q.points[k]), n) >= 0;
-      // Behind a triangle with two sides is what is there through it, not around its rim.
+      // Behind a two-sided triangle counts what crosses it, not its edges.
       if (within && two_sided && height < 0) within = through(q, p.centre, at);
       if (within) points.push_back({at - n * (height - q.core->radius - gap / 2), gap});
     }
@@ -540,7 +539,7 @@ class Finder {
   std::vector<Pose> poses_;
   std::vector<Placing> placings_;
   std::vector<Box> boxes_;
-  std::vector<std::size_t> owners_;  // of each box a shape, or the shapes and a collider
+  std::vector<std::size_t> owners_;  // of each box a shape, or a collider after the shapes
   std::vector<std::unique_ptr<Core>> cores_;
   std::vector<std::pair<Vec, std::vector<Touching>>> fields_;
   Placing moved_a_, moved_b_;

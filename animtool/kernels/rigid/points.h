@@ -1,4 +1,4 @@
-// Points of contact while a step is solved, and what an impulse there does.
+// Contact points during a step, and their response to impulses.
 #pragma once
 
 #include <vector>
@@ -8,29 +8,29 @@
 namespace animtool::rigid {
 
 struct Point {
-  Vec own, other;          // in the frames of both
-  Vec arm_a, arm_b;        // in the world, where the step begins
-  double gap = 0, now = 0; // where the manifold is, and now
+  Vec own, other;          // in the frames of both bodies
+  Vec arm_a, arm_b;        // in the world, at the start of the step
+  double gap = 0, now = 0; // gap of the manifold, and the current one
   double given = 0;        // speed of a collider along the normal
-  Vec slide;               // and whole
-  bool flies = false;      // on its way into the other so fast that it will bounce
+  Vec slide;               // its full velocity
+  bool flies = false;      // approaching so fast that it will bounce
   double mass = 0, force = 0, across[2] = {0, 0}, masses[2] = {0, 0};
-  double half[3] = {0, 0, 0};  // what is held for half a small step
+  double half[3] = {0, 0, 0};  // impulses of half a substep
   Vec arms_a[3], arms_b[3];    // r x n, r x t1, r x t2
-  Vec turns_a[3], turns_b[3];  // what these turn
+  Vec turns_a[3], turns_b[3];  // angular responses to these
 };
 
 struct Patch {
   std::size_t a, b;
   Vec normal, tangents[2];
   double friction, restitution, push;
-  double skin = 0;    // of both together [m]
-  double turned = 0;  // square of how far arms may be off [m²]
+  double skin = 0;    // of both [m]
+  double turned = 0;  // squared tolerance of arms [m²]
   std::size_t begin, end;  // points
   const Contact* contact;
 };
 
-// Speed of the second away from the first, along the normal and the tangents.
+// Relative velocity of the second, along the normal and the tangents.
 inline double speed_along(const std::vector<Speed>& speeds, const Patch& patch, const Point& p,
                           int line) {
   const Speed &a = speeds[patch.a], &b = speeds[patch.b];

@@ -1,25 +1,25 @@
-// A step of rigid bodies: small steps, in each of which forces act, contacts and joints are
-// solved one after the other until velocities hardly change, bodies go on, and what pushed them
-// apart is taken out of their velocities again (Catto 2023, "Solver2D": soft contacts, small
-// steps and relaxation). Bodies that nothing touches go on exactly.
+// A step of rigid bodies in substeps: forces act, contacts and joints are solved iteratively until
+// velocities converge, bodies move, and penetration correction is removed from velocities again
+// (Catto 2023, "Solver2D": soft contacts, substeps and relaxation). Bodies without contacts move
+// exactly.
 #include "rigid/solver.h"
 
 namespace animtool::rigid {
 
 namespace {
 
-// Islands of fewer points than these are corrected more often, and at most so much more.
+// Islands with fewer points get more iterations, up to this factor.
 constexpr std::size_t SMALL = 512, MOST = 32;
-// Most times at which an island is stopped for impacts in a small step, fewer for a crowd of
-// pairs; most rounds at one, and most looks for when it is.
+// Largest number of impact stops of an island in a substep, fewer for many pairs; and of rounds and
+// searches at one.
 constexpr std::size_t LEGS = 32, CROWD = 256;
 constexpr int AGAIN = 4, ARRIVES = 16;
-// Drives swing by less than this in a small step [rad], of which there are so many times more
-// at most; what then swings by more than so much is not as it should be.
+// Largest phase of a drive's swing in a substep [rad], the largest factor on substeps for it, and
+// the phase above which it is reported.
 constexpr double SWING = 0.2, MOST_TIMES = 64, TOO_FAR = 0.5;
-// Likewise of what moves more than it feels.
+// Likewise for drives whose motion exceeds their effective mass.
 constexpr double LOSES = 0.02;
-// Who is deeper in another than this share of his size does not fall asleep.
+// Bodies penetrating by more than this fraction of their size stay awake.
 constexpr double PARTING = 0.02;
 
 }  // namespace
@@ -124,7 +124,7 @@ void Solver::divide(const Island& island) {
 
 void Solver::resize(int parts) {
   const double small = step_ / parts;
-  // An impact of the island before may have left another time.
+  // An impact of the previous island may have changed the time.
   const bool same = small == small_ && h_ == small;
   parts_ = parts, small_ = h_ = small;
   if (!same) soften();
@@ -151,7 +151,7 @@ void Solver::small_step(const Island& island, int s) {
   const double begin = static_cast<double>(s) / parts_;
   const double end = static_cast<double>(s + 1) / parts_;
   const std::size_t joints = island.joints.size();
-  // Later ones begin where the one before ended.
+  // Warm start from the previous step.
   if (s == 0) {
     look(begin);
     for (std::size_t k = 0; k < joints; ++k) write_rows(island.joints[k], k, begin, true);
@@ -170,7 +170,7 @@ void Solver::small_step(const Island& island, int s) {
 
 void Solver::advance(const Island& island, double time, double end) {
   const std::size_t joints = island.joints.size();
-  // What stopped bodies at once is no force that lasts: it does not grow with the time.
+  // Impact impulses are no lasting force: they do not scale with time.
   const double scale = std::min(time / h_, 1.0);
   if (time != h_) {
     h_ = time;
@@ -219,7 +219,7 @@ void Solver::iterate(const Island& island, bool pushing) {
     for (std::size_t k = 0; k < island.joints.size(); ++k)
       change = std::max(change, correct(world_.joints[island.joints[k]], rows_[k], pushing));
     const std::size_t patches = patches_.size();
-    // There and back, so that weight gets down and support gets up.
+    // Forwards and backwards, so that weight and support both propagate.
     for (std::size_t k = 0; k < patches; ++k)
       change = std::max(change, correct(patches_[round % 2 ? patches - 1 - k : k], pushing));
     ++round;
@@ -290,8 +290,7 @@ Report step_world(const World& world, std::vector<State>& states, std::vector<Ke
                   double step) {
   Solver whole(world, states, kept, held, forces, torques, colliders, anchors, settings, step);
   if (settings.substeps == 1 || !whole.bounces()) return whole.run();
-  // A body that bounces meets others than those that were in its way: contacts are found anew
-  // in each small step.
+  // A bouncing body meets others than those in its path: contacts are found again in each substep.
   Settings small = settings;
   small.substeps = 1;
   std::vector<collide::Collider> around = colliders;

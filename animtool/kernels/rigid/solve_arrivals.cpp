@@ -1,15 +1,15 @@
-// Who arrives so fast that he bounces, and when: a step is stopped there.
+// Times of impact of bodies that will bounce: a step is stopped there.
 #include "rigid/solver.h"
 
 namespace animtool::rigid {
 
 namespace {
 
-// Who arrives within so many small steps is not stopped before; who arrives within such a share
-// of one is there.
+// Arrivals within this many substeps are not stopped for; within this fraction of one they count as
+// contact.
 constexpr double FLIES = 2, SOON = 1.0 / 64;
-// Most times at which an island is stopped for impacts in a small step, fewer for a crowd of
-// pairs; most rounds at one, and most looks for when it is.
+// Largest number of impact stops of an island in a substep, fewer for many pairs; and of rounds and
+// searches at one.
 constexpr std::size_t LEGS = 32, CROWD = 256;
 constexpr int AGAIN = 4, ARRIVES = 16;
 
@@ -38,7 +38,7 @@ double Solver::next_arrival(double left, double share) {
     for (std::size_t k = patch.begin; k < patch.end; ++k) {
       Point& p = points_[k];
       const double into = -approach(patch, p), gap = std::max(p.now, 0.0);
-      // As fast as it is when the gap is closed.
+      // At the speed when the gap closes.
       const double coming = std::sqrt(std::max(into * std::fabs(into) + 2 * pull * gap, 0.0));
       p.flies = coming > rest && 2 * gap < FLIES * left * (into + coming);
       if (!p.flies) continue;

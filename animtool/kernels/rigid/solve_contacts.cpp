@@ -1,17 +1,17 @@
-// Points of contact in a step: where they are, what they hold, and their corrections.
+// Contact points in a step: positions, impulses and corrections.
 #include "rigid/solver.h"
 
 namespace animtool::rigid {
 
 namespace {
 
-// Speed at which bodies that begin inside each other are moved apart at most [m/s].
+// Largest speed at which initial penetration is resolved [m/s].
 constexpr double PUSH = 2;
-// A point of contact is the one of the step before where it is as near, over the size.
+// A contact point is matched to one of the previous step within this distance, over the size.
 constexpr double SAME = 0.1;
-// Arms of contacts follow bodies that turn by more than this share of their size.
+// Contact arms are updated if bodies rotate by more than this fraction of their size.
 constexpr double TURNED = 1e-3;
-// Friction this near its limit slides.
+// Friction this close to its limit slides.
 constexpr double SLIDING = 1e-6;
 
 }  // namespace
@@ -68,7 +68,7 @@ void Solver::set_arms(const Patch& patch, Point& p, Vec at) {
                      dot(p.arms_b[d], p.turns_b[d]);
     (d ? p.masses[d - 1] : p.mass) = k > 0 ? 1 / k : 0;
   }
-  // One for both, so that friction is straight against what slides.
+  // One arm for both, so that friction is aligned with sliding.
   p.masses[0] = p.masses[1] = std::min(p.masses[0], p.masses[1]);
 }
 
@@ -102,7 +102,7 @@ void Solver::save(const Patch& patch) {
     const Point& p = points_[k];
     const Vec force = patch.normal * p.force + patch.tangents[0] * p.across[0] +
                       patch.tangents[1] * p.across[1];
-    // In the frame of the body where the step begins; it turns little in one.
+    // In the body's frame at the start of the step, in which it rotates little.
     const Vec own = turns_[patch.a].unrotated(force) * (1 / small_);
     saved_.push_back({static_cast<std::int64_t>(patch.contact->first), patch.contact->second,
                       p.own, own});
@@ -169,7 +169,7 @@ double Solver::correct(Patch& patch, bool pushing) {
     if (p.flies) continue;
     double bias = 0, mass = 1, leak = 0;
     if (p.now > 0) {
-      // Who is on the way has not arrived: only places count.
+      // Approaching bodies have not arrived: only positions count.
       if (!pushing && p.force == 0) continue;
       bias = pushing ? p.now / h : 0;
     } else if (pushing) {

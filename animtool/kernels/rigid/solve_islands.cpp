@@ -1,12 +1,12 @@
-// Who is awake, which bodies a step has to solve together, and who falls asleep.
+// Sleeping, islands, and waking.
 #include "rigid/solver.h"
 
 namespace animtool::rigid {
 
 namespace {
 
-// Friction at so many points holds a body; what leans on fewer, or is not held at all, falls
-// asleep below such a share of the speed of sleep.
+// Friction at this many points supports a body; with fewer, or without support, it falls asleep
+// below this fraction of the sleep speed.
 constexpr int HELD = 3;
 constexpr double LEANING = 0.25, CREEP = 0.01;
 

@@ -1,11 +1,11 @@
-// Joints in a step: their equations where bodies are, what they hold, and their corrections.
+// Joints in a step: their equations, impulses and corrections.
 #include "rigid/solver.h"
 
 namespace animtool::rigid {
 
 namespace {
 
-// Speed at which joints that begin apart are closed at most [m/s, rad/s].
+// Largest speed at which initial joint gaps close [m/s, rad/s].
 constexpr double PULL = 100;
 
 }  // namespace

@@ -1,4 +1,4 @@
-// A step of rigid bodies under way: `solve.cpp` says how it goes.
+// The state of a rigid body step: see `solve.cpp`.
 #pragma once
 
 #include <algorithm>
@@ -14,8 +14,7 @@
 
 namespace animtool::rigid {
 
-// Of contacts and joints, how hard they are pushed back to where they should be: a frequency,
-// over that of the small steps, and a damping ratio.
+// Stiffness of contact and joint correction: frequency over that of substeps, and damping ratio.
 constexpr double STIFF = 0.35;
 constexpr double CONTACT_DAMPING = 10, JOINT_DAMPING = 2;
 
@@ -37,16 +36,16 @@ class Solver {
   struct Island {
     std::vector<std::size_t> bodies, joints;
     std::vector<std::size_t> contacts;
-    bool parting = false;  // somebody is still on the way out of another
+    bool parting = false;  // some penetration is still being resolved
   };
   void find();
 
-  // ---- who is awake
+  // ---- sleeping
 
   void begin_groups();
   bool sleeps(std::size_t i) const { return asleep(states_[i], settings_); }
 
-  // Wakes those that somebody awake touches, with all that they touch.
+  // Wakes bodies in contact with awake ones, transitively.
   bool wake();
   void make_islands();
 
@@ -54,18 +53,17 @@ class Solver {
 
   void solve(Island& island);
 
-  // Chooses small steps of an island, shorter where a drive swings in them.
+  // Chooses substeps of an island, shorter if a drive swings in them.
   void divide(const Island& island);
   void resize(int parts);
   void soften();
 
-  // Counts the points at which friction holds bodies: what slides is not held, and what is
-  // round rolls on.
+  // Counts the points at which friction supports bodies: sliding and rolling ones do not count.
   void note_held(const Patch& patch);
   void refresh(std::size_t i);
   void add_patch(const Contact& c);
 
-  // One point for both, so that no angular momentum is lost: halfway, or on what is round.
+  // One point for both, so that angular momentum is conserved: halfway, or on the round body.
   static Vec touching_point(const Patch& patch, Vec own, Vec other) {
     const Contact& c = *patch.contact;
     if (c.radius > 0) return own + patch.normal * c.radius;
@@ -73,21 +71,20 @@ class Solver {
     return (own + other) * 0.5;
   }
 
-  // What there is of a point of contact where it is now.
+  // A contact point at the current poses.
   void set_arms(const Patch& patch, Point& p, Vec at);
 
-  // Begins with the forces of the step before.
+  // Warm start with the impulses of the previous step.
   void find_kept(Patch& patch);
   void save(const Patch& patch);
 
-  // ---- one small step
+  // ---- one substep
 
-  // Goes from impact to impact, and what is left in one.
+  // Advances from impact to impact, and through the rest of a substep.
   void small_step(const Island& island, int s);
 
-  // As RATTLE does (Andersen 1983): forces act for half the time, bodies go on with what leaves
-  // joints and contacts right at the end, forces act for the other half, and velocities are made
-  // right there.
+  // As RATTLE does (Andersen 1983): half a kick, a drift that satisfies joints and contacts at its
+  // end, half a kick, and a velocity correction there.
   void advance(const Island& island, double time, double end);
   void begin_drives(const Joint& joint, std::size_t k);
   void end_drives(const Joint& joint, std::size_t k);
@@ -96,29 +93,27 @@ class Solver {
 
   // ---- impacts
 
-  // How long nobody arrives who bounces, at most what is left; who is there bounces before.
+  // Time until the first bouncing arrival, at most the rest; present ones bounce before.
   double until_impact(const Island& island, double left, double begin, double end);
 
-  // Notes who comes so fast that he bounces; returns when the first arrives, or the time that
-  // is left.
+  // Marks points approaching so fast that they bounce; returns the first arrival, or the rest.
   double next_arrival(double left, double share);
 
-  // When a point closes its gap as bodies go on and turn, within a time: by false position, of
-  // Illinois.
+  // Time at which a point closes its gap with both bodies in motion, within a limit: by the
+  // Illinois method.
   double arrival(const Patch& patch, const Point& p, double share, double within) const;
   double gap_at(const Patch& patch, const Point& p, double share, double time) const;
 
-  // Speed below which two do not bounce but rest: forces on either bring back what is slower
-  // within a small step.
+  // Speed below which two rest instead of bouncing: forces reverse slower motion within a substep.
   double rest_of(std::size_t a, std::size_t b, double restitution) const;
   double rest_of(const Patch& patch) const {
     return rest_of(patch.a, patch.b, patch.restitution);
   }
 
-  // Where points are now.
+  // Updates current contact points.
   void look(double share);
 
-  // Acceleration of the second as the first sees it.
+  // Relative acceleration of the second body.
   Vec relative_pull(const Patch& patch) const;
   static double pull_along(const Patch& patch, Vec pull) { return -dot(pull, patch.normal); }
 
@@ -126,14 +121,14 @@ class Solver {
     return speed_along(speeds_, patch, p, 0);
   }
 
-  // Forces act for half a small step.
+  // Applies forces for half a substep.
   void push(std::size_t i);
 
   void apply(std::size_t a, std::size_t b, Vec line, Vec turn_a, Vec turn_b, double impulse) {
     rigid::apply(speeds_, a, b, line, turn_a, turn_b, impulse);
   }
 
-  // Contacts and joints hold for half the time what they held in the small step before.
+  // Applies the impulses of the previous substep for half the time.
   void begin_warm(Patch& patch, double scale);
   void end_warm(Patch& patch);
   void hold(const Patch& patch, const Point& p);
@@ -146,7 +141,7 @@ class Solver {
 
   void hold(const Joint& joint, const Rows& rows);
 
-  // The frames of a joint at a share of the step, and the arms to them.
+  // Frames of a joint at a fraction of the step, and their arms.
   struct Frames {
     Anchor a, b;
     Vec arm_a, arm_b;
@@ -159,8 +154,8 @@ class Solver {
 
   void write_rows(std::size_t number, std::size_t k, double share, bool first);
 
-  // How much more a joint's errors change until the end of the small step than its equations
-  // say, as bodies go on and turn: over the time.
+  // Change of a joint's errors to the end of the substep beyond its linear equations, over the
+  // time.
   void bend(std::size_t number, Rows& rows, double end);
 
   double speed_of(const Joint& joint, const Row& row) const {
@@ -171,32 +166,31 @@ class Solver {
   static Turn turn_of_pose(const Pose& pose);
   static Anchor anchor_of(const State& s, const Frame& frame);
 
-  // Corrects velocities until they hardly change: with or without what pushes back to where
-  // bodies should be.
+  // Iterates velocity corrections until convergence, with or without position correction.
   void iterate(const Island& island, bool pushing);
   double correct(Patch& patch, bool pushing);
   double correct(const Joint& joint, Rows& rows, bool pushing);
 
-  // Bodies go on for a small step.
+  // Moves bodies for a substep.
   void go(std::size_t i);
   void turn_freely(std::size_t i, State& s) const;
   Vec momentum_of(std::size_t i) const;
 
-  // Notes whom contacts and joints push.
+  // Marks bodies pushed by contacts and joints.
   void mark(const Island& island);
 
-  // Velocities as states have them.
+  // Velocities in the layout of states.
   void settle(std::size_t i);
 
-  // ---- what is kept
+  // ---- stored state
 
   void keep();
 
-  // Lets islands fall asleep that have been slow for long enough and that friction holds. What
-  // nothing holds, or only a joint, goes on however slow it is, until it hardly moves at all.
+  // Puts islands to sleep that are slow for long enough and supported by friction. Unsupported
+  // ones, or those held by joints only, continue until they hardly move.
   void rest();
 
-  // Whether anything holds an island; without, it is at rest only where nothing pulls.
+  // Whether an island is supported; otherwise it is at rest only without forces.
   bool supported(const Island& island) const;
 
   const World& world_;
@@ -207,22 +201,22 @@ class Solver {
   const std::vector<collide::Collider>& colliders_;
   const std::vector<collide::Motion>& anchors_;
   const Settings& settings_;
-  double step_, small_, h_;  // whole, of small steps, and from impact to impact [s]
+  double step_, small_, h_;  // step, substep, and time between impacts [s]
   std::size_t count_;
   Softness contact_ = Softness::of(STIFF / small_, CONTACT_DAMPING, h_);
   Softness joint_ = Softness::of(STIFF / small_, JOINT_DAMPING, h_);
   std::vector<Contact> contacts_;
-  bool found_ = false;  // contacts, of this step
+  bool found_ = false;  // whether contacts of this step are found
   Groups groups_;
   std::vector<Island> islands_;
-  std::vector<Speed> speeds_;  // of the bodies, and of what does not move
+  std::vector<Speed> speeds_;  // of bodies, and of static ones
   std::vector<Pose> turns_;
   std::vector<char> pushed_;
-  std::vector<int> held_at_;  // points
-  int parts_ = 1;  // small steps
+  std::vector<int> held_at_;  // number of supporting points
+  int parts_ = 1;  // substeps
   std::vector<Drives> drives_;
-  bool hard_ = false;  // whether joints give way to nothing, so that drives move what they should
-  bool bouncy_ = false;  // whether somebody may bounce
+  bool hard_ = false;  // whether joints are rigid, so that drives move the right mass
+  bool bouncy_ = false;  // whether something may bounce
   std::vector<Patch> patches_;
   std::vector<Point> points_;
   std::vector<Rows> rows_;

@@ -1,10 +1,10 @@
-// How a rigid body turns where nothing twists it: Euler's equations, and its attitude.
+// Free rotation of a rigid body: Euler's equations, and its attitude.
 //
-// Splitting: the kinetic energy is three terms, one of each principal axis, and each turns the
+// Splitting: the kinetic energy is three terms, one per principal axis, each of which rotates the
 // body about that axis by an exact angle (Dullweber, Leimkuhler and McLachlan 1997, "Symplectic
 // splitting methods for rigid body molecular dynamics"). Of order 2, composed to order 4 (Suzuki
 // 1990), 6 and 8 (Kahan and Li 1997, "Composition constants for raising the orders of
-// unconventional schemes") where a step turns far.
+// unconventional schemes") for large rotations in a step.
 #pragma once
 
 #include <algorithm>
@@ -29,27 +29,27 @@ inline Vec rotate(const Turn& q, Vec a) {
 
 inline Vec unrotate(const Turn& q, Vec a) { return rotate(conjugate(q), a); }
 
-// The turn of a rotation vector.
+// The rotation of a rotation vector.
 inline Turn turn_of(Vec v) {
   const double angle = length(v);
   const double s = angle > 1e-8 ? std::sin(angle / 2) / angle : 0.5 - angle * angle / 48;
   return {v.x * s, v.y * s, v.z * s, std::cos(angle / 2)};
 }
 
-// A body's attitude, and its angular momentum in its own frame of principal axes.
+// Attitude, and angular momentum in the frame of the principal axes.
 struct Spin {
   Turn q;
   double p[3];
 };
 
-// Over the moments of inertia; 0 where there is none, as about a rod.
+// Over the moments of inertia; 0 without one, as about a rod.
 struct Ease {
   double of[3];
 
   Vec spin(const double* p) const { return {p[0] * of[0], p[1] * of[1], p[2] * of[2]}; }
 };
 
-// Turns a body about one axis of its own.
+// Rotates a body about one of its principal axes.
 template <int AXIS>
 inline void turn_about(Spin& s, const Ease& ease, double h) {
   constexpr int J = (AXIS + 1) % 3, K = (AXIS + 2) % 3;
@@ -80,10 +80,10 @@ inline void composed(Spin& s, const Ease& ease, double h, const double (&shares)
   for (std::size_t i = HALF - 1; i-- > 0;) split_step(s, ease, h * shares[i]);
 }
 
-// The longest turns, in radians that differ between axes, of steps of order 2, 4 and 6: each
-// leaves less than about 1e-12 of the energy and 1e-9 of the attitude.
+// Largest rotations, in radians that differ between axes, of steps of order 2, 4 and 6: each keeps
+// energy within 1e-12 and attitude within 1e-9.
 constexpr double TURN_2 = 2e-4, TURN_4 = 4e-3, TURN_6 = 2e-2;
-// The longest of order 8; longer steps are cut, into so many at most: no shot spins faster.
+// Largest rotation at order 8; longer steps are divided, up to this count: no shot spins faster.
 constexpr double TURN_8 = 0.2, MOST_PARTS = 64;
 
 inline void split(Spin& s, const Ease& ease, double h) {
@@ -112,7 +112,7 @@ inline void split(Spin& s, const Ease& ease, double h) {
   for (int i = 0; i < parts; ++i) composed(s, ease, h / parts, eighth);
 }
 
-// What attitude and momentum change by a second: of the classical methods.
+// Rates of attitude and momentum, for classical methods.
 struct Rate {
   Turn q;
   double p[3];

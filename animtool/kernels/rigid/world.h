@@ -1,4 +1,4 @@
-// Rigid bodies as a step sees them: what never changes, their state, and what they touch.
+// The world of a rigid body step: constants, state, and contacts.
 #pragma once
 
 #include <array>
@@ -32,49 +32,48 @@ struct Shape {
 
 struct World {
   std::vector<Body> bodies;
-  std::vector<Shape> shapes;  // of one body after the other
+  std::vector<Shape> shapes;  // body by body
   std::vector<Joint> joints;
-  // Pairs of bodies that do not meet, or of a body and a collider, which come behind the
-  // bodies; ascending.
+  // Excluded pairs of bodies, or of a body and a collider (numbered after bodies); ascending.
   std::vector<std::uint64_t> apart;
 };
 
 struct Settings {
   Method method = Method::SPLITTING;
   int substeps = 8;
-  int rounds = 64;           // most corrections of a substep
-  double tolerance = 1e-3;   // of velocities that a correction changes [m/s]
+  int rounds = 64;           // largest number of iterations of a substep
+  double tolerance = 1e-3;   // velocity change at convergence [m/s]
   double drowsy = 0.02;      // speed below which bodies fall asleep [m/s]; 0 is never
-  double rest = 0.5;         // and how long they are so before [s]
+  double rest = 0.5;         // time at that speed before sleep [s]
 };
 
-// A body in the world. Spins and momenta are those of the world.
+// A body in the world, with spin and momentum in the world.
 struct State {
   Vec at, velocity, momentum;
   Turn turn;
-  double idle = 0;  // how long it has been slow [s]; asleep from the rest on
+  double idle = 0;  // time it has been slow [s]; asleep from `rest` on
 };
 
-// What is kept of a point of contact from step to step: its place on the first of both, and
-// the force along the normal and across it.
+// A contact point kept between steps: its position on the first body, and normal and tangential
+// impulses.
 struct Kept {
-  std::int64_t first, second;  // shapes; colliders come behind the shapes
+  std::int64_t first, second;  // shapes; colliders are numbered after them
   Vec at, force;
 };
 
 struct Report {
   double deepest = 0;    // [m]
-  std::int64_t first = -1, second = -1;  // shapes of it; colliders come behind the shapes
-  double residual = 0;   // velocity that the last corrections changed [m/s]
+  std::int64_t first = -1, second = -1;  // its shapes; colliders are numbered after them
+  double residual = 0;   // largest velocity change of the last iteration [m/s]
   std::int64_t contacts = 0, rounds = 0, awake = 0, unsolved = 0;
-  double follows = 0;       // the step that follows the drive that swings fastest [s], if none did
+  double follows = 0;       // step that would resolve the fastest oscillating drive [s], if any
   std::int64_t drive = -1;  // its joint
 
   void note_drive(double step, std::size_t joint) {
     if (drive < 0 || step < follows) follows = step, drive = static_cast<std::int64_t>(joint);
   }
 
-  // Goes on with what came after.
+  // Merges the result of a later substep.
   void add(const Report& later) {
     if (later.deepest > deepest)
       deepest = later.deepest, first = later.first, second = later.second;
@@ -85,20 +84,19 @@ struct Report {
   }
 };
 
-// A pair that may touch, and how: the second may be a collider.
+// A pair that may touch, and its contact: the second may be a collider.
 struct Contact {
   std::size_t first = 0;        // shape
-  std::int64_t second = 0;      // shape, or number of shapes and a collider
+  std::int64_t second = 0;      // shape, or collider after the shapes
   std::size_t a = 0;            // body
-  std::ptrdiff_t b = -1;        // body; -1 is a collider
+  std::ptrdiff_t b = -1;        // body; -1 for a collider
   Material material;
-  double depenetration = 0;     // of colliders, how fast they push out [m/s]; 0 is any
+  double depenetration = 0;     // largest push-out speed of a collider [m/s]; 0 is unlimited
   const collide::Motion* motion = nullptr;  // of a collider
   Vec normal;                   // from the first to the second
   int count = 0;
-  // Where both have each point, in their frames, and how far they are apart there. What rolls
-  // touches with another point at once: of the first these are points of its core, and the
-  // surface is a radius ahead.
+  // Contact points in the frames of both bodies, and the gaps. Rolling shapes change their contact
+  // point continuously: these are points of the first's core, and its surface is a radius away.
   std::array<Vec, MOST_POINTS> own, other;
   std::array<double, MOST_POINTS> gaps;
   double radius = 0, other_radius = 0;
@@ -132,13 +130,13 @@ inline bool asleep(const State& s, const Settings& settings) {
   return settings.drowsy > 0 && s.idle >= settings.rest;
 }
 
-// What may touch within a step, in an order that does not depend on where bodies are. Bodies
-// that sleep are left out but where something awake or moving meets them.
+// Pairs that may touch within a step, in an order independent of positions. Sleeping bodies are
+// skipped unless something awake or moving touches them.
 std::vector<Contact> find_contacts(const World& world, const std::vector<State>& states,
                                    const std::vector<collide::Collider>& colliders,
                                    const Settings& settings, double step);
 
-// Takes a step; contacts and impulses of joints are brought up to date.
+// Takes a step; updates contacts and joint impulses.
 Report step_world(const World& world, std::vector<State>& states, std::vector<Kept>& kept,
                   std::vector<std::array<double, ROWS>>& held, const std::vector<Vec>& forces,
                   const std::vector<Vec>& torques,

@@ -29,7 +29,7 @@ void add_frames(std::size_t vertices, const std::int64_t* first, const std::int3
                 const double* offsets, const double* weights,
                 const double* const (&from)[FRAMES], double* const (&to)[FRAMES]) {
   for (std::size_t v = 0; v < vertices; ++v) {
-    // All frames are read before any is written: the last may stand here twice.
+    // All frames are read before any is written: the last may be listed twice.
     Vector3<Pair> p[2] = {gather<Pair>(from, 3 * v), gather<Pair>(from + 2, 3 * v)};
     for (std::int64_t k = first[v]; k < first[v + 1]; ++k)
       for (int h = 0; h < 2; ++h)

@@ -22,7 +22,7 @@ Influences influences_of(const In<std::int64_t, 1>& first, const In<std::int32_t
   return {first.shape(0) - 1, first.data(), joints.data(), weights.data()};
 }
 
-// Points that stand still, or points of each frame.
+// Points of one frame for all, or of each frame.
 class Points {
  public:
   Points(const In<double, 3>& points, std::size_t frames, std::size_t vertices)
@@ -54,7 +54,7 @@ void dual_quaternions(const double* q, const double* t, std::size_t joints, doub
   }
 }
 
-// A blend shorter than this turns nothing, as in UsdSkel.
+// A shorter blended quaternion rotates nothing, as in UsdSkel.
 constexpr double SHORTEST = 1e-10;
 
 // Of two frames: more would not stay in registers.

@@ -1,4 +1,4 @@
-// Points that joints and blend shapes move.
+// Skinning and blend shapes of points.
 #pragma once
 
 #include <cstdint>

@@ -1,1 +1,1 @@
-"""Pictures and films of what pages show, drawn off-screen with the shaders of pages."""
+"""Pictures and films of pages, rendered off-screen with the viewer's shaders."""

@@ -1,4 +1,4 @@
-"""Skeletons of a page: bones as octahedra, joints as balls, and axes of joints."""
+"""Draws skeletons: bones as octahedra, joints as balls, joint axes."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.camera import Eye
-from animtool.preview.pictures.device import Device, Table
-from animtool.preview.pictures.lines import Lines, Sprites, Stored
-from animtool.preview.pictures.pose import Pose
+from animtool.preview.pictures.device import Device, TextureTable
+from animtool.preview.pictures.lines import DrawnLines, Sprites, Stored
+from animtool.preview.pictures.pose import DrawnPose
 
 # Most joints that are drawn with thick bones: those of a crowd are lines.
 THICK = 1500
@@ -20,22 +20,22 @@ Color = tuple[int, int, int]
 
 
 class Bones:
-    """Skeletons of takes."""
+    """Renderer of the skeletons of takes."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
         self._program = device.program("bones.js")
         self._thin = device.program("bones.js", "THIN_VERTEX", "THIN_FRAGMENT")
-        self._table = Table(device)
+        self._table = TextureTable(device)
         self._balls = Sprites(device)
-        self._axes = Lines(device)
+        self._axes = DrawnLines(device)
         self._ends = Stored(device)
         self._array: Any = None
 
     def draw(
         self,
         eye: Eye,
-        poses: Sequence[Pose],
+        poses: Sequence[DrawnPose],
         color: Callable[[int], Color],
         *,
         bones: bool,
@@ -54,7 +54,7 @@ class Bones:
             self._draw_axes(eye, poses)
 
     def _thick(
-        self, eye: Eye, poses: Sequence[Pose], color: Callable[[int], Color]
+        self, eye: Eye, poses: Sequence[DrawnPose], color: Callable[[int], Color]
     ) -> None:
         size = max(pose.extent for pose in poses)
         cells, balls, tints = [], [], []
@@ -65,33 +65,33 @@ class Bones:
             heads = np.concatenate([at[pose.parents[child]], at[joints]])
             tails = np.concatenate([at[child], ends])
             long = np.linalg.norm(tails - heads, axis=1) > pose.extent * 1e-4
-            own = np.zeros((int(long.sum()), 3, 4))
-            own[:, 0, :3], own[:, 1, :3] = heads[long], tails[long]
-            own[:, 2, :3] = np.array(color(pose.index)) / 255
-            cells.append(own)
+            cell = np.zeros((int(long.sum()), 3, 4))
+            cell[:, 0, :3], cell[:, 1, :3] = heads[long], tails[long]
+            cell[:, 2, :3] = np.array(color(pose.index)) / 255
+            cells.append(cell)
             balls.append(at)
             tints.append(np.tile(np.array(color(pose.index), np.uint8), (len(at), 1)))
-        made = np.concatenate(cells)
-        if len(made):
-            self._table.send(made.reshape(-1, 4))
+        table = np.concatenate(cells)
+        if len(table):
+            self._table.send(table.reshape(-1, 4))
             thickest = size * 0.03
             self._device.use(self._program, eye, bones=self._table, thickest=thickest)
-            self._device.draw_plain(self._program, len(made) * 24)
+            self._device.draw_plain(self._program, len(table) * 24)
         self._balls.set(np.concatenate(balls), np.concatenate(tints))
         self._balls.draw(eye, size * 0.008, 2.5)
 
     def _lines(
-        self, eye: Eye, poses: Sequence[Pose], color: Callable[[int], Color]
+        self, eye: Eye, poses: Sequence[DrawnPose], color: Callable[[int], Color]
     ) -> None:
         """Draw many skeletons as thin lines."""
         rows = []
         for pose in poses:
             child = np.flatnonzero(pose.parents >= 0)
             ends = np.stack([child, pose.parents[child]], axis=1).ravel()
-            own = np.empty((len(ends), 6), "<f4")
-            own[:, :3] = pose.positions[ends]
-            own[:, 3:] = np.array(color(pose.index)) / 255
-            rows.append(own)
+            vertices = np.empty((len(ends), 6), "<f4")
+            vertices[:, :3] = pose.positions[ends]
+            vertices[:, 3:] = np.array(color(pose.index)) / 255
+            rows.append(vertices)
         values = np.concatenate(rows)
         if self._ends.write(values):
             part = self._ends.buffer, "3f 3f", "point", "color"
@@ -99,7 +99,7 @@ class Bones:
         self._device.use(self._thin, eye)
         self._array.render(self._device.module.LINES, vertices=len(values))
 
-    def _draw_axes(self, eye: Eye, poses: Sequence[Pose]) -> None:
+    def _draw_axes(self, eye: Eye, poses: Sequence[DrawnPose]) -> None:
         """Draw the axes of each joint, red, green and blue."""
         begins: list[FloatArray] = []
         ends: list[FloatArray] = []

@@ -1,4 +1,4 @@
-"""Pictures of files: stills, sheets, and films that play or go round."""
+"""Renders pictures of files: single frames, sheets, and turntable or playback films."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.files.output import check_outputs, sparing_inputs
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameList
-from animtool.preview.build import Page, make_page
+from animtool.preview.build import PreviewPage, make_page
 from animtool.preview.options import PictureOptions, PreviewOptions
-from animtool.preview.pictures.camera import View
+from animtool.preview.pictures.camera import CameraView
 from animtool.preview.pictures.captions import (
     Caption,
     caption_of,
@@ -28,10 +28,10 @@ from animtool.preview.pictures.captions import (
     written,
 )
 from animtool.preview.pictures.device import Array, Device, Picture, needed
-from animtool.preview.pictures.film import film, write_still
+from animtool.preview.pictures.film import film, write_picture
 from animtool.preview.pictures.kinds import PictureKind, picture_kind
 from animtool.preview.pictures.request import (
-    Camera,
+    CameraChoice,
     camera_of,
     layers_of,
     light_of,
@@ -39,7 +39,7 @@ from animtool.preview.pictures.request import (
     sheet_of,
     size_of,
 )
-from animtool.preview.pictures.scene import Scene
+from animtool.preview.pictures.scene import DrawnScene
 from animtool.preview.pictures.sources import theme_colors
 
 # Between the pictures of a sheet [px].
@@ -56,7 +56,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class PictureReport:
-    """A picture or film that was written.
+    """Report on a written picture or film.
 
     Attributes:
         path: The file.
@@ -74,7 +74,7 @@ class PictureReport:
     frames: tuple[float, ...]
     rate: Fraction
     about: str
-    page: Page
+    page: PreviewPage
 
     json_keys: ClassVar[str] = (
         "'preview' output=path bytes=size format=about width height frames=count "
@@ -93,7 +93,7 @@ class PictureReport:
 
     @property
     def count(self) -> int:
-        """How many frames are shown."""
+        """Number of frames shown."""
         return len(self.frames)
 
     @property
@@ -108,7 +108,7 @@ class PictureReport:
 
     @property
     def every(self) -> int | None:
-        """Every how many frames of the motion a film shows one; None where all."""
+        """Frame step of a film; None if all frames are shown."""
         if not self.rate or len(set(self.frames)) < 2:
             return None
         step = self.page.manifest["time"]["step"]
@@ -125,7 +125,7 @@ def write_pictures(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> PictureReport:
-    """Write a still, a sheet or a film of files, drawn as their page draws them.
+    """Render a picture, sheet or film of files, as their page shows them.
 
     It needs the extra ``pictures``, and OpenGL 3.3, which Mesa has without a graphics
     card. Frames of a film are compressed as they are drawn: its length takes no memory.
@@ -157,7 +157,7 @@ def write_pictures(
     listed = options.frame_range
     frames = listed.frames if isinstance(listed, FrameList) else ()
     _check(pictures, kind, frames)
-    # What is missing is said before scenes are baked.
+    # Missing packages are reported before scenes are baked.
     with _device() as device:
         with sparing_inputs([output]):
             page = make_page(paths, options)
@@ -166,9 +166,9 @@ def write_pictures(
 
 
 def save_pictures(
-    page: Page, output: Path, pictures: PictureOptions | None = None
+    page: PreviewPage, output: Path, pictures: PictureOptions | None = None
 ) -> PictureReport:
-    """Write a still, a sheet or a film of a page; see `write_pictures`."""
+    """Render a picture, sheet or film of a page; see `write_pictures`."""
     kind = picture_kind(output)
     assert kind is not None
     pictures = pictures or PictureOptions()
@@ -189,7 +189,7 @@ def _device() -> Iterator[Device]:
 def _check(
     pictures: PictureOptions, kind: PictureKind, frames: tuple[int, ...]
 ) -> None:
-    """Refuse what no picture of this kind can be, before anything is read."""
+    """Refuse invalid picture options before anything is read."""
     needed("PIL.Image")
     if kind.codec:
         needed("av")
@@ -199,7 +199,7 @@ def _check(
     size_of(pictures, kind, sheet=bool(sheet or frames))
     asked = {"sheet": sheet, "frames": frames, "camera": pictures.camera[1:]}
     several = [name for name, value in asked.items() if value]
-    if several and not kind.still:
+    if several and not kind.picture:
         message = "a film shows frames one after another, from one camera"
         hint = "a sheet, or listed frames, need .png or .webp; 1-240x2 plays a range"
         raise refused(several[0], message, hint)
@@ -212,12 +212,12 @@ def _check(
 
 
 class Studio:
-    """A page, and how pictures of it are taken."""
+    """Renders pictures of one page."""
 
     def __init__(
         self,
         device: Device,
-        page: Page,
+        page: PreviewPage,
         options: PictureOptions,
         kind: PictureKind,
         frames: tuple[int, ...],
@@ -231,16 +231,16 @@ class Studio:
         self._cameras = [camera_of(text, names) for text in asked]
         self._frames = frames
         shown = layers_of(options)
-        self._scene = Scene(device, page.manifest, page.blocks, shown)
+        self._scene = DrawnScene(device, page.manifest, page.blocks, shown)
         self._colors = theme_colors()
 
     def write(self, output: Path) -> PictureReport:
         """Write the picture or the film."""
-        still = not self._kind.codec or self._is_sheet
-        if not still:
+        single = not self._kind.codec or self._is_sheet
+        if not single:
             return self._film(output)
-        pixels, samples = self._still()
-        write_still(output, pixels)
+        pixels, samples = self._pictures()
+        write_picture(output, pixels)
         return self._report(output, pixels.shape, samples, Fraction(0))
 
     @property
@@ -262,25 +262,25 @@ class Studio:
         return PictureReport(output, size, pixels, codes, rate, about, self._page)
 
     def _samples(self) -> list[int]:
-        """Return the samples of a still or a sheet."""
+        """Return the samples of a picture or sheet."""
         codes = self._scene.codes
         if self._frames:
-            found = []
+            samples = []
             for frame in self._frames:
                 sample = int(np.argmin(np.abs(codes - frame)))
                 if abs(codes[sample] - frame) > 0.5:
                     ends = frame_label(codes[0]), frame_label(codes[-1])
                     message = f"frame {frame} is not in the file, which has {ends[0]}"
                     raise OptionError(Fault("CLI005", f"{message}-{ends[1]}"))
-                found.append(sample)
-            return found
+                samples.append(sample)
+            return samples
         sheet = sheet_of(self._options)
         if sheet is None:
             return [0]
         cells = sheet[0] * sheet[1] // len(self._cameras)
         return [int(i) for i in spread(len(codes), max(cells, 1))]
 
-    def _still(self) -> tuple[Array, list[int]]:
+    def _pictures(self) -> tuple[Array, list[int]]:
         samples = self._samples()
         cells = [(camera, i) for camera in self._cameras for i in samples]
         several = len(cells) > 1
@@ -290,8 +290,8 @@ class Studio:
         numbered = self._options.numbers
         if numbered is None:
             numbered = len(samples) > 1
-        made: list[Array] = []
-        view: View | None = None
+        pictures: list[Array] = []
+        view: CameraView | None = None
         for k, ((camera, sample), caption) in enumerate(
             zip(cells, captions, strict=True)
         ):
@@ -299,12 +299,14 @@ class Studio:
                 view = self._view(camera, size, caption, sample)
             view.inset = caption.height
             pixels = self._scene.draw(view, sample, picture, camera.shot)
-            made.append(self._written(pixels, caption, sample if numbered else None))
+            pictures.append(
+                self._written(pixels, caption, sample if numbered else None)
+            )
             self._progress((k + 1) / len(cells))
         if not several:
-            return made[0], samples
+            return pictures[0], samples
         columns = self._columns(len(samples), len(cells))
-        rows = [made[k : k + columns] for k in range(0, len(made), columns)]
+        rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
         wide = columns * (size[0] + GAP) - GAP
         title = self._title(len(cells), wide, size[1])
         sheet = joined(rows, GAP, self._colors["page"], title, self._colors["ink"])
@@ -319,7 +321,7 @@ class Studio:
         return math.ceil(cells / math.ceil(cells / ROW))
 
     def _captions(self, cells: int, size: tuple[int, int]) -> list[Caption]:
-        """Return what is written on each picture."""
+        """Return the captions of all pictures."""
         texts = self._options.caption
         if len(texts) not in {0, 1, cells}:
             message = f"{counted(len(texts), 'caption')} for "
@@ -330,19 +332,19 @@ class Studio:
         return [Caption((), 0)] * cells
 
     def _title(self, cells: int, width: int, height: int) -> Caption:
-        """Return what is written on a sheet as a whole."""
+        """Return the title of a sheet."""
         texts = self._options.caption
         one = texts[0] if len(texts) == 1 < cells else ""
         return caption_of(one, width, height)
 
     def _view(
-        self, camera: Camera, size: tuple[int, int], caption: Caption, sample: int
-    ) -> View:
-        """Return a view that has the whole motion in its picture."""
-        view = View(*size, caption.height, light=light_of(self._options))
+        self, camera: CameraChoice, size: tuple[int, int], caption: Caption, sample: int
+    ) -> CameraView:
+        """Return a camera view that frames the complete motion."""
+        view = CameraView(*size, caption.height, light=light_of(self._options))
         camera.aim(view)
         self._scene.look(view, sample)
-        camera.place(view)
+        camera.position(view)
         return view
 
     def _written(self, pixels: Array, caption: Caption, sample: int | None) -> Array:
@@ -380,7 +382,7 @@ class Studio:
         return self._report(output, (size[1], size[0]), samples, rate)
 
     def _played(self) -> tuple[list[int], Fraction]:
-        """Return the samples of a film, and how many it shows a second."""
+        """Return the samples of a film, and its frame rate."""
         time = self._page.manifest["time"]
         rate = Fraction(*time["rate"]) / Fraction(time["step"])
         if time["count"] == 1:

@@ -1,4 +1,4 @@
-"""The camera of pages and pictures: it orbits a target, or looks through one of a shot.
+"""Camera of pages and pictures: orbits a target, or looks through a shot camera.
 
 It is the rule of the page's `camera.js`, so that both show the same.
 """
@@ -34,33 +34,33 @@ PRESETS = {
 LIGHT = np.array([-0.35, 0.65, 0.68])
 
 
-class Box:
-    """Least and greatest of the coordinates that it was shown."""
+class Bounds:
+    """Axis-aligned bounds."""
 
     def __init__(self) -> None:
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def add(self, points: FloatArray) -> None:
-        """Grow around points ``(N, 3)``; those that are not finite are left out."""
+        """Grow to contain points ``(N, 3)``, ignoring non-finite ones."""
         points = np.reshape(points, (-1, 3))
         points = points[np.isfinite(points).all(axis=1)]
         if len(points):
             self.low = np.minimum(self.low, points.min(axis=0))
             self.high = np.maximum(self.high, points.max(axis=0))
 
-    def join(self, other: Box, shift: FloatArray | float = 0.0) -> None:
-        """Grow around another that is moved."""
+    def join(self, other: Bounds, shift: FloatArray | float = 0.0) -> None:
+        """Grow to contain other bounds, shifted."""
         if not other.empty:
             self.add(np.stack([other.low, other.high]) + shift)
 
     @property
     def empty(self) -> bool:
-        """Whether it was shown nothing."""
+        """Whether it contains nothing."""
         return not self.low[0] <= self.high[0]
 
     @property
     def center(self) -> FloatArray:
-        """Its middle."""
+        """Center of the bounds."""
         if self.empty:
             return np.array([0.0, 0.5, 0.0])
         center: FloatArray = (self.low + self.high) / 2
@@ -68,7 +68,7 @@ class Box:
 
     @property
     def radius(self) -> float:
-        """Half of its diagonal."""
+        """Half of the diagonal."""
         if self.empty:
             return 1.0
         return max(float(np.linalg.norm(self.high - self.low)) / 2, 1e-3)
@@ -76,7 +76,7 @@ class Box:
 
 @dataclass(slots=True)
 class Eye:
-    """What drawing needs of a camera.
+    """Camera matrices for drawing.
 
     Attributes:
         view: camera_from_world ``(4, 4)``.
@@ -97,7 +97,7 @@ class Eye:
     opacity: float = 1.0
 
     def between(self, near: float, far: float, opacity: float = 1.0) -> Eye:
-        """Return it drawing to a part of the range of depths, from 0 to 1."""
+        """Return the camera with its depth mapped to part of the range 0 to 1."""
         matrix = self.view_projection.copy()
         matrix[2] = (far - near) * matrix[2] + (far + near - 1) * matrix[3]
         return Eye(
@@ -112,8 +112,8 @@ class Eye:
 
 
 @dataclass(slots=True)
-class View:
-    """A camera and the picture that it makes.
+class CameraView:
+    """An orbit camera with the size of its picture.
 
     Attributes:
         width: Of the picture [px].
@@ -153,13 +153,13 @@ class View:
         return min(self.inset / self.height, 0.5)
 
     def _halves(self) -> tuple[float, float]:
-        """Return half of the free width and height at distance 1."""
+        """Return half of the unobstructed width and height at distance 1."""
         aspect, free = self.width / self.height, 1 - self._covered
         high = HALF * max(1.0, free / aspect)
         return high / free * aspect, high
 
-    def frame(self, box: Box) -> None:
-        """Show what is in a box."""
+    def frame(self, box: Bounds) -> None:
+        """Frame the given bounds."""
         self.target, self.radius = box.center, box.radius
         self.floor = float(box.low[1])
         self.distance = self.radius * 0.2
@@ -174,13 +174,13 @@ class View:
                 self.distance = max(self.distance, (abs(size) / half + z) * ROOM)
 
     def track(self, position: FloatArray | None) -> None:
-        """Go along with a joint, level."""
+        """Follow a joint horizontally."""
         if self.follow and position is not None and self.followed is not None:
             self.target = self.target + (position - self.followed) * [1.0, 0.0, 1.0]
         self.followed = position
 
     def eye(self) -> Eye:
-        """Return it as drawing needs it."""
+        """Return the camera matrices."""
         half_wide, half_high = self._halves()
         half_high /= 1 - self._covered
         world = _look_at(self.target + self._back(self.distance), self.target)
@@ -194,7 +194,7 @@ class View:
     def through(
         self, camera: Mapping[str, Any], streams: Streams, sample: int
     ) -> Eye | None:
-        """Return it through a camera of the shot; None where that is nowhere."""
+        """Return the view through a shot camera; None if its transform is invalid."""
         t, r = (streams.at(camera[part], sample) for part in "tr")
         if not (len(t) and len(r)):
             return None
@@ -212,9 +212,9 @@ class View:
         return self._eye(world, projection, half_high)
 
     def _eye(self, world: FloatArray, projection: FloatArray, half_high: float) -> Eye:
-        turn = world[:3, :3].T
+        rotation = world[:3, :3].T
         view = np.eye(4)
-        view[:3, :3], view[:3, 3] = turn, -turn @ world[:3, 3]
+        view[:3, :3], view[:3, 3] = rotation, -rotation @ world[:3, 3]
         size = self.width, self.height
         per_metre = self.height / (2 * half_high)
         return Eye(view, projection @ view, *size, per_metre, self.light)
@@ -232,7 +232,7 @@ def _look_at(eye: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def _perspective(wide: float, high: float, near: float, far: float) -> FloatArray:
-    """Return a projection; half of the image's size is at distance 1."""
+    """Return a projection matrix; half sizes are at distance 1."""
     out = np.zeros((4, 4))
     out[0, 0], out[1, 1] = 1 / wide, 1 / high
     out[2, 2], out[2, 3] = (far + near) / (near - far), 2 * far * near / (near - far)

@@ -23,7 +23,7 @@ Color = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Caption:
-    """Text, broken into lines that fit.
+    """Text wrapped into lines.
 
     Attributes:
         lines: Of it.
@@ -35,14 +35,14 @@ class Caption:
 
     @property
     def height(self) -> int:
-        """What it covers at the top [px]."""
+        """Height of the caption area [px]."""
         if not self.lines:
             return 0
         return round(self.letters * (2 * MARGIN + LEADING * len(self.lines)))
 
 
 def letters_of(height: int) -> int:
-    """Return the height of letters of a picture [px].
+    """Return the font size of a picture [px].
 
     >>> letters_of(540), letters_of(90)
     (23, 10)
@@ -51,7 +51,7 @@ def letters_of(height: int) -> int:
 
 
 def caption_of(text: str, width: int, height: int) -> Caption:
-    """Return text broken for a picture, in smaller letters where it is long.
+    """Return text wrapped for a picture, in a smaller font if it is long.
 
     Raises:
         OptionError: It does not fit (PRV006).
@@ -69,11 +69,11 @@ def caption_of(text: str, width: int, height: int) -> Caption:
 
 
 def _broken(text: str, width: float, font: Any) -> Iterator[str]:
-    """Yield lines that are no wider than a width, broken in words where they must."""
+    """Yield lines within a width; long words are split."""
     for paragraph in text.splitlines():
         line = ""
-        for whole in paragraph.split():
-            word = whole
+        for unbroken in paragraph.split():
+            word = unbroken
             longer = f"{line} {word}".strip()
             if font.getlength(longer) <= width:
                 line = longer
@@ -113,19 +113,19 @@ def written(
 def _write(
     pen: Any, at: tuple[float, float], text: str, font: Any, ink: Color, back: Color
 ) -> None:
-    place = tuple(map(round, at))
-    pen.text(place, text, fill=ink, font=font, stroke_width=2, stroke_fill=back)
+    corner = tuple(map(round, at))
+    pen.text(corner, text, fill=ink, font=font, stroke_width=2, stroke_fill=back)
 
 
 def _font(letters: int) -> Any:
-    """Return the font that Pillow has with it, the same on all machines."""
+    """Return Pillow's built-in font, identical on all machines."""
     return needed("PIL.ImageFont").load_default(letters)
 
 
 def joined(
     rows: list[list[Array]], gap: int, color: Color, caption: Caption, ink: Color
 ) -> Array:
-    """Return pictures of one size as a sheet, with a caption above.
+    """Return equal-sized pictures as a sheet, with a title above.
 
     Args:
         rows: The pictures; rows may be short.
@@ -150,7 +150,7 @@ def _span(count: int, size: int, gap: int) -> int:
 
 
 def spread(count: int, parts: int) -> IntArray:
-    """Return samples spread over some, the first and the last of them.
+    """Return evenly spread samples, including the first and the last.
 
     >>> spread(100, 4).tolist(), spread(1, 4).tolist()
     ([0, 33, 66, 99], [0, 0, 0, 0])

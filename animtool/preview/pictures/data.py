@@ -1,4 +1,4 @@
-"""Streams of a page read again: blocks are decoded when needed, the last few kept."""
+"""Reads the streams of a page: blocks are decoded on demand, the last few cached."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ class Streams:
         self._size = 0
 
     def width(self, number: int) -> int:
-        """Return how many values a sample of a stream has."""
+        """Return the number of values per sample of a stream."""
         return int(self._entries[number]["width"])
 
-    def whole(self, number: int | None) -> Array:
-        """Return the values of a stream of one sample."""
+    def array(self, number: int | None) -> Array:
+        """Return the values of a one-sample stream."""
         return np.zeros(0, np.float32) if number is None else self.at(number, 0)
 
     def at(self, number: int, sample: int) -> Array:
-        """Return the values of a sample, that of the nearest where there is none."""
+        """Return the values at a sample, clamped to the nearest one."""
         if number in self._constant:
             return self._constant[number]
         spans = self._entries[number]["block"]
         if not spans:
             return np.zeros(0, np.float32)
-        found = (span for span in spans if sample < span[1] + span[2])
-        block, first, samples = next(found, spans[-1])
+        matches = (span for span in spans if sample < span[1] + span[2])
+        block, first, samples = next(matches, spans[-1])
         values = self._block(block)[number]
         one: Array = values[min(max(sample - first, 0), samples - 1)]
         return one
@@ -81,11 +81,11 @@ def _unpacked(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
     kind, width = np.dtype(TYPES[entry["kind"]]), entry["width"]
     columns, rows = (1, width) if samples == 1 else (width, samples)
     planes = np.frombuffer(raw, np.uint8).reshape(columns, kind.itemsize, rows)
-    whole = np.ascontiguousarray(planes.swapaxes(1, 2)).view(kind)[..., 0]
+    words = np.ascontiguousarray(planes.swapaxes(1, 2)).view(kind)[..., 0]
     if entry["coding"] == "delta":
-        unsigned = whole.view(f"<u{kind.itemsize}")
-        whole = np.cumsum(unsigned, axis=1, dtype=unsigned.dtype).view(kind)
-    stored = whole.reshape(1, -1) if samples == 1 else whole.T
+        unsigned = words.view(f"<u{kind.itemsize}")
+        words = np.cumsum(unsigned, axis=1, dtype=unsigned.dtype).view(kind)
+    stored = words.reshape(1, -1) if samples == 1 else words.T
     scale, offset = entry["scale"], entry["offset"]
     if scale == 1 and offset == 0 and entry["kind"] != "i16":
         return np.ascontiguousarray(stored)

@@ -1,4 +1,4 @@
-"""An off-screen context of OpenGL: programs, tables and the picture drawn into."""
+"""Off-screen OpenGL context: programs, textures and framebuffers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _PACKAGES = (
 
 
 def needed(name: str) -> ModuleType:
-    """Import a package of the extra (else IO005)."""
+    """Import a package of the optional extra (else IO005)."""
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
@@ -40,8 +40,8 @@ def needed(name: str) -> ModuleType:
         raise OptionError(Fault("IO005", message, hint=EXTRA)) from error
 
 
-class Table:
-    """Four numbers a cell that vertex shaders read."""
+class TextureTable:
+    """A float texture that vertex shaders read, four numbers per cell."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -68,7 +68,7 @@ class Table:
 
 
 class Device:
-    """A context, and what was made in it once."""
+    """An OpenGL context with cached programs."""
 
     def __init__(self) -> None:
         self.module = needed("moderngl")
@@ -84,7 +84,7 @@ class Device:
         fragment: str = "FRAGMENT",
         kinds: tuple[str, ...] = (),
     ) -> Any:
-        """Return a program of the viewer; kinds: what its vertex shader defines."""
+        """Return a program of the viewer; kinds: defines of its vertex shader."""
         key = module, vertex, fragment, *kinds
         if key not in self._programs:
             defined = "".join(f"#define {kind}\n" for kind in kinds)
@@ -95,7 +95,7 @@ class Device:
         return self._programs[key]
 
     def use(self, program: Any, eye: Eye, **uniforms: Any) -> None:
-        """Set the uniforms of a program, those of the camera included."""
+        """Set the uniforms of a program, including the camera's."""
         values = {
             "viewProjection": eye.view_projection,
             "view": eye.view,
@@ -118,7 +118,7 @@ class Device:
                 program[name].value = float(value)
 
     def draw_plain(self, program: Any, corners: int, mode: int | None = None) -> None:
-        """Draw triangles whose corners a vertex shader finds by itself."""
+        """Draw triangles whose corners the vertex shader generates."""
         if program not in self._plain:
             self._plain[program] = self.gl.vertex_array(program, [])
         mode = self.module.TRIANGLES if mode is None else mode
@@ -126,7 +126,7 @@ class Device:
 
     @contextmanager
     def blending(self) -> Iterator[None]:
-        """Lay what is drawn over what there is."""
+        """Context in which drawing is alpha-blended."""
         self.gl.enable(self.module.BLEND)
         self.gl.blend_func = self.module.SRC_ALPHA, self.module.ONE_MINUS_SRC_ALPHA
         try:
@@ -135,12 +135,12 @@ class Device:
             self.gl.disable(self.module.BLEND)
 
     def close(self) -> None:
-        """Let go of all that was made."""
+        """Release all resources."""
         self.gl.release()
 
 
 class Picture:
-    """What is drawn into, with smooth edges."""
+    """A multisampled framebuffer."""
 
     def __init__(self, device: Device, width: int, height: int) -> None:
         gl = device.gl
@@ -153,7 +153,7 @@ class Picture:
         self._smooth = gl.framebuffer([gl.renderbuffer(self.size, 3)])
 
     def draw(self, back: tuple[int, int, int], draw: Callable[[Any], None]) -> Array:
-        """Return the pixels ``(H, W, 3)`` of what a function draws."""
+        """Return the pixels ``(H, W, 3)`` that a function draws."""
         gl = self._device.gl
         self._drawn.use()
         self._drawn.depth_mask = True
@@ -167,7 +167,7 @@ class Picture:
 
 
 def _context(module: ModuleType) -> Any:
-    """Return a context without a window (PRV005 where none can be made)."""
+    """Return a windowless context (PRV005 if none can be created)."""
     backends: list[dict[str, Any]] = [{}]
     if sys.platform.startswith("linux"):
         backends = [{"backend": "egl"}, {}]

@@ -1,4 +1,4 @@
-"""Stills and films as files: a film is compressed frame by frame as these come."""
+"""Writes pictures and films; films are encoded frame by frame."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _BT709, _NARROW = 1, 1
 COLORS = 256
 
 
-def write_still(path: Path, pixels: Array) -> None:
-    """Write a picture, whole or not at all (else OUT002)."""
+def write_picture(path: Path, pixels: Array) -> None:
+    """Write a picture atomically (else OUT002)."""
     image_of = needed("PIL.Image")
     settings: dict[str, Any] = {"format": "PNG", "optimize": True}
     if path.suffix.lower() == ".webp":
@@ -44,7 +44,7 @@ def film(
     rate: Fraction,
     samples: Sequence[Array],
 ) -> Iterator[Callable[[Array], None]]:
-    """Give what adds frames to a film that has its name at the end (else OUT002).
+    """Context that encodes frames to a film, written atomically (else OUT002).
 
     Args:
         path: The film.
@@ -88,7 +88,7 @@ def film(
 
 
 def _frame(av: Any, pixels: Array, palette: Any) -> Any:
-    """Return pixels as libav has them."""
+    """Return pixels as a libav frame."""
     pixels = np.ascontiguousarray(pixels)
     if palette is None:
         frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
@@ -104,7 +104,7 @@ def _frame(av: Any, pixels: Array, palette: Any) -> Any:
 
 
 def _palette(samples: Sequence[Array]) -> Any:
-    """Return the colours that some frames need, as an image that has them."""
+    """Return a palette image for some frames."""
     image_of = needed("PIL.Image")
     joined = image_of.fromarray(np.ascontiguousarray(np.concatenate(samples)))
     method = image_of.Quantize.MEDIANCUT

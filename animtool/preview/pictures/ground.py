@@ -1,4 +1,4 @@
-"""The ground of a picture: its grid, contact shadow, and the paths of root and feet."""
+"""Draws the ground: grid, contact shadow, and trails of root and feet."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.bones import Color
-from animtool.preview.pictures.camera import Eye, View
+from animtool.preview.pictures.camera import CameraView, Eye
 from animtool.preview.pictures.device import Device
-from animtool.preview.pictures.lines import Lines
-from animtool.preview.pictures.pose import Pose, in_spans
+from animtool.preview.pictures.lines import DrawnLines
+from animtool.preview.pictures.pose import DrawnPose, in_spans
 
 CELLS, PIECE = 28, 4
 # Samples of a trail before and after the frame.
@@ -23,7 +23,7 @@ WIDE, HIGH, DEEP, SUNK = 1.1, 0.35, 2e-3, 0.2
 
 
 def round_up(x: float) -> float:
-    """Return the next of 1, 2, 5, 10, …, or that which is hardly less.
+    """Return the next of 1, 2, 5, 10, …, or the last one if hardly less.
 
     >>> round_up(0.31), round_up(2.001)
     (0.5, 2.0)
@@ -32,16 +32,16 @@ def round_up(x: float) -> float:
     return next((k for k in (1, 2, 5) if k * power >= x * 0.99), 10) * power
 
 
-class Ground:
-    """The grid."""
+class DrawnGround:
+    """The ground grid."""
 
     def __init__(self, device: Device, radius: float) -> None:
-        self._lines = Lines(device)
+        self._lines = DrawnLines(device)
         self._cell = round_up(max(radius, 1e-6) * 0.3)
         self._key: tuple[int, int] | None = None
 
     def draw(self, eye: Eye, center: FloatArray, line: Color, strong: Color) -> None:
-        """Draw it around a point."""
+        """Draw the grid around a point."""
         cell = self._cell
         # As JavaScript rounds.
         cx, cz = (math.floor(center[k] / cell + 0.5) for k in (0, 2))
@@ -65,30 +65,30 @@ class Ground:
                 near, far = (cz + k) * cell, (cz + k + PIECE) * cell
                 segments.append((x, near, x, far, *(line if cx + i else strong)))
                 segments.append((left, z, right, z, *(line if cz + i else strong)))
-        made = np.array(segments, np.float64)
-        ends = np.zeros((2, len(made), 3))
-        ends[0][:, [0, 2]], ends[1][:, [0, 2]] = made[:, :2], made[:, 2:4]
-        alpha = np.full((len(made), 1), 255.0)
-        colors = np.concatenate([made[:, 4:], alpha], axis=1)
+        table = np.array(segments, np.float64)
+        ends = np.zeros((2, len(table), 3))
+        ends[0][:, [0, 2]], ends[1][:, [0, 2]] = table[:, :2], table[:, 2:4]
+        alpha = np.full((len(table), 1), 255.0)
+        colors = np.concatenate([table[:, 4:], alpha], axis=1)
         self._lines.set(ends[0], ends[1], colors)
 
 
 class Trails:
-    """Paths of roots and feet around the frame, and what touches the ground."""
+    """Trails of roots and feet around the frame, with ground contacts."""
 
     def __init__(self, device: Device, codes: FloatArray) -> None:
         self._codes = codes
-        self._trails, self._rings = Lines(device), Lines(device)
+        self._trails, self._rings = DrawnLines(device), DrawnLines(device)
 
     def update(
         self,
-        poses: Sequence[Pose],
+        poses: Sequence[DrawnPose],
         sample: int,
         color: Callable[[int], Color],
         contact: Color,
         shown: frozenset[str],
     ) -> None:
-        """Put them where they are at a sample."""
+        """Set the trails at a sample."""
         trails = [np.zeros((0, 10))]
         rings = [np.zeros((0, 10))]
         for pose in poses:
@@ -100,11 +100,11 @@ class Trails:
                     at = pose.positions[each["joint"]]
                     rings.append(_ring(at, pose.extent * 0.045, contact))
         for lines, parts in ((self._trails, trails), (self._rings, rings)):
-            made = np.concatenate(parts)
-            lines.set(made[:, :3], made[:, 3:6], made[:, 6:])
+            table = np.concatenate(parts)
+            lines.set(table[:, :3], table[:, 3:6], table[:, 6:])
 
     def _trail(
-        self, pose: Pose, sample: int, color: Color, contact: Color
+        self, pose: DrawnPose, sample: int, color: Color, contact: Color
     ) -> FloatArray:
         first = max(0, sample - REACH)
         last = min(len(self._codes) - 1, sample + REACH)
@@ -124,7 +124,7 @@ class Trails:
         return np.concatenate(parts)
 
     def draw(self, eye: Eye) -> None:
-        """Draw them."""
+        """Draw the trails."""
         self._trails.draw(eye, width=2)
         self._rings.draw(eye, width=3)
 
@@ -138,7 +138,7 @@ def _ring(at: FloatArray, radius: float, color: Color) -> FloatArray:
 
 
 class Shadow:
-    """The contact shadow: what is near above the ground darkens it."""
+    """Contact shadow: geometry near the ground darkens it."""
 
     def __init__(self, device: Device) -> None:
         gl, module = device.gl, device.module
@@ -155,8 +155,8 @@ class Shadow:
         self._frames = [gl.framebuffer([texture]) for texture in self._maps]
         self._area = (0.0, 0.0, 1.0)
 
-    def cast(self, view: View, draw: Callable[[Eye], None]) -> bool:
-        """Make the map around what the camera looks at; return whether there is one."""
+    def cast(self, view: CameraView, draw: Callable[[Eye], None]) -> bool:
+        """Render the shadow map around the camera target; return if there is one."""
         half = view.radius * WIDE
         if view.floor < -SUNK * view.radius:
             return False
@@ -192,8 +192,8 @@ class Shadow:
         self._device.draw_plain(self._ground, 4, strip)
 
 
-def _looking_up(view: View, x: float, z: float, half: float) -> Eye:
-    """Return a camera that looks up from the ground, without perspective."""
+def _looking_up(view: CameraView, x: float, z: float, half: float) -> Eye:
+    """Return an orthographic camera that looks up from below the ground."""
     high = HIGH * view.radius
     low = -DEEP * high
     k = 2 / (high - low)

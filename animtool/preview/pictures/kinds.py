@@ -1,4 +1,4 @@
-"""Kinds of files that pictures are written to, by suffix."""
+"""Picture and film formats by file suffix."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PAGE_SUFFIXES = (".html", ".htm")
 
 @dataclass(frozen=True, slots=True)
 class PictureKind:
-    """An entry of the table.
+    """A picture or film format.
 
     Attributes:
         about: What such files are, with the licence of what compresses them.
@@ -29,7 +29,7 @@ class PictureKind:
     """
 
     about: str
-    still: bool = False
+    picture: bool = False
     codec: str = ""
     container: str = ""
     pixels: str = "yuv420p"
@@ -51,7 +51,7 @@ _MP4 = PictureKind(
     file_settings=(("fflags", "+bitexact"),),
 )
 KINDS: dict[str, PictureKind] = {
-    ".png": PictureKind("PNG, lossless", still=True),
+    ".png": PictureKind("PNG, lossless", picture=True),
     ".gif": PictureKind(
         "GIF of 256 colours, LZW, free of patents",
         codec="gif",
@@ -63,7 +63,7 @@ KINDS: dict[str, PictureKind] = {
     ),
     ".webp": PictureKind(
         "WebP by libwebp (BSD)",
-        still=True,
+        picture=True,
         codec="libwebp_anim",
         container="webp",
         size=_SMALL,
@@ -76,7 +76,7 @@ KINDS: dict[str, PictureKind] = {
 
 
 def picture_kind(path: Path) -> PictureKind | None:
-    """Return what a path is written as; None is a page.
+    """Return the picture format of a path; None for a page.
 
     Raises:
         OptionError: Its suffix is of neither (PRV002).

@@ -1,4 +1,4 @@
-"""Lines of any width, and balls that face the view."""
+"""Draws wide lines, and camera-facing balls."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.camera import Eye
-from animtool.preview.pictures.device import Array, Device, Table
+from animtool.preview.pictures.device import Array, Device, TextureTable
 from animtool.preview.streams import Array as Values
 
 Bytes = npt.NDArray[np.uint8]
@@ -18,7 +18,7 @@ FAR = 1e30
 
 
 def display(color: npt.ArrayLike) -> FloatArray:
-    """Return linear colours from 0 to 1 as screens show them, 0 to 255.
+    """Return linear colors from 0 to 1 as sRGB, 0 to 255.
 
     >>> display([0.0, 1.0]).tolist()
     [0.0, 255.0]
@@ -28,20 +28,20 @@ def display(color: npt.ArrayLike) -> FloatArray:
 
 
 def repeated(count: int, color: FloatArray) -> Bytes:
-    """Return one colour for each of some points ``(N, 3)``."""
+    """Return one color for each of some points ``(N, 3)``."""
     return np.repeat(np.clip(color, 0, 255).astype(np.uint8)[None], count, axis=0)
 
 
-class Lines:
-    """Segments that are drawn together."""
+class DrawnLines:
+    """Line segments drawn in one call."""
 
     def __init__(self, device: Device) -> None:
-        self._device, self._table = device, Table(device)
+        self._device, self._table = device, TextureTable(device)
         self._program = device.program("lines.js")
         self.count = 0
 
     def set(self, begins: FloatArray, ends: FloatArray, colors: FloatArray) -> None:
-        """Draw segments from now on.
+        """Set the segments.
 
         Args:
             begins: Where they begin ``(N, 3)``.
@@ -62,7 +62,7 @@ class Lines:
         world: float = 0.0,
         fade: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
     ) -> None:
-        """Draw them, as wide as pixels or metres say; they fade around a point."""
+        """Draw the segments with widths in pixels or metres, faded around a point."""
         if not self.count:
             return
         self._device.use(
@@ -79,14 +79,14 @@ class Lines:
 
 
 class Stored:
-    """A buffer that is written again, and grows where it must."""
+    """A vertex buffer that grows on demand."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
         self.buffer: Any = None
 
     def write(self, values: Array) -> bool:
-        """Replace what it holds; return whether it is another buffer than before."""
+        """Replace its contents; return whether the buffer was reallocated."""
         raw = np.ascontiguousarray(values).tobytes()
         if self.buffer is not None and self.buffer.size >= len(raw):
             self.buffer.write(raw)
@@ -98,7 +98,7 @@ class Stored:
 
 
 class Sprites:
-    """Balls: particles, markers and joints."""
+    """Camera-facing balls: particles, markers and joints."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -108,10 +108,10 @@ class Sprites:
         self._count = 0
 
     def set(self, positions: Array, colors: Bytes, radii: Array | None = None) -> None:
-        """Draw points from now on ``(N, 3)``, with colours and radii of their own."""
+        """Set the points ``(N, 3)``, with colors and radii."""
         self._count = len(positions)
-        own = np.zeros(self._count) if radii is None else radii
-        parts = np.asarray(positions, "<f4"), colors, np.asarray(own, "<f4")
+        sizes = np.zeros(self._count) if radii is None else radii
+        parts = np.asarray(positions, "<f4"), colors, np.asarray(sizes, "<f4")
         if not self._count:
             return
         written = zip(self._parts, parts, strict=True)
@@ -126,7 +126,7 @@ class Sprites:
             )
 
     def draw(self, eye: Eye, radius: float, least: float) -> None:
-        """Draw them; radius [m], and the least radius in pixels."""
+        """Draw the balls; radius [m], and the minimum radius in pixels."""
         if not self._count:
             return
         self._device.use(
@@ -140,6 +140,6 @@ class Sprites:
 
 
 def placed(values: Values) -> FloatArray:
-    """Return positions ``(N, 3)``, far away where there is none."""
+    """Return positions ``(N, 3)``, with missing ones far away."""
     points = np.reshape(values, (-1, 3)).astype(np.float64)
     return np.where(np.isfinite(points), points, FAR)

@@ -1,4 +1,4 @@
-"""Poses: where the joints of a take of a page are at a sample, and were around it."""
+"""Poses of a take: joint transforms at a sample, and trails around it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def composed(t: FloatArray, r: FloatArray, s: FloatArray | None) -> FloatArray:
     return out
 
 
-class Pose:
+class DrawnPose:
     """A take of a page, posed at a sample.
 
     Attributes:
@@ -49,12 +49,12 @@ class Pose:
         self.parents = np.array(skeleton["parents"], np.int64)
         self.count = len(self.names)
         self.levels = _levels(self.parents)
-        still = record.get("still") or skeleton["rest"]
+        static = record.get("still") or skeleton["rest"]
         ones = np.ones((self.count, 3))
         self._values = {
-            "t": np.reshape(still["t"], (-1, 3)).astype(np.float64),
-            "r": np.reshape(still["r"], (-1, 4)).astype(np.float64),
-            "s": ones if still.get("s") is None else np.array(still["s"], np.float64),
+            "t": np.reshape(static["t"], (-1, 3)).astype(np.float64),
+            "r": np.reshape(static["r"], (-1, 4)).astype(np.float64),
+            "s": ones if static.get("s") is None else np.array(static["s"], np.float64),
         }
         self._moving = [
             (part, record[part], np.array(record["moving"][part], np.int64))
@@ -71,7 +71,9 @@ class Pose:
         self._paths: dict[int, FloatArray] = {}
 
     def _root(self) -> int:
-        moves = {int(j) for part, _, own in self._moving if part == "t" for j in own}
+        moves = {
+            int(j) for part, _, joints in self._moving if part == "t" for j in joints
+        }
         order = [int(j) for level in self.levels for j in level]
         return next((j for j in order if j in moves), order[0] if order else 0)
 
@@ -92,15 +94,15 @@ class Pose:
         return list(dict.fromkeys([self.root, *feet]))
 
     def at(self, number: int | None, sample: int) -> FloatArray | None:
-        """Return values of a stream of the take at a sample of the page."""
+        """Return a stream's values at a page sample."""
         if number is None:
             return None
         return self._streams.at(number, sample - self.first)
 
     def update(self, sample: int) -> None:
-        """Pose the skeleton."""
-        seen = self.at(self.record.get("visible"), sample)
-        self.visible = seen is None or seen[0] != 0
+        """Pose the skeleton at a sample."""
+        visible = self.at(self.record.get("visible"), sample)
+        self.visible = visible is None or visible[0] != 0
         self.world = self._posed(sample)
 
     def _posed(self, sample: int) -> FloatArray:
@@ -116,11 +118,11 @@ class Pose:
 
     @property
     def positions(self) -> FloatArray:
-        """Where the joints are ``(J, 3)``."""
+        """Joint positions ``(J, 3)``."""
         return self.world[:, :3, 3]
 
     def tip_ends(self) -> tuple[list[int], FloatArray]:
-        """Return the joints that have tips, and where these are ``(N, 3)``."""
+        """Return joints with tips, and the tip positions ``(N, 3)``."""
         joints = [j for j, _ in self.tips]
         ends = [
             self.world[j, :3, :3] @ at + self.world[j, :3, 3] for j, at in self.tips
@@ -128,7 +130,7 @@ class Pose:
         return joints, np.reshape(ends, (-1, 3))
 
     def path(self, first: int, last: int) -> FloatArray:
-        """Return where trailed joints are in samples, both ends too ``(F, T, 3)``."""
+        """Return trail joint positions in a range of samples ``(F, T, 3)``."""
         known = self._paths
         # Those that the next picture of a film needs are kept.
         self._paths = {i: known[i] for i in range(first, last + 1) if i in known}
@@ -139,25 +141,25 @@ class Pose:
         return np.stack([self._paths[i] for i in range(first, last + 1)])
 
     def touching(self, codes: FloatArray) -> BoolArray:
-        """Return which trailed joints touch at time codes ``(F, T)``."""
-        found = np.zeros((len(codes), len(self.trailed)), bool)
+        """Return which trail joints are in contact at time codes ``(F, T)``."""
+        touching = np.zeros((len(codes), len(self.trailed)), bool)
         for each in self.record.get("contacts") or []:
             for column, joint in enumerate(self.trailed):
                 if joint == each["joint"]:
-                    found[:, column] |= in_spans(codes, each["spans"])
-        return found
+                    touching[:, column] |= in_spans(codes, each["spans"])
+        return touching
 
 
 def in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
-    """Return which time codes are in some spans ``(F,)``."""
-    found = np.zeros(len(codes), bool)
+    """Return which time codes are inside spans ``(F,)``."""
+    inside = np.zeros(len(codes), bool)
     for first, last in spans:
-        found |= (codes >= first - 1e-6) & (codes <= last + 1e-6)
-    return found
+        inside |= (codes >= first - 1e-6) & (codes <= last + 1e-6)
+    return inside
 
 
 def _levels(parents: IntArray) -> list[IntArray]:
-    """Return joints by how many others are above them, each level after the last."""
+    """Return joints grouped by depth, parents first."""
     depth = np.full(len(parents), -1)
     level = np.flatnonzero(parents < 0)
     levels: list[IntArray] = []

@@ -1,4 +1,4 @@
-"""What is asked of pictures, read from text: sizes, cameras, light, what is shown."""
+"""Parses picture options: size, camera, light, layers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.core.similar import similar
 from animtool.preview.options import PictureOptions
-from animtool.preview.pictures.camera import LIGHT, PRESETS, STEEP, View
+from animtool.preview.pictures.camera import LIGHT, PRESETS, STEEP, CameraView
 from animtool.preview.pictures.kinds import PictureKind
-from animtool.preview.pictures.scene import LAYERS, USUAL
+from animtool.preview.pictures.scene import DEFAULT_LAYERS, LAYERS
 
 CELL = (480, 360)
 # Sizes of pictures, and cells of a sheet [px].
@@ -25,7 +25,7 @@ _SHOT = re.compile(r"shot:(\d{1,6})")
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
+class CameraChoice:
     """Where a picture is taken from.
 
     Attributes:
@@ -42,18 +42,18 @@ class Camera:
     target: tuple[float, ...] = ()
     shot: int | None = None
 
-    def aim(self, view: View) -> None:
-        """Turn a view, before it is framed."""
+    def aim(self, view: CameraView) -> None:
+        """Rotate a view before it is framed."""
         view.yaw, view.pitch = self.yaw, min(max(self.pitch, -STEEP), STEEP)
 
-    def place(self, view: View) -> None:
-        """Put a view where it is said to be, after it is framed."""
+    def position(self, view: CameraView) -> None:
+        """Place a view after it is framed, if a position is given."""
         if self.distance is not None:
             view.distance, view.target = self.distance, np.array(self.target)
 
 
 def refused(where: str, message: str, hint: str) -> OptionError:
-    """Return the error of an option that a picture cannot have."""
+    """Return the error of an invalid picture option."""
     return OptionError(Fault("PRV006", message, hint=hint, where=where))
 
 
@@ -71,7 +71,7 @@ def size_of(
 
 
 def sheet_of(options: PictureOptions) -> tuple[int, int] | None:
-    """Return columns and rows of a sheet; None where none is asked for."""
+    """Return columns and rows of a sheet; None without one."""
     if options.sheet is None:
         return None
     columns, rows = _pair(options.sheet, "sheet", "4x3")
@@ -82,25 +82,25 @@ def sheet_of(options: PictureOptions) -> tuple[int, int] | None:
 
 
 def _pair(text: str, where: str, example: str) -> tuple[int, int]:
-    found = _PAIR.fullmatch(text.strip().lower())
-    if found is None:
+    match = _PAIR.fullmatch(text.strip().lower())
+    if match is None:
         raise refused(
             where, f"{text!r} is not two whole numbers", f"write {example}, for example"
         )
-    return int(found[1]), int(found[2])
+    return int(match[1]), int(match[2])
 
 
 def layers_of(options: PictureOptions) -> frozenset[str]:
-    """Return what is drawn."""
+    """Return the layers to draw."""
     for name in options.show:
         if name not in LAYERS:
             message = f"unknown part of a picture {name!r}"
             raise refused("show", message, f"allowed: {', '.join(LAYERS)}")
-    return frozenset(options.show) or USUAL
+    return frozenset(options.show) or DEFAULT_LAYERS
 
 
 def light_of(options: PictureOptions) -> FloatArray:
-    """Return from where the key light comes, in the frame of the view."""
+    """Return the direction of the key light in view space."""
     if options.light is None:
         light: FloatArray = LIGHT / np.linalg.norm(LIGHT)
         return light
@@ -113,24 +113,24 @@ def light_of(options: PictureOptions) -> FloatArray:
     return np.array([math.sin(yaw) * level, math.sin(pitch), math.cos(yaw) * level])
 
 
-def camera_of(text: str, names: Sequence[str]) -> Camera:
-    """Return a camera; names: those of the page's own."""
+def camera_of(text: str, names: Sequence[str]) -> CameraChoice:
+    """Return a camera choice; names: those of the page's shot cameras."""
     text = text.strip()
     if text in PRESETS:
-        return Camera(*PRESETS[text])
+        return CameraChoice(*PRESETS[text])
     if text in names:
-        return Camera(shot=names.index(text))
-    if found := _SHOT.fullmatch(text):
-        if int(found[1]) < len(names):
-            return Camera(shot=int(found[1]))
+        return CameraChoice(shot=names.index(text))
+    if match := _SHOT.fullmatch(text):
+        if int(match[1]) < len(names):
+            return CameraChoice(shot=int(match[1]))
     else:
         numbers = _numbers(text)
         if len(numbers) == 2:
-            return Camera(math.radians(numbers[0]), math.radians(numbers[1]))
+            return CameraChoice(math.radians(numbers[0]), math.radians(numbers[1]))
         # As the address of a page has it.
         if len(numbers) == 6 and numbers[2] > 0:
             yaw, pitch, distance, *target = numbers
-            return Camera(yaw, pitch, distance, tuple(target))
+            return CameraChoice(yaw, pitch, distance, tuple(target))
     known = [*PRESETS, *names]
     near = similar(text, known)
     hint = f"did you mean {near!r}?" if near else f"allowed: {', '.join(known)}"
@@ -139,7 +139,7 @@ def camera_of(text: str, names: Sequence[str]) -> Camera:
 
 
 def _numbers(text: str) -> list[float]:
-    """Return finite numbers that commas separate, none where there are others."""
+    """Return comma-separated finite numbers; none if invalid."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

@@ -1,4 +1,4 @@
-"""Everything of a page that is drawn in space, and the order in which it is drawn."""
+"""Draws all 3D content of a page, in order."""
 
 from __future__ import annotations
 
@@ -9,23 +9,28 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.bones import Bones, Color
-from animtool.preview.pictures.camera import Box, Eye, View
+from animtool.preview.pictures.camera import Bounds, CameraView, Eye
 from animtool.preview.pictures.data import Streams
 from animtool.preview.pictures.device import Array, Device, Picture
-from animtool.preview.pictures.ground import Ground, Shadow, Trails
-from animtool.preview.pictures.lines import Lines
-from animtool.preview.pictures.pose import Pose, composed
-from animtool.preview.pictures.shapes import Instances, Mesh, PointCloud, Strands
+from animtool.preview.pictures.ground import DrawnGround, Shadow, Trails
+from animtool.preview.pictures.lines import DrawnLines
+from animtool.preview.pictures.pose import DrawnPose, composed
+from animtool.preview.pictures.shapes import (
+    DrawnMesh,
+    DrawnStrands,
+    Instances,
+    PointCloud,
+)
 from animtool.preview.pictures.sources import theme_colors
 
-# What can be shown, and what is where nothing else is asked for.
+# All layers, and the default ones.
 LAYERS = (
     *("bones", "axes", "meshes", "trails", "contacts", "cameras", "grid", "shadows"),
 )
-USUAL = frozenset(LAYERS) - {"axes"}
+DEFAULT_LAYERS = frozenset(LAYERS) - {"axes"}
 # Most takes that are looked at one by one: with more it is a crowd.
 CAST = 4
-# So many times as large as its characters, a stage is not shown as a whole.
+# A stage this many times larger than its characters is not framed completely.
 WIDE = 4
 # Parts of the motion, at whose ends the camera looks where everything is.
 LOOKS = 12
@@ -35,29 +40,29 @@ SERIES: tuple[Color, ...] = (
     *((186, 92, 150), (138, 120, 206), (196, 84, 80)),
 )
 
-Solid: TypeAlias = Mesh | Instances | PointCloud | Strands
+Solid: TypeAlias = DrawnMesh | Instances | PointCloud | DrawnStrands
 
 
-class Scene:
-    """A page in a context of OpenGL."""
+class DrawnScene:
+    """The contents of a page in an OpenGL context."""
 
     def __init__(
         self,
         device: Device,
         manifest: Mapping[str, Any],
         blocks: Sequence[str],
-        shown: frozenset[str] = USUAL,
+        shown: frozenset[str] = DEFAULT_LAYERS,
     ) -> None:
         self._device, self._shown = device, shown
         self._streams = streams = Streams(manifest["streams"], blocks)
         time = manifest["time"]
         self.codes = time["first"] + np.arange(time["count"]) * time["step"]
         self._poses = [
-            Pose(streams, take, i) for i, take in enumerate(manifest["takes"])
+            DrawnPose(streams, take, i) for i, take in enumerate(manifest["takes"])
         ]
         known: dict[tuple[Any, ...], Any] = {}
         self._meshes = [
-            Mesh(device, streams, mesh, self._pose_of(mesh), known)
+            DrawnMesh(device, streams, mesh, self._pose_of(mesh), known)
             for mesh in manifest["meshes"]
         ]
         self._instances = [
@@ -68,28 +73,28 @@ class Scene:
             PointCloud(device, streams, each) for each in manifest["points"]
         ]
         self._strands = [
-            Strands(device, streams, each, self._pose_of(each))
+            DrawnStrands(device, streams, each, self._pose_of(each))
             for each in manifest["curves3d"]
         ]
         self.cameras: list[dict[str, Any]] = manifest["cameras"]
         self._bones = Bones(device)
         self._trails = Trails(device, self.codes)
-        self._frusta = Lines(device)
+        self._frusta = DrawnLines(device)
         self._shadow = Shadow(device)
-        self._ground = Ground(device, 1.0)
+        self._ground = DrawnGround(device, 1.0)
         self._colors = theme_colors()
         self._crowd = len(self._poses) > CAST
         self._sample = -1
 
-    def _pose_of(self, entry: Mapping[str, Any]) -> Pose | None:
+    def _pose_of(self, entry: Mapping[str, Any]) -> DrawnPose | None:
         take = entry.get("take")
         return None if take is None else self._poses[take]
 
-    def look(self, view: View, sample: int) -> None:
-        """Show all that is there from first to last; what travels is followed."""
+    def look(self, view: CameraView, sample: int) -> None:
+        """Frame everything from first to last sample; follow a travelling character."""
         self._update(sample)
         for pose in self._poses:
-            box = Box()
+            box = Bounds()
             box.add(pose.positions)
             pose.extent = 1.0 if box.empty or box.radius <= 1e-3 else box.radius
         count = len(self.codes)
@@ -104,14 +109,14 @@ class Scene:
             and not self._crowd
             and bool((np.linalg.norm(level, axis=1) > first.extent).any())
         )
-        box, around, cast = Box(), Box(), Box()
+        box, around, cast = Bounds(), Bounds(), Bounds()
         for i, root in zip(looks, roots, strict=True):
             self._update(i)
             shift = (roots[-1] - root) * [1.0, 0.0, 1.0] if follow else 0.0
             box = self._grown(around, cast, shift)
         view.frame(box)
         view.follow, view.followed = follow, None
-        self._ground = Ground(self._device, box.radius)
+        self._ground = DrawnGround(self._device, box.radius)
 
     def _root_at(self, sample: int) -> FloatArray:
         if not (self._poses and self._poses[0].count):
@@ -122,25 +127,25 @@ class Scene:
         at: FloatArray = pose.positions[pose.root].copy()
         return at
 
-    def _grown(self, box: Box, cast: Box, shift: FloatArray | float) -> Box:
-        """Grow boxes around all and around characters; return that to look at."""
-        own, around = Box(), Box()
+    def _grown(self, box: Bounds, cast: Bounds, shift: FloatArray | float) -> Bounds:
+        """Grow bounds of everything and of characters; return those to frame."""
+        bounds, around = Bounds(), Bounds()
         for pose in self._poses:
             if pose.visible:
                 around.add(pose.positions)
         for mesh in self._meshes:
-            mesh.bound(around if mesh.skinned else own)
-        own.join(around)
-        others: list[Instances | PointCloud | Strands]
+            mesh.bound(around if mesh.skinned else bounds)
+        bounds.join(around)
+        others: list[Instances | PointCloud | DrawnStrands]
         others = [*self._instances, *self._clouds, *self._strands]
         for each in others:
-            each.bound(own)
+            each.bound(bounds)
         cast.join(around, shift)
-        box.join(own, shift)
+        box.join(bounds, shift)
         return cast if not cast.empty and box.radius > WIDE * cast.radius else box
 
     def _update(self, sample: int) -> None:
-        """Put everything where it is at a sample."""
+        """Pose everything at a sample."""
         if sample == self._sample:
             return
         self._sample = sample
@@ -154,7 +159,7 @@ class Scene:
         return [*self._meshes, *self._instances, *self._clouds, *self._strands]
 
     def draw(
-        self, view: View, sample: int, picture: Picture, shot: int | None = None
+        self, view: CameraView, sample: int, picture: Picture, shot: int | None = None
     ) -> Array:
         """Return the pixels of a sample ``(H, W, 3)``.
 
@@ -191,11 +196,11 @@ class Scene:
 
         return picture.draw(self._colors["view"], draw)
 
-    def _draw_casting(self, eye: Eye, visible: list[Pose], radius: float) -> None:
+    def _draw_casting(self, eye: Eye, visible: list[DrawnPose], radius: float) -> None:
         casting = [
             each
             for each in self._solids()
-            if not (isinstance(each, Mesh) and each.surrounds(radius))
+            if not (isinstance(each, DrawnMesh) and each.surrounds(radius))
         ]
         self._draw_shapes(eye, casting)
         if not self._solid:
@@ -204,8 +209,8 @@ class Scene:
     def _draw_all(
         self,
         eye: Eye,
-        view: View,
-        visible: list[Pose],
+        view: CameraView,
+        visible: list[DrawnPose],
         target: Any,
         *,
         shaded: bool,
@@ -241,10 +246,10 @@ class Scene:
 
     def _draw_shapes(self, eye: Eye, shapes: Sequence[Solid]) -> None:
         for each in shapes if "meshes" in self._shown else []:
-            if not (isinstance(each, Mesh) and each.copied):
+            if not (isinstance(each, DrawnMesh) and each.copied):
                 each.draw(eye)
 
-    def _draw_bones(self, eye: Eye, visible: list[Pose], *, axes: bool) -> None:
+    def _draw_bones(self, eye: Eye, visible: list[DrawnPose], *, axes: bool) -> None:
         bones = "bones" in self._shown
         self._bones.draw(eye, visible, self._color, bones=bones, axes=axes)
 
@@ -252,7 +257,7 @@ class Scene:
         several = len(self._poses) > 1
         return SERIES[take % len(SERIES)] if several else self._colors["bone"]
 
-    def _draw_frusta(self, eye: Eye, view: View, shot: int | None) -> None:
+    def _draw_frusta(self, eye: Eye, view: CameraView, shot: int | None) -> None:
         segments: list[FloatArray] = []
         for i, camera in enumerate(self.cameras):
             if i == shot:
@@ -270,7 +275,7 @@ class Scene:
             pairs = [(5, k) for k in range(4)] + [(k, (k + 1) % 4) for k in range(4)]
             segments.append(points[np.array([*pairs, (3, 4), (2, 4)])])
         if segments:
-            made = np.concatenate(segments)
+            lines = np.concatenate(segments)
             color = np.array([*self._colors["soft"], 255.0])
-            self._frusta.set(made[:, 0], made[:, 1], color)
+            self._frusta.set(lines[:, 0], lines[:, 1], color)
             self._frusta.draw(eye, width=1.5)

@@ -1,4 +1,4 @@
-"""Meshes, their copies, points and strands of a page, as its `meshes.js` draws them."""
+"""Draws meshes, instances, points and strands, as the viewer's `meshes.js` does."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.preview.pictures.camera import Box, Eye
+from animtool.preview.pictures.camera import Bounds, Eye
 from animtool.preview.pictures.data import Streams
-from animtool.preview.pictures.device import Array, Device, Table
+from animtool.preview.pictures.device import Array, Device, TextureTable
 from animtool.preview.pictures.lines import (
     FAR,
-    Lines,
+    DrawnLines,
     Sprites,
     Stored,
     display,
     placed,
     repeated,
 )
-from animtool.preview.pictures.pose import Pose, composed
+from animtool.preview.pictures.pose import DrawnPose, composed
 
 # Meshes with fewer points are shaded by face: boxes keep their edges.
 SMOOTH_FROM = 200
@@ -33,27 +33,28 @@ STRAND_COLOR = (0.26, 0.15, 0.07)
 
 
 def normals_of(points: Array, faces: Array) -> FloatArray:
-    """Return normals of points, as large faces as much ``(V, 3)``."""
+    """Return area-weighted vertex normals ``(V, 3)``."""
     a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
-    own = np.cross(b - a, c - a)
+    face_normals = np.cross(b - a, c - a)
     corners, count = faces.ravel(), len(points)
     sums = [
-        np.bincount(corners, np.repeat(own[:, k], 3), minlength=count) for k in range(3)
+        np.bincount(corners, np.repeat(face_normals[:, k], 3), minlength=count)
+        for k in range(3)
     ]
     return np.stack(sums, axis=1)
 
 
-class Geometry:
-    """Buffers of a mesh at rest, which all meshes of the same streams share."""
+class DrawnGeometry:
+    """Buffers of a rest mesh, shared by meshes of the same streams."""
 
     def __init__(self, device: Device, streams: Streams, record: dict[str, Any]):
-        self.rest = streams.whole(record["points"]).reshape(-1, 3)
-        self.faces = streams.whole(record["faces"]).astype(np.uint32).reshape(-1, 3)
-        given = record.get("normals")
-        self.smooth = len(self.rest) >= SMOOTH_FROM or given is not None
+        self.rest = streams.array(record["points"]).reshape(-1, 3)
+        self.faces = streams.array(record["faces"]).astype(np.uint32).reshape(-1, 3)
+        normals = record.get("normals")
+        self.smooth = len(self.rest) >= SMOOTH_FROM or normals is not None
         self.reach = float(np.abs(self.rest).max(initial=0.0))
         self.points, self.normals = Stored(device), Stored(device)
-        self.place(self.rest, None if given is None else streams.whole(given))
+        self.set_points(self.rest, None if normals is None else streams.array(normals))
         self.index = device.gl.buffer(self.faces.tobytes())
         self.parts: list[tuple[Any, str, str]] = [
             (self.points.buffer, "3f", "point"),
@@ -61,39 +62,39 @@ class Geometry:
         ]
         self.painted = record.get("colors") is not None
         if self.painted:
-            paint = streams.whole(record["colors"]).astype(np.uint8)
+            paint = streams.array(record["colors"]).astype(np.uint8)
             self.parts.append((device.gl.buffer(paint.tobytes()), "3f1", "paint"))
         self.joints: Array = np.zeros((0, 4), np.uint16)
         self.bind: FloatArray = np.zeros((0, 4, 4))
         if skin := record.get("skin"):
-            self.joints = streams.whole(skin["joints"]).astype(np.uint16)
-            bind = streams.whole(skin["bind"]).reshape(-1, 4, 4)
+            self.joints = streams.array(skin["joints"]).astype(np.uint16)
+            bind = streams.array(skin["bind"]).reshape(-1, 4, 4)
             self.bind = bind.swapaxes(1, 2).astype(np.float64)
-            weights = streams.whole(skin["weights"]).astype("<f4")
+            weights = streams.array(skin["weights"]).astype("<f4")
             self.parts += [
                 (device.gl.buffer(self.joints.tobytes()), "4u2", "joints"),
                 (device.gl.buffer(weights.tobytes()), "4f", "weights"),
             ]
             self.joints = self.joints.reshape(-1, 4)
 
-    def place(self, points: Array, normals: Array | None = None) -> None:
-        """Move the points."""
+    def set_points(self, points: Array, normals: Array | None = None) -> None:
+        """Replace the points."""
         if normals is None:
             normals = normals_of(points, self.faces) if self.smooth else points
         self.points.write(np.asarray(points, "<f4"))
         self.normals.write(np.asarray(normals, "<f4"))
 
 
-class Mesh:
-    """A mesh: it is skinned in the shader, and has shapes, or a cache."""
+class DrawnMesh:
+    """A mesh: skinned in the shader, with shapes, or cached points."""
 
     def __init__(
         self,
         device: Device,
         streams: Streams,
         record: dict[str, Any],
-        pose: Pose | None,
-        known: dict[tuple[Any, ...], Geometry],
+        pose: DrawnPose | None,
+        known: dict[tuple[Any, ...], DrawnGeometry],
     ) -> None:
         self._device, self._streams = device, streams
         self.record, self.pose = record, pose
@@ -103,15 +104,15 @@ class Mesh:
         self._shapes = [
             (
                 shape["column"],
-                streams.whole(shape["vertices"]).astype(np.int64),
-                streams.whole(shape["offsets"]).reshape(-1, 3).astype(np.float64),
+                streams.array(shape["vertices"]).astype(np.int64),
+                streams.array(shape["offsets"]).reshape(-1, 3).astype(np.float64),
             )
             for shape in record.get("shapes") or []
         ]
         self._amounts = np.zeros(len(self._shapes))
         skin = record.get("skin") if pose else None
         self._joints = np.array(skin["palette"], np.int64) if skin else None
-        self._palette = Table(device)
+        self._palette = TextureTable(device)
         self.hidden = False
         painted = self.geometry.painted
         kinds = {"SKIN": skin, "PAINT": painted, "INSTANCES": self.copied}
@@ -123,21 +124,21 @@ class Mesh:
         if not self.copied:
             self._array = self.array([])
 
-    def _geometry(self, known: dict[tuple[Any, ...], Geometry]) -> Geometry:
+    def _geometry(self, known: dict[tuple[Any, ...], DrawnGeometry]) -> DrawnGeometry:
         record, skin = self.record, self.record.get("skin") or {}
         if record.get("cache") is not None or record.get("shapes"):
-            return Geometry(self._device, self._streams, record)
+            return DrawnGeometry(self._device, self._streams, record)
         names = ("points", "faces", "normals", "colors")
         key = tuple(
             [record.get(name) for name in names]
             + [skin.get(name) for name in ("joints", "weights", "bind")]
         )
         if key not in known:
-            known[key] = Geometry(self._device, self._streams, record)
+            known[key] = DrawnGeometry(self._device, self._streams, record)
         return known[key]
 
     def array(self, more: list[tuple[Any, str, str]]) -> Any:
-        """Return what draws it, with further parts."""
+        """Return the vertex array with further buffers."""
         rigid = {"joints", "weights"} if self._joints is None else set()
         parts = [part for part in self.geometry.parts if part[2] not in rigid]
         return self._device.gl.vertex_array(
@@ -146,16 +147,16 @@ class Mesh:
 
     @property
     def skinned(self) -> bool:
-        """Whether joints move its points."""
+        """Whether joints deform it."""
         return self._joints is not None
 
     def update(self, sample: int) -> None:
-        """Move it to where it is at a sample."""
+        """Pose it at a sample."""
         pose, record = self.pose, self.record
         first = pose.first if pose else 0
-        seen = record.get("visible")
+        visible = record.get("visible")
         self.hidden = (
-            seen is not None and self._streams.at(seen, sample - first)[0] == 0
+            visible is not None and self._streams.at(visible, sample - first)[0] == 0
         ) or (pose is not None and not pose.visible)
         if self.hidden:
             return
@@ -172,10 +173,10 @@ class Mesh:
         if record.get("cache") is not None:
             cached = self._streams.at(record["cache"], sample - first)
             self._shown = cached.reshape(-1, 3)
-            self.geometry.place(self._shown)
+            self.geometry.set_points(self._shown)
 
     def _shape(self, weights: FloatArray) -> None:
-        """Displace points by the shapes that have a weight, where these are others."""
+        """Apply blend shapes if their weights changed."""
         amounts = np.array([weights[column] for column, _, _ in self._shapes])
         if np.array_equal(amounts, self._amounts):
             return
@@ -184,10 +185,10 @@ class Mesh:
         for amount, (_, vertices, offsets) in zip(amounts, self._shapes, strict=True):
             if amount:
                 points[vertices] += amount * offsets
-        self.geometry.place(points)
+        self.geometry.set_points(points)
 
-    def bound(self, box: Box) -> None:
-        """Add where it is: of skins some vertices, each with its first joint."""
+    def bound(self, box: Bounds) -> None:
+        """Grow bounds by it; skinned meshes use some vertices and first joints."""
         pose, geometry = self.pose, self.geometry
         if self.copied or (pose is not None and not pose.visible):
             return
@@ -203,7 +204,7 @@ class Mesh:
         )
 
     def surrounds(self, radius: float) -> bool:
-        """Return whether it is a ground, or a room around all, and casts no shadow.
+        """Return whether it is a ground or a surrounding room, without shadow.
 
         radius: of what is shown.
         """
@@ -214,31 +215,31 @@ class Mesh:
         return bool(high[1] < FLAT * radius or wide > WIDE * radius)
 
     def draw(self, eye: Eye, array: Any = None, copies: int = 1) -> None:
-        """Draw it, or copies of it, each where the parts of an array say."""
+        """Draw it once, or instanced by the rows of an array."""
         if self.hidden or not copies:
             return
         shift = self.pose.shift if self.pose else (0.0, 0.0, 0.0)
-        own = {} if self._joints is None else {"palette": self._palette}
+        palette = {} if self._joints is None else {"palette": self._palette}
         self._device.use(
             self.program,
             eye,
             color=self._color,
             shift=shift,
             faceted=0.0 if self.geometry.smooth else 1.0,
-            **own,
+            **palette,
         )
         drawn = self._array if array is None else array
         drawn.render(self._device.module.TRIANGLES, instances=copies)
 
 
 class Instances:
-    """Copies of a mesh: rigid bodies, flocks, crowds and props."""
+    """Instances of a mesh: rigid bodies, flocks, crowds and props."""
 
     def __init__(
-        self, device: Device, streams: Streams, record: dict[str, Any], mesh: Mesh
+        self, device: Device, streams: Streams, record: dict[str, Any], mesh: DrawnMesh
     ) -> None:
         self._streams, self._record, self._mesh = streams, record, mesh
-        self._places, self._colors = Stored(device), Stored(device)
+        self._matrices_table, self._colors = Stored(device), Stored(device)
         self._count = streams.width(record["t"]) // 3
         color = record.get("color") or mesh.record.get("color") or COLOR
         self._colors.write(repeated(self._count, display(color)))
@@ -247,39 +248,39 @@ class Instances:
         self.matrices = np.zeros((0, 4, 4))
 
     def update(self, sample: int) -> None:
-        """Move the copies to where they are at a sample."""
+        """Place the instances at a sample."""
 
         def at(name: str) -> Array | None:
             number = self._record.get(name)
             return None if number is None else self._streams.at(number, sample)
 
-        t, r, s, seen = (at(name) for name in ("t", "r", "s", "visible"))
+        t, r, s, visible = (at(name) for name in ("t", "r", "s", "visible"))
         assert t is not None
-        places = t.reshape(-1, 3).astype(np.float64)
-        shown = np.isfinite(places[:, 0])
-        if seen is not None:
-            shown &= seen[: len(shown)] != 0
-        count = len(places)
-        turns = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+        positions = t.reshape(-1, 3).astype(np.float64)
+        shown = np.isfinite(positions[:, 0])
+        if visible is not None:
+            shown &= visible[: len(shown)] != 0
+        count = len(positions)
+        rotations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
         if r is not None:
-            turns = r.reshape(-1, 4)[:count].astype(np.float64)
+            rotations = r.reshape(-1, 4)[:count].astype(np.float64)
         sizes = None
         if s is not None:
             each = (
                 s.reshape(-1, 3) if len(s) >= 3 * count else np.repeat(s[:, None], 3, 1)
             )
             sizes = each[:count].astype(np.float64)[shown]
-        self.matrices = composed(places[shown], turns[shown], sizes)
-        if self._places.write(self.matrices.swapaxes(1, 2).astype("<f4")):
+        self.matrices = composed(positions[shown], rotations[shown], sizes)
+        if self._matrices_table.write(self.matrices.swapaxes(1, 2).astype("<f4")):
             self._array = self._mesh.array(
                 [
-                    (self._places.buffer, "16f/i", "placed"),
+                    (self._matrices_table.buffer, "16f/i", "placed"),
                     (self._colors.buffer, "3f1/i", "ownColor"),
                 ]
             )
 
-    def bound(self, box: Box) -> None:
-        """Add where the copies are."""
+    def bound(self, box: Bounds) -> None:
+        """Grow bounds by the instances."""
         sizes = self._mesh.geometry.reach * np.linalg.norm(
             self.matrices[:, :3, 0], axis=1
         )
@@ -287,12 +288,12 @@ class Instances:
             box.add(self.matrices[:, :3, 3] + side * sizes[:, None])
 
     def draw(self, eye: Eye) -> None:
-        """Draw them."""
+        """Draw the instances."""
         self._mesh.draw(eye, self._array, len(self.matrices))
 
 
 class PointCloud:
-    """Points of a system or of a capture."""
+    """Points of a simulation or a capture."""
 
     def __init__(self, device: Device, streams: Streams, record: dict[str, Any]):
         self._streams, self._record = streams, record
@@ -300,20 +301,20 @@ class PointCloud:
         count = streams.width(record["positions"]) // 3
         self._tints = repeated(count, display(record.get("color") or POINT_COLOR))
         if record.get("colors") is not None:
-            colors = streams.whole(record["colors"]) / 255
+            colors = streams.array(record["colors"]) / 255
             self._tints = display(colors).astype(np.uint8).reshape(-1, 3)
         radii = record.get("radii")
-        self._radii = None if radii is None else streams.whole(radii)
+        self._radii = None if radii is None else streams.array(radii)
         self.pose = None
         self._points = np.zeros((0, 3))
 
     def update(self, sample: int) -> None:
-        """Move the points to where they are at a sample."""
+        """Place the points at a sample."""
         self._points = placed(self._streams.at(self._record["positions"], sample))
         self._sprites.set(self._points, self._tints, self._radii)
 
-    def bound(self, box: Box) -> None:
-        """Add where the points are."""
+    def bound(self, box: Bounds) -> None:
+        """Grow bounds by the points."""
         box.add(self._points[self._points[:, 0] < FAR / 10])
 
     def draw(self, eye: Eye) -> None:
@@ -321,19 +322,19 @@ class PointCloud:
         self._sprites.draw(eye, self._record.get("radius") or 0.0, 2)
 
 
-class Strands:
-    """Strands and ropes: polylines in space, as wide as they are, at least a pixel."""
+class DrawnStrands:
+    """Strands and ropes: polylines with their width, at least a pixel."""
 
     def __init__(
         self,
         device: Device,
         streams: Streams,
         record: dict[str, Any],
-        pose: Pose | None,
+        pose: DrawnPose | None,
     ) -> None:
         self._streams, self._record, self.pose = streams, record, pose
-        self._lines = Lines(device)
-        counts = streams.whole(record["counts"]).astype(np.int64)
+        self._lines = DrawnLines(device)
+        counts = streams.array(record["counts"]).astype(np.int64)
         inner = np.ones(int(counts.sum()), bool)
         inner[np.cumsum(counts) - 1] = False
         self._heads = np.flatnonzero(inner)
@@ -342,7 +343,7 @@ class Strands:
         self._points = np.zeros((0, 3))
 
     def update(self, sample: int) -> None:
-        """Move them to where they are at a sample."""
+        """Place the strands at a sample."""
         pose, record = self.pose, self._record
         first = pose.first if pose else 0
         stored = self._streams.at(record["points"], sample - first)
@@ -358,8 +359,8 @@ class Strands:
         ends = points[self._heads], points[self._heads + 1]
         self._lines.set(*ends, self._color)
 
-    def bound(self, box: Box) -> None:
-        """Add where they are."""
+    def bound(self, box: Bounds) -> None:
+        """Grow bounds by the strands."""
         box.add(self._points)
 
     def draw(self, eye: Eye) -> None:

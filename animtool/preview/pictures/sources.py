@@ -1,4 +1,4 @@
-"""What pictures have of the viewer of pages: its shaders and its colours, as text."""
+"""Shaders and colors of the page viewer, read from its sources."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ HEAD = (
 
 
 def shader(module: str, name: str) -> str:
-    """Return a shader of the viewer, as the page gives it to WebGL.
+    """Return a shader of the viewer, as used by WebGL.
 
     >>> shader("bones.js", "THIN_FRAGMENT").startswith("in vec3 tint;")
     True
     """
-    shared, own = _constants(SHARED), _constants(module)
-    return _INSERTED.sub(lambda found: shared[found[1]], own[name])
+    shared, texts = _constants(SHARED), _constants(module)
+    return _INSERTED.sub(lambda match: shared[match[1]], texts[name])
 
 
 @cache

@@ -160,7 +160,7 @@ def _with_meshes(take: Take, plan: TakePlan) -> Take:
         # The animation may hold some of the shapes alone.
         places = np.array([names.index(name) for name in held], np.int64)
         order = np.argsort(places)
-        still = Channel.still(np.zeros((len(names), 1)), take.clock.count)
+        still = Channel.static(np.zeros((len(names), 1)), take.clock.count)
         weights = still.put(places[order], weights.gather(order)).compact()
     return replace(take, rig=rig, motion=replace(take.motion, weights=weights))
 

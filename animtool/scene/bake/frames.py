@@ -24,7 +24,7 @@ from animtool.edit.resample import (
     sample,
 )
 from animtool.edit.straight import straight_notices
-from animtool.edit.travel import Places
+from animtool.edit.travel import FramePositions
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
@@ -35,7 +35,7 @@ from animtool.scene.sources.away import no_frames
 if TYPE_CHECKING:
     from animtool.scene.systems.character_motion import CharacterWatch
     from animtool.usd.props.writer import PropSamples
-    from animtool.usd.rigs.target import JointMap
+    from animtool.usd.rigs.target import RigJointMap
 
 TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]  # time codes and motions
 
@@ -47,7 +47,7 @@ class TakePlan:
     source: Path
     name: str  # of a library's take, legal and distinct; else empty
     stream: TakeStream  # opened, with the joints in the order written
-    mapping: JointMap | None  # from the take's joints to those of a rig layer
+    mapping: RigJointMap | None  # from the take's joints to those of a rig layer
     options: BakeOptions  # those of takes after the first have no rest frame
     fps: Fraction  # time codes a second of the output
     start: Fraction  # time code of the first frame
@@ -104,7 +104,7 @@ def _straight_notices(
 ) -> list[Fault]:
     """Say by how much straight lines may be off, unless a pass of the take did."""
     said = {notice.code for notice in plan.stream.notices}
-    places = Places(times.frames, times.fractions)
+    places = FramePositions(times.frames, times.fractions)
     return [
         replace(notice, path=str(plan.source))
         for notice in straight_notices(between, places)

@@ -26,9 +26,9 @@ from animtool.scene.bake.prims import (
 )
 from animtool.scene.bake.progress import prefetch, timed
 from animtool.scene.sources.open import source_stem
-from animtool.usd.layers.jobs import Form, UsdJob, UsdResult, UsdTake, WrittenTake
+from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdResult, UsdTake, WrittenTake
 from animtool.usd.layers.names import UsdNames, joint_names
-from animtool.usd.rigs.skeleton import place_record
+from animtool.usd.rigs.skeleton import rest_record
 from animtool.usd.takes.author import Authored, author, write_usd
 from animtool.usd.takes.joint_writer import round_blocks
 
@@ -47,7 +47,7 @@ class JointPrims:
         takes = [_JointTake(run) for run in draft.runs]
         with closing(_usd_takes(takes, job)) as usd_takes:
             authored, result = author(job, usd_takes)
-        if plan.form is Form.LIBRARY and plan.target is not None:
+        if plan.form is LayerForm.LIBRARY and plan.target is not None:
             from animtool.usd.takes.library import merged_library
 
             authored.animation = merged_library(
@@ -91,9 +91,9 @@ def _job(plan: BakePlan, rest: Rig) -> UsdJob:
     rig = rest if mapping is None else mapping.rig
     names, joints = _usd_names(plan, rig)
     form = plan.form
-    if form is Form.LIBRARY:
+    if form is LayerForm.LIBRARY:
         # A library that exists gets its takes from a layer over it.
-        form = Form.STAGE if plan.target is None else Form.LAYER
+        form = LayerForm.STAGE if plan.target is None else LayerForm.LAYER
     return UsdJob(
         form=form,
         output=plan.output,
@@ -105,7 +105,7 @@ def _job(plan: BakePlan, rest: Rig) -> UsdJob:
         meters_per_unit=plan.meters_per_unit,
         target=plan.target,
         bones=plan.options.bones,
-        shot=None if plan.form is Form.LIBRARY else plan.options.shot,
+        shot=None if plan.form is LayerForm.LIBRARY else plan.options.shot,
     )
 
 
@@ -184,7 +184,7 @@ class _JointTake:
             props=self._run.props,
             to_rig=None if mapping is None else mapping.to_rig,
             reduced=self._thinned is not None,
-            place=place_record(plan.stream.rig, rig) if mapping is None else {},
+            rest_record=rest_record(plan.stream.rig, rig) if mapping is None else {},
         )
         return take, blocks
 

@@ -121,7 +121,7 @@ def _ordered(
     """Return a take with its joints in another order, that of a first rig."""
     if names == order:
         return stream
-    from animtool.usd.rigs.target import JointMap
+    from animtool.usd.rigs.target import RigJointMap
 
     rig = stream.rig
     source = np.array([names.index(name) for name in order], np.int64)
@@ -130,7 +130,7 @@ def _ordered(
         for i, joint in zip(source.tolist(), first.joints, strict=True)
     )
     ordered = replace(rig, joints=joints)
-    mapping = JointMap(ordered, source, np.ones((len(joints), 3)), [])
+    mapping = RigJointMap(ordered, source, np.ones((len(joints), 3)), [])
     curve, given = stream.curve, stream.blocks
 
     def blocks() -> Iterator[Motion]:

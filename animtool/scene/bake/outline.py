@@ -27,7 +27,7 @@ from animtool.scene.bake.reading import (
     with_takes,
 )
 from animtool.scene.sources.open import source_stem
-from animtool.usd.layers.jobs import Form, check_path
+from animtool.usd.layers.jobs import LayerForm, check_path
 
 if TYPE_CHECKING:
     from animtool.scene.file.entries import Place
@@ -128,7 +128,11 @@ def outlined(
     path = None if output is None or str(output) == str(STDOUT) else Path(output)
     if not scenes and path is not None and _holds_several(path, options):
         reading = with_takes(reading, options)
-        if reading.names and form_of(options) is Form.LIBRARY and not path.exists():
+        if (
+            reading.names
+            and form_of(options) is LayerForm.LIBRARY
+            and not path.exists()
+        ):
             # Several takes make a library by themselves.
             options = replace(options, form=None)
     if len(reading.files) != 1 or not scenes:
@@ -151,7 +155,7 @@ def outlined(
 def _holds_several(path: Path, options: BakeOptions) -> bool:
     """Return whether an output holds all the takes that a source has."""
     if writes_stage(path):
-        return form_of(options) is Form.LIBRARY
+        return form_of(options) is LayerForm.LIBRARY
     writer = writer_of(path)
     return writer is not None and writer.several
 
@@ -229,7 +233,7 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
         check_outputs(entry.files, inputs, overwrite=options.overwrite)
         return
     layer = [options.rig_layer] if options.rig_layer else []
-    library = form_of(options) is Form.LIBRARY
+    library = form_of(options) is LayerForm.LIBRARY
     # A library is added to; what may be replaced is one of its takes.
     overwrite = options.overwrite or (library and path.exists())
     check_outputs(entry.files, [*inputs, *layer], overwrite=overwrite)

@@ -24,7 +24,7 @@ from animtool.core.similar import distinct
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
-from animtool.motion.reorient import off_its_place, reorient
+from animtool.motion.reorient import at_stage_origin, reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.placed import placement_notice
 from animtool.scene.bake.files import FilePlan
@@ -45,12 +45,12 @@ from animtool.scene.bake.prims import BakePlan, OutputPrims
 from animtool.scene.bake.progress import Progress, share_of
 from animtool.scene.bake.reading import Source, form_of
 from animtool.scene.sources.open import source_stem
-from animtool.usd.layers.jobs import Form
+from animtool.usd.layers.jobs import LayerForm
 from animtool.usd.layers.sdf import check_prim_path
 
 if TYPE_CHECKING:
     from animtool.scene.scene import Scene
-    from animtool.usd.rigs.target import JointMap, RigTarget
+    from animtool.usd.rigs.target import RigJointMap, RigTarget
     from animtool.usd.takes.over_rig import OverRig
 
 # An output that is ready to be written.
@@ -246,7 +246,7 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
         (),
         entry.path,
         entry.options,
-        Form.STAGE,
+        LayerForm.STAGE,
         "it is simulated",
         None,
         systems.job.metadata.span.fps,
@@ -260,7 +260,7 @@ def _with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
     """Return the plan of a take with the systems of its scene."""
     if not scene.systems:
         return plan
-    if plan.form is Form.LIBRARY:
+    if plan.form is LayerForm.LIBRARY:
         message = "a clip library cannot hold simulated systems"
         hint = "bake the systems in a separate scene, or as: stage"
         raise OptionError(Fault("SCN067", message, str(scene.path), (), hint))
@@ -283,10 +283,10 @@ def plan_takes(
     own_names: what the takes are called; empty is as their files are.
     """
     form = form_of(options)
-    library = form is Form.LIBRARY
+    library = form is LayerForm.LIBRARY
     added = library and path is not None and path.exists()
     target = _target(path if added else options.rig_layer, options.prim_path)
-    mappings: list[JointMap | None] = [None] * len(streams)
+    mappings: list[RigJointMap | None] = [None] * len(streams)
     if target is not None:
         from animtool.usd.takes.over_rig import over_rig
 
@@ -310,7 +310,7 @@ def plan_takes(
         for source, one in zip(sources, streams, strict=True):
             notices += placement_notice(one.rig, str(source), kept=kept)
         if not kept:
-            streams = [off_its_place(stream) for stream in streams]
+            streams = [at_stage_origin(stream) for stream in streams]
         up = options.to_up or streams[0].rig.up
         streams = [reorient(stream, up) for stream in streams]
     if options.root_motion and not streams[0].rig.joints:
@@ -390,7 +390,7 @@ def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
 
 def _mapped(
     way: OverRig, target: RigTarget, options: BakeOptions, notices: list[Fault]
-) -> JointMap:
+) -> RigJointMap:
     from animtool.usd.rigs.target import map_joints
 
     mapping = map_joints(

@@ -66,7 +66,7 @@ from animtool.usd.props.writer import author_props
 from animtool.usd.rigs.skeleton import WIDTH
 
 if TYPE_CHECKING:
-    from animtool.usd.rigs.target import JointMap, RigTarget
+    from animtool.usd.rigs.target import RigJointMap, RigTarget
 
 # Frames whose joints are held at once: 60 joints take 1.5 MB.
 PIECE = 256
@@ -80,7 +80,7 @@ class Character:
     surfaces: tuple[Surface, ...]
     strands: tuple[Strands, ...]  # what single joints carry
     # How the take's joints stand in the rig; None where they are its own.
-    mapping: JointMap | None
+    mapping: RigJointMap | None
     meshes: tuple[CharacterMesh, ...]  # the meshes, then the strands, ready to follow
     origin: str  # whose meshes they are, for reports
 

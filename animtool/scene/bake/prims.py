@@ -19,7 +19,7 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import OutputCost, Progress
 from animtool.scene.sources.open import motion_bytes
-from animtool.usd.layers.jobs import Form, UsdResult, WrittenTake
+from animtool.usd.layers.jobs import LayerForm, UsdResult, WrittenTake
 from animtool.usd.layers.names import RigPaths
 from animtool.usd.layers.sdf import model_path, save_layer
 
@@ -279,7 +279,7 @@ class BakePlan:
     takes: tuple[TakePlan, ...]  # one, those of a library, or none of systems alone
     output: Path | None  # the file to write; None is stdout
     options: BakeOptions
-    form: Form
+    form: LayerForm
     reason: str  # why that form
     target: RigTarget | None  # the rig of a layer
     fps: Fraction  # time codes a second of the output

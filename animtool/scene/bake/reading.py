@@ -29,7 +29,7 @@ from animtool.scene.sources.open import (
     open_source,
     source_stem,
 )
-from animtool.usd.layers.jobs import Form, output_paths
+from animtool.usd.layers.jobs import LayerForm, output_paths
 
 if TYPE_CHECKING:
     from animtool.motion.take import TakeStream
@@ -309,17 +309,19 @@ def default_output(source: Path) -> Path:
     return source.with_name(f"{source_stem(source)}.usdc")
 
 
-def form_of(options: BakeOptions) -> Form:
+def form_of(options: BakeOptions) -> LayerForm:
     """Return what is written."""
-    return Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
+    return LayerForm(
+        options.form or (LayerForm.LAYER if options.rig_layer else LayerForm.STAGE)
+    )
 
 
 def check_package(path: Path, options: BakeOptions) -> None:
     """Refuse a package of several files that are written beside it (OUT004)."""
     form = form_of(options)
     refused = {
-        Form.SPLIT: argument("form", "split"),
-        Form.LIBRARY: argument("form", "library"),
+        LayerForm.SPLIT: argument("form", "split"),
+        LayerForm.LIBRARY: argument("form", "library"),
     }.get(form)
     if options.chunk is not None:
         refused = argument("chunk")
@@ -343,5 +345,5 @@ def output_files(
 
     sets = [point_files(path)] if options.deform else []
     sets += [system_files(path)] if simulated else []
-    chunks = [file for one in sets for file in (one.manifest, *one.there())]
+    chunks = [file for one in sets for file in (one.manifest, *one.existing_chunks())]
     return [*files, *chunks]

@@ -29,7 +29,7 @@ from animtool.scene.file.entries import (
 )
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import fitting_options, open_source
-from animtool.usd.layers.jobs import Form
+from animtool.usd.layers.jobs import LayerForm
 
 
 class StepKind(StrEnum):
@@ -213,7 +213,7 @@ def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[Step]
     steps = _system_steps(scene, outputs)
     for entry in outputs:
         prims = listed(_written(entry))
-        lines = (f"{Form.STAGE} with {prims}, their points and velocities",)
+        lines = (f"{LayerForm.STAGE} with {prims}, their points and velocities",)
         name = "stdout" if entry.path is None else str(entry.path)
         made = (*lines, *_named(entry.files))
         steps.append(Step(StepKind.OUTPUT, name, _where(entry), ("systems",), made))
@@ -300,7 +300,7 @@ def _output_step(entry: OutputEntry, state: _State) -> Step:
     if options.rig_layer is not None:
         reads.insert(0, str(options.rig_layer))
     makes = "deformed points" if options.deform else "an animation of the skeleton"
-    if form is Form.LIBRARY:
+    if form is LayerForm.LIBRARY:
         makes += " as a take, next to the existing ones,"
     if state.tracks:
         makes += f" and {counted(len(state.tracks), 'prop')} with it"
@@ -353,7 +353,7 @@ def _named(files: list[Path]) -> list[str]:
     ]
 
 
-def _left_out(options: BakeOptions, form: Form, state: _State) -> Iterator[str]:
+def _left_out(options: BakeOptions, form: LayerForm, state: _State) -> Iterator[str]:
     """Yield what of a take a USD file does not get, and why."""
     yield from _of_rig(options, form, state.rig)
     if state.curves and not options.deform:
@@ -375,13 +375,13 @@ def _left_out(options: BakeOptions, form: Form, state: _State) -> Iterator[str]:
         yield f"samples that interpolation restores within {options.reduce * 1000:g} mm"
 
 
-def _of_rig(options: BakeOptions, form: Form, rig: Rig) -> Iterator[str]:
+def _of_rig(options: BakeOptions, form: LayerForm, rig: Rig) -> Iterator[str]:
     """Yield what of a rig a USD file does not get, and why."""
     if options.deform:
         yield "skeleton and its animation: points are written instead"
         if not options.velocities:
             yield "velocities: not requested (velocities)"
-    elif form is Form.LAYER:
+    elif form is LayerForm.LAYER:
         yield "skeleton and meshes: the rig layer has them"
     elif rig.meshes:
         yield "deformed points: not requested (deform)"

@@ -164,7 +164,7 @@ def _steady(like: Channel | None, value: float | FloatArray) -> Channel:
     """Return a channel of the size of another that holds a value."""
     assert like is not None
     rest = np.broadcast_to(value, like.rest.shape).astype(np.float64)
-    return Channel.still(rest, len(like.values))
+    return Channel.static(rest, len(like.values))
 
 
 def _replaced(mine: Channel, theirs: Channel, chosen: IntArray) -> Channel:

@@ -10,7 +10,7 @@ from animtool.core.errors import Fault, refuse_warnings
 from animtool.core.record import dataclass
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.loop_options import LoopOptions
-from animtool.edit.looping import PASS, said_of
+from animtool.edit.looping import PASS, cycle_notices
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.progress import Progress
 from animtool.scene.convert.takes import convert_with_passes
@@ -71,7 +71,7 @@ def loop_source(
         else:
             best = measure_cycle(take, options.first, options.last)
     seconds = (best.last - best.first) / float(take.clock.fps)
-    notices = [*stream.notices, *said_of(best, searched=options.find)]
+    notices = [*stream.notices, *cycle_notices(best, searched=options.find)]
     result = LoopResult(source, output, best, seconds, notices)
     if output is None:
         refuse_warnings(notices, strict=strict)

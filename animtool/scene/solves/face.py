@@ -276,8 +276,8 @@ def face_motion(
     """
     count = len(fit.weights)
     weights = links.apply(fit.weights, len(rig.shapes))
-    rotations = Channel.still(rig.rest_rotations, count)
-    translations = Channel.still(rig.rest_translations, count)
+    rotations = Channel.static(rig.rest_rotations, count)
+    translations = Channel.static(rig.rest_translations, count)
     notices: list[Fault] = []
     joint = head_joints(rig).get(HEAD)
     if head != "none" and joint is None:

@@ -36,11 +36,11 @@ from animtool.ik.report import (
     MISSED_ANGLE,
     MISSED_LENGTH,
     GoalReport,
-    apart_notices,
     away_notices,
     goal_reports,
     jump_notices,
     missed_notices,
+    single_frame_notices,
     span_notices,
 )
 from animtool.ik.take_run import TakeIk
@@ -273,7 +273,7 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
             context.take,
             context.tracks,
             _as_fine(job),
-            still=context.still,
+            static=context.still,
             only=context.only,
             progress=progress,
         )
@@ -283,7 +283,7 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
     odd = [
         *context.notices,
         *span_notices(solved),
-        *apart_notices(solved, smooth=job.options.smooth > 0),
+        *single_frame_notices(solved, smooth=job.options.smooth > 0),
         *away_notices(solved, goals),
         *jump_notices(solved),
     ]

@@ -18,7 +18,7 @@ from animtool.core.names import is_named
 from animtool.core.record import dataclass
 from animtool.core.values import picked
 from animtool.motion.driving import driven_stream
-from animtool.motion.reorient import off_its_place
+from animtool.motion.reorient import at_stage_origin
 from animtool.motion.take import TakeStream
 from animtool.retarget.map import JointMap, map_text
 from animtool.retarget.motion import Retargeting
@@ -93,7 +93,7 @@ class RetargetResult:
             {
                 "source": ours[pair.source],
                 "target": theirs[pair.target],
-                **picked(pair, "role found confidence"),
+                **picked(pair, "role found=evidence confidence"),
             }
             for pair in self.joint_map.pairs
         ]
@@ -186,7 +186,7 @@ def _without_place(stream: TakeStream, job: RetargetJob) -> TakeStream:
     if own.uneven or own.stands.is_none:
         return stream
     said = placement_notice(rig, str(job.source), kept=False, over=own.stands)
-    return replace(off_its_place(stream), notices=stream.notices + said)
+    return replace(at_stage_origin(stream), notices=stream.notices + said)
 
 
 def _retargeted(

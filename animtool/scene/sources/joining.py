@@ -17,7 +17,7 @@ from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.timecode import seconds_between
 from animtool.edit.combine import other_frames
-from animtool.edit.travel import nearby_places
+from animtool.edit.travel import nearby_positions
 from animtool.maths.curves import Curves
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
@@ -94,7 +94,7 @@ class _Layer:
         clock, since = self.take.clock, seconds - float(self.delay)
         if self.part.stream.curve is not None:
             return self._curved(float(clock.start) + since * float(clock.fps))
-        places = nearby_places(since * float(clock.rate), clock.count)
+        places = nearby_positions(since * float(clock.rate), clock.count)
         return self.take.motion.map(places.blend)
 
     def _curved(self, codes: FloatArray) -> Motion:

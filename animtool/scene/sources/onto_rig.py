@@ -25,9 +25,9 @@ from animtool.rig.skeleton import Rig
 def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
     """Return a rig, wherever it lives, and what there is to say of it."""
     if path.is_file() and find_reader(path) is USD:
-        from animtool.usd.rigs.stored import read_whole_rig
+        from animtool.usd.rigs.stored import read_rig_with_data
 
-        return read_whole_rig(path, prim_path)
+        return read_rig_with_data(path, prim_path)
     if prim_path is None:
         rig = Rig.load(path)
     elif path.is_file() and "prim_path" in find_reader(path).options:

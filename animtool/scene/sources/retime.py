@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.edit.between import Between
-from animtool.edit.travel import nearby_places
+from animtool.edit.travel import nearby_positions
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.scene.sources.away import no_frames
@@ -148,7 +148,7 @@ def _held(stream: TakeStream, shot: Shot) -> TakeStream:
     place = shot.media_in * stream.fps / stream.step
     if not 0 <= place < take.clock.count:
         raise no_frames(shot, shot.start, shot.end, take.clock.count / take.clock.rate)
-    pose = Between.of(take).at(nearby_places([float(place)], take.clock.count))
+    pose = Between.of(take).at(nearby_positions([float(place)], take.clock.count))
     held = pose.select(np.zeros(count, np.int64))
     return replace(
         stream,

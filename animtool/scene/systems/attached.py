@@ -78,7 +78,7 @@ def _turned(colliders: Colliders, turn: FloatArray) -> Colliders:
 
 def _turned_poses(poses: Poses, turn: FloatArray) -> Poses:
     rows = _turned_rows(poses.rows, turn)
-    return Poses(poses.moments, rows[:, :3], rows[:, 3:])
+    return Poses(poses.sample_times, rows[:, :3], rows[:, 3:])
 
 
 def _turned_rows(rows: FloatArray, turn: FloatArray) -> FloatArray:

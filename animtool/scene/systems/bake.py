@@ -26,7 +26,7 @@ from animtool.scene.systems.character_motion import CharacterWatch
 from animtool.scene.systems.run import SystemRun, system_job
 from animtool.usd.caches.writer import CachedMesh
 from animtool.usd.layers.chunks import growing_layer, system_files
-from animtool.usd.layers.jobs import Form, Rounding, UsdResult, WrittenTake
+from animtool.usd.layers.jobs import LayerForm, Rounding, UsdResult, WrittenTake
 from animtool.usd.layers.sdf import (
     StageMetadata,
     author_metadata,
@@ -96,7 +96,9 @@ class SystemPrims:
         # Where a shot begins before its take, the take's first pose is held.
         start = min(self.start, Fraction(ceil(codes[0])))
         way = None if self.way is None else self.way(watch.codes)
-        job = replace(self.job, metadata=metadata, way=way, codes=watch.codes)
+        job = replace(
+            self.job, metadata=metadata, placement_matrices=way, codes=watch.codes
+        )
         return replace(self, job=job, start=start, codes=tuple(codes))
 
     def _begin(self, draft: Draft) -> None:
@@ -230,7 +232,7 @@ def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction,
 def _check(scene: Scene, options: BakeOptions) -> None:
     """Refuse what only characters have."""
     names = [given.label for given in refused_options(options, "systems").values()]
-    if options.form in {Form.SPLIT, Form.LAYER, Form.LIBRARY}:
+    if options.form in {LayerForm.SPLIT, LayerForm.LAYER, LayerForm.LIBRARY}:
         names.insert(options.rig_layer is not None, f"as: {options.form}")
     path = str(scene.path)
     faults = [
@@ -259,11 +261,11 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     )
     way: Way | None = None
     if plan.target is not None:
-        from animtool.usd.props.placement import way_inside
+        from animtool.usd.props.placement import matrices_inside
 
         mapping, path = plan.takes[0].mapping, f"{model}/system"
         to_rig = None if mapping is None else mapping.to_rig
-        way = partial(way_inside, plan.target, to_rig, path)
+        way = partial(matrices_inside, plan.target, to_rig, path)
     return SystemPrims(scene, job, plan.start, watch=watch, way=way)
 
 

@@ -54,7 +54,7 @@ from animtool.systems.framework.tied import OnBody
 
 if TYPE_CHECKING:
     from animtool.scene.systems.gaits import GaitsSource
-    from animtool.usd.caches.reader import StillMesh
+    from animtool.usd.caches.reader import StaticMesh
 
 Reader: TypeAlias = Callable[[Location, Any], Any]
 
@@ -252,16 +252,16 @@ class PartReader(EntryReader):
         values = self.array(at, entry, above[-1])
         return [] if values is None else [int(n) for n in values.ravel().tolist()]
 
-    def still_mesh(self, at: Location, model: PrimMeshModel) -> StillMesh | None:
+    def still_mesh(self, at: Location, model: PrimMeshModel) -> StaticMesh | None:
         """Return a mesh of a USD file as it is at its first frame."""
-        from animtool.usd.caches.reader import read_still_mesh
+        from animtool.usd.caches.reader import read_static_mesh
 
         path = self.input((*at, "file"), model.file)
         if path is None:
             return None
         return self.opened(
             (*at, "prim"),
-            lambda: read_still_mesh(path, model.prim, UpAxis.Y),
+            lambda: read_static_mesh(path, model.prim, UpAxis.Y),
             kind=OptionError,
         )
 

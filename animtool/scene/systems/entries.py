@@ -174,9 +174,12 @@ class EntryReader:
 
     def emitter_place(self, at: Location, entry: Named) -> Any:
         """Return where particles are made: a place, on the surface of a mesh too."""
-        from animtool.systems.particles.places import PLACES, MeshSurface
+        from animtool.systems.particles.emitter_shapes import (
+            EMITTER_SHAPES,
+            MeshSurface,
+        )
 
-        place = self.named(at, entry, PLACES, "place", "SIM021")
+        place = self.named(at, entry, EMITTER_SHAPES, "place", "SIM021")
         return MeshSurface(place) if isinstance(place, Mesh) else place
 
     def mesh(self, at: Location, model: MovingMeshModel) -> MovingMeshModel | None:
@@ -239,7 +242,7 @@ class EntryReader:
         place = own.rows[0]
         turns = carrier.rows[:, 3:]
         return Poses(
-            carrier.moments,
+            carrier.sample_times,
             carrier.rows[:, :3] + so3.rotate(turns, place[:3]),
             so3.multiply(turns, place[3:]),
         )

@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.errors import OptionError
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
-from animtool.motion.reorient import reorient, turned_rig
+from animtool.motion.reorient import reorient, rotated_rig
 from animtool.motion.take import Take
 from animtool.retarget.motion import retarget_take
 from animtool.retarget.pairing import map_joints
@@ -45,7 +45,7 @@ class GaitsSource:
         rig = at_origin(open_rig(self.rig)[0])
         turn = up_from_up(UpAxis.Y, rig.up)
         if turn is not None:
-            rig = turned_rig(rig, np.array(turn), UpAxis.Y)
+            rig = rotated_rig(rig, np.array(turn), UpAxis.Y)
         return gaits_of(rig, [(path.stem, _on_rig(path, rig)) for path in self.clips])
 
 

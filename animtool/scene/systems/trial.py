@@ -29,10 +29,10 @@ from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (
     FINER,
     Figure,
-    Outcome,
     Setting,
-    Shot,
+    Snapshot,
     Trial,
+    TrialOutcome,
     ladder,
     stepwise,
 )
@@ -96,7 +96,7 @@ def _trial(
     else:
         trials = _trial_settings(spec, members[0].setup.method)
 
-    def run(setting: Setting) -> Outcome:
+    def run(setting: Setting) -> TrialOutcome:
         nonlocal most
         other = setting.method != trials.chosen.method
         budget = None if spec.tried else _budget(setting.method, most, other=other)
@@ -194,10 +194,10 @@ def _budget(method: str, most: int, *, other: bool) -> int | None:
     return MAX_EVALUATIONS if other else None
 
 
-def _outcome(run: SimulationRun, times: FloatArray) -> Outcome:
+def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
     """Return what a simulation comes to, at times ``(F,)`` [s]."""
     began = time.perf_counter()
-    shots: list[Shot] = []
+    shots: list[Snapshot] = []
     energies, status, reason, stable = [], Status.OK, "", None
     try:
         for t in times.tolist():
@@ -212,7 +212,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> Outcome:
     last = run.simulation.diagnostics(run.state.state, run.time(run.state.steps))
     known = [energy for energy in energies if energy is not None]
     whole = len(known) == len(shots) and _same(shots)
-    return Outcome(
+    return TrialOutcome(
         seconds,
         run.taken if last.steps is None else last.steps,
         shots,
@@ -230,18 +230,18 @@ def _is_fixed(method: str) -> bool:
     return not known or find_integrator(method).control is Control.FIXED
 
 
-def _same(shots: Sequence[Shot]) -> bool:
+def _same(shots: Sequence[Snapshot]) -> bool:
     """Return whether no point comes or goes."""
     ids = [shot.ids for shot in shots if shot.ids is not None]
     return all(np.array_equal(each, ids[0]) for each in ids)
 
 
-def _shot(frame: Frame) -> Shot:
+def _shot(frame: Frame) -> Snapshot:
     """Return what a table compares of a frame."""
     if isinstance(frame, TransformsFrame):
         arms = [np.linalg.norm(mesh.points, axis=1) for mesh in frame.meshes]
         sizes = np.abs(frame.scales).max(initial=0.0)
         reach = float(max((arm.max(initial=0.0) for arm in arms), default=0.0) * sizes)
-        return Shot(frame.points, frame.ids, frame.rotations, reach)
+        return Snapshot(frame.points, frame.ids, frame.rotations, reach)
     ids = frame.ids if isinstance(frame, PointsFrame) else None
-    return Shot(frame.points, ids)
+    return Snapshot(frame.points, ids)

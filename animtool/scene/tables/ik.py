@@ -19,10 +19,10 @@ from animtool.scene.solves.ik import IkJob, open_ik
 from animtool.sim.trials.trial import (
     ErrorMeasure,
     Figure,
-    Outcome,
     Setting,
-    Shot,
+    Snapshot,
     Trial,
+    TrialOutcome,
 )
 
 # Shares of the chains' length, and radians.
@@ -47,7 +47,7 @@ def job_trial(job: IkJob) -> Trial:
             context.take,
             context.tracks,
             options,
-            still=context.still,
+            static=context.still,
             only=context.only,
         )
 
@@ -99,7 +99,7 @@ def solve_trial(
             angle_tolerance=setting["angle_tolerance"],
         )
 
-    def run(setting: Setting) -> Outcome:
+    def run(setting: Setting) -> TrialOutcome:
         return _outcome(solve(options_of(setting)))
 
     current = (options.tolerance, options.angle_tolerance)
@@ -139,14 +139,14 @@ def _compared(solved: TakeIk) -> list[tuple[int, int, FloatArray]]:
     return found
 
 
-def _outcome(solved: TakeIk) -> Outcome:
+def _outcome(solved: TakeIk) -> TrialOutcome:
     """Return where the effectors are, and what they miss."""
     take, compared = solved.take, _compared(solved)
     joints = [joint for _, joint, _ in compared]
     offsets = np.array([offset for _, _, offset in compared])
     world = take.world()
     turned = np.einsum("fpab,pb->fpa", world.linear[:, joints], offsets)
-    shots = [Shot(points) for points in world.positions[:, joints] + turned]
+    shots = [Snapshot(points) for points in world.positions[:, joints] + turned]
     misses = np.where(solved.asked, solved.misses, 0.0)
     reached = [status is IkStatus.CONVERGED for status in solved.statuses]
     figures = {
@@ -155,4 +155,4 @@ def _outcome(solved: TakeIk) -> Outcome:
         Figure.REACHED: float(np.mean(reached)),
     }
     steps = int(solved.iterations.sum())
-    return Outcome(solved.seconds, steps, shots, figures=figures)
+    return TrialOutcome(solved.seconds, steps, shots, figures=figures)

@@ -34,10 +34,10 @@ from animtool.sim.trials.trial import (
     COARSER,
     FINER,
     Figure,
-    Outcome,
     Setting,
-    Shot,
+    Snapshot,
     Trial,
+    TrialOutcome,
 )
 from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
 from animtool.systems.attach.settings import SimulateOptions
@@ -219,14 +219,14 @@ def _attach_trial(
         counts = dict.fromkeys(steps)
         return [Setting.of(METHOD, rate=count * frame_rate) for count in counts]
 
-    def run(setting: Setting) -> Outcome:
+    def run(setting: Setting) -> TrialOutcome:
         began = time.perf_counter()
         motion, report = passed(take.motion, rate=setting["rate"])
         seconds = time.perf_counter() - began
         points = _attached(take.rig, body, motion.select(frames))
-        shots = [Shot(each) for each in points]
+        shots = [Snapshot(each) for each in points]
         sound = bool(np.isfinite(points).all())
-        return Outcome(
+        return TrialOutcome(
             seconds,
             report["steps"] * motion.frames,
             shots,

@@ -34,12 +34,12 @@ from animtool.scene.bake.reading import Source, source_file
 from animtool.scene.sources.open import OpenTake, source_stem
 from animtool.sim.trials.trial import (
     CostMeasure,
-    Distances,
     ErrorMeasure,
-    Outcome,
+    PointDistances,
     Setting,
-    Shot,
+    Snapshot,
     Trial,
+    TrialOutcome,
     extent_of,
 )
 from animtool.usd.rigs.skinned import played_world
@@ -125,7 +125,7 @@ class _Known:
 
     rig: Rig
     seconds: FloatArray
-    shots: list[Shot]
+    shots: list[Snapshot]
 
     @staticmethod
     def of(take: Take, rate: Fraction, *, curved: bool) -> _Known:
@@ -153,11 +153,11 @@ class _Known:
         return f"{self.rig.names[point // each]} at {self.seconds[shot]:.2f} s"
 
 
-def _shots(rig: Rig, world: WorldTransforms) -> list[Shot]:
+def _shots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
     """Return the points that joints carry, for each instant."""
     attached = attached_points(rig, SHELL)
     return [
-        Shot(
+        Snapshot(
             (place[:, None] + np.einsum("jab,jpb->jpa", turn, attached)).reshape(-1, 3)
         )
         for place, turn in zip(world.positions, world.linear, strict=True)
@@ -192,9 +192,9 @@ def _samples(
             return replace(plain, fps=by_label[named["fps"]])
         return replace(plain, fps=requested.fps, reduce=named["reduce"])
 
-    def run(setting: Setting) -> Outcome:
+    def run(setting: Setting) -> TrialOutcome:
         if setting == SOURCE:
-            return Outcome(0.0, take.clock.count, known.shots)
+            return TrialOutcome(0.0, take.clock.count, known.shots)
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "take.usdc"
             began = time.perf_counter()
@@ -203,7 +203,7 @@ def _samples(
             codes = float(report.start) + known.seconds * float(report.fps)
             world = played_world(output, codes)
         shots = _shots(known.rig, world)
-        return Outcome(seconds, report.samples, shots, bytes=report.bytes)
+        return TrialOutcome(seconds, report.samples, shots, bytes=report.bytes)
 
     def write(setting: Setting, output: Path) -> None:
         _bake(opened(), output, options_of(setting))
@@ -269,16 +269,16 @@ def _bake(source: Source, output: Path, options: BakeOptions) -> _Baked:
 def _keys(path: Path, take: Take, others: dict[str, float]) -> Trial:
     """Return ways to write a take as keys of a clip."""
 
-    def run(setting: Setting) -> Outcome:
+    def run(setting: Setting) -> TrialOutcome:
         if setting == SOURCE:
-            return Outcome(0.0, take.clock.count, [Shot(np.zeros((0, 3)))])
+            return TrialOutcome(0.0, take.clock.count, [Snapshot(np.zeros((0, 3)))])
         began = time.perf_counter()
         reduction = reduce_motion(take, setting["reduce"], joint_tolerances=others)
         seconds = time.perf_counter() - began
         at = reduction.frame / float(take.clock.rate)
-        error = Distances(reduction.error, reduction.error, reduction.error)
+        error = PointDistances(reduction.error, reduction.error, reduction.error)
         where = f"{reduction.joint} at {at:.2f} s"
-        return Outcome(seconds, reduction.keys, [], error=error, worst=where)
+        return TrialOutcome(seconds, reduction.keys, [], error=error, worst=where)
 
     usual = parse_length(KEY_TOLERANCE)
     tolerances = sorted({*_tolerances(take.rig), usual}, reverse=True)

@@ -1,4 +1,4 @@
-"""What particles run into: shapes, their poses over time, and what contact does."""
+"""Colliders: shapes, their poses over time, and collision of particles with them."""
 
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider, Poses

@@ -1,4 +1,4 @@
-"""Rigid bodies that another simulation moves, and what pushes them."""
+"""Rigid bodies of another simulation as colliders, and impulses on them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from animtool.sim.colliders.collider import Collider
 
 
 class Pusher(Protocol):
-    """What pushes bodies of another system at the ends of its steps."""
+    """A system that applies impulses to another system's bodies after its steps."""
 
     def advance(self, t: float) -> object:
-        """Take all whole steps that end at a time [s] or before."""
+        """Take all full steps that end at or before a time [s]."""
 
 
 class MovingBodies(Protocol):
-    """Bodies of another simulation, as one runs into them."""
+    """Bodies of another simulation, as colliders."""
 
     colliders: Sequence[Collider]
     """Their C shapes, each in its own frame."""
@@ -38,7 +38,7 @@ class MovingBodies(Protocol):
         """Return poses of the shapes ``(C, 2, 7)`` at both ends of a step [s]."""
 
     def inverse_masses(
-        self, t: float, owners: IntArray, points: FloatArray, ways: FloatArray
+        self, t: float, owners: IntArray, points: FloatArray, directions: FloatArray
     ) -> FloatArray:
         """Return inverse effective masses ``(K,)`` [1/kg] at a time [s].
 
@@ -54,18 +54,18 @@ class MovingBodies(Protocol):
         """
 
     def pushed_by(self, pusher: Pusher) -> None:
-        """Take note of who pushes them."""
+        """Register a system that applies impulses to the bodies."""
 
     def push(self, t: float, wrenches: Wrenches) -> None:
-        """Take impulses on its bodies at a time [s]."""
+        """Apply impulses to the bodies at a time [s]."""
 
     def forget(self, t: float) -> None:
-        """Take note that no time before one will be asked for [s]."""
+        """Release buffered states before a time [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wrenches:
-    """Impulses on bodies ``(count, 6)``: [N s], then moments about the origin [N m s].
+    """Impulses on bodies ``(count, 6)``: [N s], then angular, about the origin [N m s].
 
     Attributes:
         now: Their sum.
@@ -77,58 +77,58 @@ class Wrenches:
 
     @staticmethod
     def none(count: int) -> Wrenches:
-        """Return none on a number of bodies."""
+        """Return zero impulses on a number of bodies."""
         return Wrenches(np.zeros((count, 6)), np.zeros((count, 6)))
 
     @staticmethod
     def sum(several: Sequence[Wrenches]) -> Wrenches:
-        """Return several as one."""
+        """Return the sum of several."""
         return Wrenches(
             np.sum([one.now for one in several], axis=0),
             np.sum([one.moved for one in several], axis=0),
         )
 
     def after(self, span: float) -> Wrenches:
-        """Return them some time later [s]."""
+        """Return them as applied some time later [s]."""
         return Wrenches(self.now, self.moved + span * self.now)
 
 
 def owners_of(bodies: Sequence[MovingBodies], others: int) -> npt.NDArray[np.int32]:
-    """Return whose each collider is ``(C,)``, -1 for nobody; first come some others.
+    """Return the body of each collider ``(C,)``, -1 for none, after ``first`` others.
 
     Bodies of all systems are counted through.
     """
     owners, first = [np.full(others, -1)], 0
-    for own in bodies:
-        owners.append(np.where(own.owners >= 0, own.owners + first, -1))
-        first += own.count
+    for system in bodies:
+        owners.append(np.where(system.owners >= 0, system.owners + first, -1))
+        first += system.count
     return np.concatenate(owners).astype(np.int32)
 
 
 def pushed_rows(bodies: Sequence[MovingBodies], t0: float, t1: float) -> FloatArray:
-    """Return bodies over a step [s], as kernels take those that they push ``(B, 13)``.
+    """Return the kernel's table of bodies that a step [s] can push ``(B, 13)``.
 
     Inverse masses [1/kg], inverse inertias (xx, yy, zz, xy, xz, yz), and centres of
     mass at both ends [m].
     """
     rows = [np.zeros((0, 13))]
-    for own in bodies:
-        if own.count:
-            centres, eases = own.inertias(t0, begins=True)
-            ends, _ = own.inertias(t1)
+    for system in bodies:
+        if system.count:
+            centres, eases = system.inertias(t0, begins=True)
+            ends, _ = system.inertias(t1)
             six = eases[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-            masses = 1 / own.masses[:, None]
+            masses = 1 / system.masses[:, None]
             rows.append(np.concatenate([masses, six, centres, ends], axis=1))
     return np.concatenate(rows)
 
 
 def by_system(bodies: Sequence[MovingBodies], pushes: FloatArray) -> list[FloatArray]:
-    """Return what bodies were pushed by ``(2, B, 6)``, system by system."""
-    ends = np.cumsum([own.count for own in bodies])
+    """Return impulses on bodies ``(2, B, 6)``, split by system."""
+    ends = np.cumsum([system.count for system in bodies])
     return np.split(pushes, ends[:-1], axis=1) if bodies else []
 
 
-def share_impulses(
+def exchange_impulses(
     bodies: MovingBodies,
     t: float,
     shapes: IntArray,
@@ -136,16 +136,16 @@ def share_impulses(
     met: FloatArray,
     masses: FloatArray,
 ) -> tuple[FloatArray, Wrenches]:
-    """Let bodies take what points lose to them.
+    """Transfer the momentum that points lose in contacts to the bodies.
 
-    A contact that takes a body for immovable changes the velocity of a point by d. Both
-    are changed so that they part as fast as the point would from that: by a share of d,
-    and of the way that comes of it since the contact. Points that meet a body at once
-    have a part of its mass each, so that no energy comes in (Tonge, Benevolenski and
-    Voroshilov 2012, "Mass splitting for jitter-free parallel rigid body simulation").
+    A contact with an immovable body changes a point's velocity by d. With a movable
+    body both change so that they separate at the same speed: the point by a fraction
+    of d, and of the displacement since the contact. Simultaneous contacts with a body
+    share its mass, so that no energy is gained (Tonge, Benevolenski and Voroshilov
+    2012, "Mass splitting for jitter-free parallel rigid body simulation").
 
     Args:
-        bodies: What is met.
+        bodies: The bodies.
         t: When [s].
         shapes: Number of the shape that each point met, below 0 for none ``(N,)``.
         free: Positions, then velocities without contacts ``(2, N, 3)``.
@@ -163,16 +163,16 @@ def share_impulses(
     if not len(rows):
         return met, wrenches
     owners, change, size = owners[rows], change[rows], size[rows]
-    ways, way = change / size[:, None], met[0, rows] - free[0, rows]
-    since = np.maximum((way * ways).sum(axis=1) / size, 0.0)
+    directions, displacement = change / size[:, None], met[0, rows] - free[0, rows]
+    since = np.maximum((displacement * directions).sum(axis=1) / size, 0.0)
     points = met[0, rows] - since[:, None] * met[1, rows]
     several = np.bincount(owners, minlength=bodies.count)[owners]
-    own = 1.0 / masses[rows]
-    inverse = bodies.inverse_masses(t, owners, points, ways)
-    share = (own / (own + several * inverse))[:, None]
+    inverse_masses = 1.0 / masses[rows]
+    inverse = bodies.inverse_masses(t, owners, points, directions)
+    fraction = (inverse_masses / (inverse_masses + several * inverse))[:, None]
     ended = met.copy()
-    ended[:, rows] = free[:, rows] + share * np.stack([way, change])
-    impulses = -masses[rows, None] * share * change
+    ended[:, rows] = free[:, rows] + fraction * np.stack([displacement, change])
+    impulses = -masses[rows, None] * fraction * change
     pushes = np.concatenate([impulses, np.cross(points, impulses)], axis=1)
     np.add.at(wrenches.now, owners, pushes)
     np.add.at(wrenches.moved, owners, since[:, None] * pushes)

@@ -1,4 +1,4 @@
-"""Colliders: a shape, where it stands over time, and what touching it does."""
+"""A collider: a shape, its pose over time, and its contact material."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from animtool.sim.contact import Contact
 
 @dataclass(frozen=True)
 class Poses:
-    """World poses at times, straight and even between them and held outside.
+    """World poses at sample times, linear in between and constant outside.
 
     Attributes:
         times: Ascending ``(T,)`` [s]; of a fixed collider one.
@@ -38,11 +38,11 @@ class Poses:
         origin: ArrayLike = (0.0, 0.0, 0.0),
         rotation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
     ) -> Poses:
-        """Return the pose of what does not move."""
+        """Return a constant pose."""
         return Poses((0.0,), np.array([origin], float), np.array([rotation], float))
 
     @cached_property
-    def moments(self) -> FloatArray:
+    def sample_times(self) -> FloatArray:
         """Times as an array ``(T,)`` [s]."""
         return np.asarray(self.times, np.float64)
 
@@ -54,7 +54,7 @@ class Poses:
         return np.concatenate([origins, so3.align_signs(rotations)], axis=1)
 
     def at(self, t: float) -> FloatArray:
-        """Return origin and quaternion ``(7,)`` at a time [s]."""
+        """Return the origin and quaternion ``(7,)`` at a time [s]."""
         row: FloatArray = self.over(np.array([t]))[0]
         return row
 
@@ -65,31 +65,33 @@ class Poses:
         array([[0.5, 0.5, 0. , 0. , 0. , 0. , 1. ],
                [0. , 1. , 0. , 0. , 0. , 0. , 1. ]])
         """
-        moments, rows = self.moments, self.rows
-        last = np.searchsorted(moments, times, side="right") - 1
+        keys, rows = self.sample_times, self.rows
+        last = np.searchsorted(keys, times, side="right") - 1
         latest: FloatArray = rows[np.maximum(last, 0)]
-        within = (last >= 0) & (last + 1 < len(moments))
+        within = (last >= 0) & (last + 1 < len(keys))
         i = last[within]
         if len(i):
             before, after = rows[i], rows[i + 1]
-            share = (times[within] - moments[i]) / (moments[i + 1] - moments[i])
-            way = (after[:, :3] - before[:, :3]) * share[:, None]
-            latest[within, :3] = before[:, :3] + way
-            latest[within, 3:] = so3.slerp(before[:, 3:], after[:, 3:], share)
+            fraction = (times[within] - keys[i]) / (keys[i + 1] - keys[i])
+            displacement = (after[:, :3] - before[:, :3]) * fraction[:, None]
+            latest[within, :3] = before[:, :3] + displacement
+            latest[within, 3:] = so3.slerp(before[:, 3:], after[:, 3:], fraction)
         return latest
 
     def to_world(self, points: FloatArray) -> FloatArray:
-        """Return where A points of its frame are at the times ``(T, A, 3)`` [m]."""
+        """Return A local points in the world at the sample times ``(T, A, 3)`` [m]."""
         turned = so3.rotate(self.rows[:, None, 3:], points)
         return np.asarray(self.rows[:, None, :3] + turned, np.float64)
 
     def jumps(self, points: FloatArray, limit: float) -> BoolArray:
-        """Return between which times points go faster than a limit ``(T - 1,)``."""
-        way = np.linalg.norm(np.diff(self.to_world(points), axis=0), axis=2)
-        return np.asarray(way.max(axis=1) > limit * np.diff(self.moments), np.bool_)
+        """Return the intervals in which points exceed a speed limit ``(T - 1,)``."""
+        travelled = np.linalg.norm(np.diff(self.to_world(points), axis=0), axis=2)
+        return np.asarray(
+            travelled.max(axis=1) > limit * np.diff(self.sample_times), np.bool_
+        )
 
     def faults(self) -> list[str]:
-        """Return what makes no sense."""
+        """Return messages about invalid values."""
         times = np.asarray(self.times, np.float64)
         expected = {"origins": (self.origins, 3), "rotations": (self.rotations, 4)}
         if times.ndim != 1 or not len(times) or not (np.diff(times) > 0).all():
@@ -110,7 +112,7 @@ class Poses:
 @described
 @dataclass(frozen=True)
 class Collider(Contact, Checked):
-    """A shape, where it is over time, and what touching it does.
+    """A shape, its pose over time, and its contact material.
 
     Attributes:
         shape: In its own frame.
@@ -130,27 +132,29 @@ class Collider(Contact, Checked):
 
     @cached_property
     def jumps(self) -> BoolArray:
-        """Between which of its times it is put elsewhere ``(T - 1,)``."""
+        """The intervals between samples in which it teleports ``(T - 1,)``."""
         return self.poses.jumps(self.shape.anchors(), self.speed_limit)
 
     @property
     def speed(self) -> float:
-        """How fast it goes at most, jumps apart [m/s]."""
-        places = self.poses.to_world(self.shape.anchors())
-        ways = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1, initial=0.0)
-        speeds = ways / np.diff(self.poses.moments)
+        """Its highest speed, teleports excluded [m/s]."""
+        positions = self.poses.to_world(self.shape.anchors())
+        travelled = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(
+            axis=1, initial=0.0
+        )
+        speeds = travelled / np.diff(self.poses.sample_times)
         return float(speeds[~self.jumps].max(initial=0.0))
 
     def volume(self) -> Collider:
-        """Return it with an inside: a mesh as the skin of a volume."""
+        """Return it as a solid: a mesh is then closed."""
         if not isinstance(self.shape, Mesh) or self.shape.closed:
             return self
         return replace(self, shape=replace(self.shape, closed=True))
 
     def pose(self, t: float) -> FloatArray:
-        """Return its pose ``(7,)`` at a time [s]; on a jump, the one before."""
-        moments = self.poses.moments
-        i = int(np.searchsorted(moments, t, side="right")) - 1
+        """Return its pose ``(7,)`` at a time [s]; during a teleport, the one before."""
+        keys = self.poses.sample_times
+        i = int(np.searchsorted(keys, t, side="right")) - 1
         if 0 <= i < len(self.jumps) and self.jumps[i]:
             row: FloatArray = self.poses.rows[i]
             return row
@@ -163,11 +167,11 @@ class Collider(Contact, Checked):
         return np.stack([self.pose(t0), self.pose(t1)])
 
     def _jumped(self, t0: float, t1: float) -> bool:
-        arrivals = self.poses.moments[1:][self.jumps]
+        arrivals = self.poses.sample_times[1:][self.jumps]
         return bool(((arrivals > t0) & (arrivals <= t1)).any())
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return what of it makes no sense: an option, and why."""
+        """Return invalid options, each with a message."""
         faults = [("shape", message) for message in self.shape.faults()]
         faults += [("poses", message) for message in self.poses.faults()]
         return faults + super().problems()

@@ -1,4 +1,4 @@
-"""The end of a step of particles among colliders."""
+"""Collision of particles with colliders at the end of a step."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _NO_MESH: tuple[Any, ...] = (
 
 
 class Touch(IntEnum):
-    """How a particle met colliders in a step.
+    """The kind of contact a particle had in a step.
 
     Attributes:
         NONE: Not at all.
@@ -55,7 +55,7 @@ class Touch(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
-    """What particles met in a step, the last of it.
+    """The last contact of each particle in a step.
 
     Attributes:
         colliders: Index of the collider ``(N,)``, those of bodies behind the others and
@@ -70,13 +70,13 @@ class Contacts:
 
     @property
     def any(self) -> BoolArray:
-        """Whether each particle met a collider ``(N,)``."""
+        """Whether each particle touched a collider ``(N,)``."""
         return self.colliders >= 0
 
 
 @dataclass(frozen=True, slots=True)
 class Collided:
-    """Particles at the end of a step.
+    """Particles at the end of a step, after contact.
 
     Attributes:
         points: ``(N, 3)`` [m].
@@ -91,7 +91,7 @@ class Collided:
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """C colliders as seen from N points.
+    """Distances, normals and velocities of C colliders at N points.
 
     Attributes:
         distances: From the surfaces less the margins, negative inside ``(C, N)`` [m].
@@ -105,7 +105,7 @@ class Samples:
 
 
 class Colliders(Sequence[Collider]):
-    """Colliders made ready to be asked many times.
+    """A set of colliders, prepared for repeated queries.
 
     Attributes:
         sheets: Surfaces that change their shape, which are no members.
@@ -125,8 +125,11 @@ class Colliders(Sequence[Collider]):
         self._colliders = tuple(colliders)
         self.sheets = tuple(sheets)
         self.bodies = tuple(bodies)
-        # All that is rigid, as kernels number it.
-        rigid = [*self._colliders, *(one for own in bodies for one in own.colliders)]
+        # All rigid colliders, in the kernels' numbering.
+        rigid = [
+            *self._colliders,
+            *(one for system in bodies for one in system.colliders),
+        ]
         self.rigid = len(rigid)
         self.surfaces = Surfaces(self.sheets)
         faults = [
@@ -155,24 +158,24 @@ class Colliders(Sequence[Collider]):
             [np.stack([c.poses.rows[0]] * 2) for c in rigid]
         ).reshape(-1, 2, 7)
         self._moving = [
-            i for i, c in enumerate(self._colliders) if len(c.poses.moments) > 1
+            i for i, c in enumerate(self._colliders) if len(c.poses.sample_times) > 1
         ]
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of colliders."""
         return len(self._colliders)
 
     @property
     def active(self) -> bool:
-        """Whether there is anything to run into."""
+        """Whether there are any."""
         return bool(self.rigid or self.sheets)
 
     def __getitem__(self, index: Any) -> Any:
-        """Return one, or some."""
+        """Return one, or a subset."""
         return self._colliders[index]
 
     def arrays(self, t0: float, t1: float) -> tuple[Any, ...]:
-        """Return what kernels take for a step between two times [s]."""
+        """Return the kernel's arrays for a step between two times [s]."""
         poses = self._poses.copy()
         for i in self._moving:
             poses[i] = self._colliders[i].ends(t0, t1)
@@ -181,40 +184,40 @@ class Colliders(Sequence[Collider]):
 
     def body_ends(self, t0: float, t1: float) -> FloatArray:
         """Return poses ``(B, 2, 7)`` of bodies at both ends of a step [s]."""
-        ends = [own.ends(t0, t1) for own in self.bodies]
+        ends = [system.ends(t0, t1) for system in self.bodies]
         return np.concatenate([np.zeros((0, 2, 7)), *ends])
 
     def sample(self, points: ArrayLike, t0: float, t1: float | None = None) -> Samples:
-        """Look at the colliders from points ``(N, 3)`` at a time [s].
+        """Sample signed distances at points ``(N, 3)`` and a time [s].
 
         Velocities are those of the step that begins then.
         """
-        places = as_floats(points, ("N", 3), "points")
+        positions = as_floats(points, ("N", 3), "points")
         end = t0 if t1 is None else t1
         return Samples(
-            *_kernels.sample_colliders(self.arrays(t0, end), places, 0.0, end - t0)
+            *_kernels.sample_colliders(self.arrays(t0, end), positions, 0.0, end - t0)
         )
 
     @cached_property
     def volumes(self) -> Colliders:
-        """These, with an inside of all meshes that are watertight."""
-        own = [
+        """The same colliders, with watertight meshes as solids."""
+        volumes = [
             one.volume()
             if isinstance(one.shape, Mesh) and one.shape.watertight
             else one
             for one in self
         ]
-        if all(a is b for a, b in zip(own, self, strict=True)):
+        if all(a is b for a, b in zip(volumes, self, strict=True)):
             return self
-        return Colliders(own, self.sheets, self.bodies)
+        return Colliders(volumes, self.sheets, self.bodies)
 
     @property
     def fastest(self) -> float:
-        """Speed of the fastest [m/s]; where one is put elsewhere it has none.
+        """The highest collider speed [m/s]; teleports do not count.
 
         Of surfaces and bodies so far.
         """
-        moving = (own.fastest for own in self.bodies)
+        moving = (system.fastest for system in self.bodies)
         return max(self._fastest, self.surfaces.fastest, *moving)
 
     @cached_property
@@ -222,7 +225,7 @@ class Colliders(Sequence[Collider]):
         return max((collider.speed for collider in self._colliders), default=0.0)
 
     def notices(self) -> list[Fault]:
-        """Return a warning for each time that one is put elsewhere (SIM120).
+        """Return a warning for each teleport (SIM120).
 
         Of surfaces, so far.
         """
@@ -237,14 +240,14 @@ class Colliders(Sequence[Collider]):
 
 
 def _side(collider: Collider) -> int:
-    """Return from where it is met: 0 from outside, 1 from inside, 2 from both sides."""
+    """Return the side it collides on: 0 outside, 1 inside, 2 both."""
     if collider.container:
         return 1
     return 2 if isinstance(collider.shape, Mesh) and not collider.shape.closed else 0
 
 
 def _jump(collider: Collider, where: str, k: int) -> Fault:
-    speed, when = collider.speed_limit, collider.poses.moments[k + 1]
+    speed, when = collider.speed_limit, collider.poses.sample_times[k + 1]
     message = (
         f"it moves faster than {speed:g} m/s until {when:g} s: it collides with nothing"
     )
@@ -262,7 +265,7 @@ def collide(
     radii: ArrayLike = 0.0,
     begins: ArrayLike | None = None,
 ) -> Collided:
-    """Return where colliders let a step of particles end.
+    """Return particles after contact at the end of a step.
 
     Paths are parabolas from the step's start to its end, so that nothing is passed
     through however long the step is. A particle bounces at the moment of contact and
@@ -291,18 +294,20 @@ def collide(
     ([[0.0, 0.5, 0.0]], [[0.0, 1.0, 0.0]])
     """
     ready = colliders if isinstance(colliders, Colliders) else Colliders(colliders)
-    places = as_floats(points, ("N", 3), "points")
-    after = np.stack([places, as_floats(velocities, (len(places), 3), "velocities")])
-    start = as_floats(before, (2, len(places), 3), "before")
-    sizes = np.ascontiguousarray(np.broadcast_to(radii, len(places)), np.float64)
-    late = np.zeros(len(places)) if begins is None else np.subtract(begins, t0)
-    held = _hold_at_sheets(ready, start, after, (t0, t1), sizes, late)
+    positions = as_floats(points, ("N", 3), "points")
+    after = np.stack(
+        [positions, as_floats(velocities, (len(positions), 3), "velocities")]
+    )
+    start = as_floats(before, (2, len(positions), 3), "before")
+    sizes = np.ascontiguousarray(np.broadcast_to(radii, len(positions)), np.float64)
+    late = np.zeros(len(positions)) if begins is None else np.subtract(begins, t0)
+    at_sheets = _hold_at_sheets(ready, start, after, (t0, t1), sizes, late)
     state, touches, normals = _kernels.collide_particles(
         ready.arrays(t0, t1), start, after, sizes, late, t1 - t0
     )
-    for rows, touched, ways in held:
+    for rows, touched, directions in at_sheets:
         only = touches[rows, 0] < 0
-        touches[rows[only]], normals[rows[only]] = touched[only], ways[only]
+        touches[rows[only]], normals[rows[only]] = touched[only], directions[only]
     contacts, touched = touches.T.copy()
     return Collided(state[0], state[1], Contacts(contacts, touched, normals))
 
@@ -315,7 +320,7 @@ def _hold_at_sheets(
     sizes: FloatArray,
     late: FloatArray,
 ) -> list[tuple[IntArray, IntArray, FloatArray]]:
-    """Bring the end of a step to where sheets let it be; return who touched them.
+    """Stop particles at sheets in place; return which ones touched them.
 
     What is rigid comes after them: particles between both are held by that.
     """
@@ -345,7 +350,7 @@ def _hold_at_sheets(
 
 
 def _meshes(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:
-    """Return the arrays of all meshes together, and each shape's node."""
+    """Return the arrays of all meshes joined, and the tree node of each shape."""
     parts = [_NO_MESH]
     roots, shift = [], np.zeros(3, np.int32)
     for shape in shapes:
@@ -358,9 +363,9 @@ def _meshes(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:
 
 
 def _mesh(shape: Mesh, points: int, triangles: int, nodes: int) -> tuple[Any, ...]:
-    """Return the arrays of a mesh behind others of so many points and the rest."""
-    places, corners = shape.welded()
-    order, by_corner, by_edge, bounds, tree = _kernels.build_mesh_tree(places, corners)
+    """Return a mesh's arrays, numbered after those of the meshes before it."""
+    welded, corners = shape.welded()
+    order, by_corner, by_edge, bounds, tree = _kernels.build_mesh_tree(welded, corners)
     leaf = tree[:, :1] < 0
     tree = np.where(leaf, tree - [triangles, 0], tree + nodes).astype(np.int32)
-    return places, order + np.int32(points), by_corner, by_edge, bounds, tree
+    return welded, order + np.int32(points), by_corner, by_edge, bounds, tree

@@ -1,4 +1,4 @@
-"""Colliders that joints carry."""
+"""Colliders that a rig's joints carry."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.sim.colliders.shapes import Capsule
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capsules:
-    """C capsules that joints carry.
+    """C capsules attached to joints.
 
     Attributes:
         joints: What carries each ``(C,)``.
@@ -45,15 +45,15 @@ class Capsules:
 
     @staticmethod
     def none() -> Capsules:
-        """Return none."""
+        """Return an empty set."""
         return Capsules(np.zeros(0, np.int64), np.zeros((0, 2, 3)), np.zeros(0))
 
     def select(self, kept: BoolArray) -> Capsules:
-        """Return those that are kept ``(C,)``."""
+        """Return the selected ones ``(C,)``."""
         return Capsules(self.joints[kept], self.ends[kept], self.radii[kept])
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of capsules."""
         return len(self.joints)
 
     def placed(self, world: WorldTransforms) -> FloatArray:
@@ -63,16 +63,16 @@ class Capsules:
         return np.asarray(turned + world.positions[:, self.joints, None])
 
     def turned(self, world: WorldTransforms) -> tuple[FloatArray, FloatArray]:
-        """Return poses of the joints, and the ends as the first of them scales these.
+        """Return poses of the joints, and ends scaled as in the first pose.
 
         Returns:
             Origins and quaternions ``(K, C, 7)``; ends in those frames ``(C, 2, 3)``.
         """
         linear = world.linear[:, self.joints]
-        turns = so3.align_signs(so3.split_scale(linear)[0])
-        poses = np.concatenate([world.positions[:, self.joints], turns], axis=-1)
+        rotations = so3.align_signs(so3.split_scale(linear)[0])
+        poses = np.concatenate([world.positions[:, self.joints], rotations], axis=-1)
         ends = (linear[0, :, None] * self.ends[:, :, None]).sum(axis=-1)
-        return poses, so3.rotate(so3.conjugate(turns[0])[:, None], ends)
+        return poses, so3.rotate(so3.conjugate(rotations[0])[:, None], ends)
 
     def sizes(self, world: WorldTransforms) -> FloatArray:
         """Return the radii in the world ``(C,)`` [m], as the first pose scales them."""
@@ -81,7 +81,7 @@ class Capsules:
 
 
 def joint_poses(world: WorldTransforms, joint: int, times: ArrayLike) -> Poses:
-    """Return where a joint is over time.
+    """Return the poses of a joint over time.
 
     Args:
         world: Of all joints of a rig over F frames.
@@ -97,7 +97,7 @@ def rig_colliders(
     times: ArrayLike,
     like: Collider | None = None,
 ) -> list[Collider]:
-    """Return the colliders of a rig in motion, named after their joints.
+    """Return the colliders of a moving rig, named after their joints.
 
     They have the size that the first frame gives them.
 

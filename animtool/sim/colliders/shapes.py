@@ -1,4 +1,4 @@
-"""Shapes that particles run into, in their own frames."""
+"""Collider shapes, in their local frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """All that is on one side of a plane.
+    """A half-space below a plane.
 
     Attributes:
         normal: Out of it, of any length above 0.
@@ -31,15 +31,15 @@ class Plane:
     offset: float = 0.0
 
     def sizes(self) -> FloatArray:
-        """Return unit normal and offset ``(4,)``."""
+        """Return the unit normal and offset ``(4,)``."""
         return np.array([*_unit(self.normal), self.offset], np.float64)
 
     def anchors(self) -> FloatArray:
-        """Return points that tell how fast it moves ``(1, 3)`` [m]."""
+        """Return points to measure its speed at ``(1, 3)`` [m]."""
         return _unit(self.normal)[None] * self.offset
 
     def faults(self) -> list[str]:
-        """Return what makes no sense."""
+        """Return messages about invalid values."""
         faults = [] if np.isfinite(self.offset) else ["its offset is not finite"]
         return faults + _direction_faults("normal", self.normal)
 
@@ -61,17 +61,17 @@ class Sphere:
         return np.array([*self.centre, self.radius], np.float64)
 
     def anchors(self) -> FloatArray:
-        """Return points that tell how fast it moves ``(1, 3)`` [m]."""
+        """Return points to measure its speed at ``(1, 3)`` [m]."""
         return np.array([self.centre], np.float64)
 
     def faults(self) -> list[str]:
-        """Return what makes no sense."""
+        """Return messages about invalid values."""
         return _range_faults(self) + _point_faults(self.centre)
 
 
 @dataclass(frozen=True, slots=True)
 class Capsule:
-    """What is within a radius of a segment.
+    """All points within a radius of a segment.
 
     Attributes:
         radius: [m].
@@ -90,20 +90,20 @@ class Capsule:
         return np.append(self.anchors().ravel(), self.radius)
 
     def anchors(self) -> FloatArray:
-        """Return points that tell how fast it moves ``(2, 3)`` [m]."""
+        """Return points to measure its speed at ``(2, 3)`` [m]."""
         half = _unit(self.axis) * (self.length / 2)
         centre = np.asarray(self.centre, np.float64)
         return np.stack([centre - half, centre + half])
 
     def faults(self) -> list[str]:
-        """Return what makes no sense."""
+        """Return messages about invalid values."""
         faults = _range_faults(self) + _point_faults(self.centre)
         return faults + _direction_faults("axis", self.axis)
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A box about the origin of its frame.
+    """A box centred at the origin of its frame.
 
     Attributes:
         size: Its three sides, whole [m].
@@ -112,16 +112,16 @@ class Box:
     size: Vector
 
     def sizes(self) -> FloatArray:
-        """Return half the sides ``(3,)``."""
+        """Return the half extents ``(3,)``."""
         return np.asarray(self.size, np.float64) / 2
 
     def anchors(self) -> FloatArray:
-        """Return points that tell how fast it moves ``(8, 3)`` [m]."""
+        """Return points to measure its speed at ``(8, 3)`` [m]."""
         corners = np.array(list(product((-1.0, 1.0), repeat=3)), np.float64)
         return np.asarray(corners * self.sizes(), np.float64)
 
     def faults(self) -> list[str]:
-        """Return what makes no sense."""
+        """Return messages about invalid values."""
         if len(self.size) != 3:
             return [f"its size must be three numbers, not {len(self.size)}"]
         return _size_faults(self.size)
@@ -129,7 +129,7 @@ class Box:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles, met from both sides, or the skin of a volume.
+    """Triangles with two sides, or the surface of a solid.
 
     Points at one place are one, triangles without area are left out.
 
@@ -146,18 +146,18 @@ class Mesh:
     closed: bool = False
 
     def sizes(self) -> FloatArray:
-        """Return nothing: its arrays say it all."""
+        """Return an empty array; meshes have arrays of their triangles instead."""
         return np.zeros(0)
 
     def anchors(self) -> FloatArray:
-        """Return points that tell how fast it moves ``(8, 3)`` [m]."""
+        """Return points to measure its speed at ``(8, 3)`` [m]."""
         points = np.asarray(self.points, np.float64)
         low, high = points.min(axis=0), points.max(axis=0)
         corners = np.array(list(product((0.0, 1.0), repeat=3)))
         return np.asarray(low + corners * (high - low), np.float64)
 
     def welded(self) -> tuple[FloatArray, npt.NDArray[np.int32]]:
-        """Return points and triangles, without doubles and what has no area."""
+        """Return merged points and triangles, without degenerate ones."""
         points, same = np.unique(
             np.asarray(self.points, np.float64), axis=0, return_inverse=True
         )
@@ -167,7 +167,7 @@ class Mesh:
 
     @property
     def watertight(self) -> bool:
-        """Whether each of its sides is one of two triangles, which turn alike."""
+        """Whether each edge has two triangles of consistent winding."""
         corners = self.welded()[1].astype(np.int64)
         sides = np.concatenate([corners[:, [k, (k + 1) % 3]] for k in range(3)])
         size = np.array([corners.max(initial=0) + 1, 1])
@@ -175,7 +175,7 @@ class Mesh:
         return bool((there == back).all() and (np.diff(there) > 0).all())
 
     def faults(self) -> list[str]:
-        """Return what makes no sense."""
+        """Return messages about invalid values."""
         points = np.asarray(self.points, np.float64)
         triangles = np.asarray(self.triangles)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
@@ -190,14 +190,14 @@ class Mesh:
 
 
 def _have_area(points: FloatArray, triangles: ArrayLike) -> npt.NDArray[np.bool_]:
-    """Return which triangles ``(T, 3)`` have an area ``(T,)``."""
+    """Return which triangles ``(T, 3)`` are not degenerate ``(T,)``."""
     a, b, c = points[np.asarray(triangles, np.int64)].swapaxes(0, 1)
     return np.asarray(np.cross(b - a, c - a).any(axis=1), np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
 class HeightField:
-    """Heights over a rectangle about the origin, as a mesh that is met from above.
+    """Heights over a rectangle at the origin, a mesh with one side: the top.
 
     Attributes:
         size: Both sides of the rectangle, along x and z [m].
@@ -220,14 +220,14 @@ class HeightField:
         return Mesh(points.reshape(-1, 3), triangles, closed=True)
 
     def faults(self) -> list[str]:
-        """Return what makes no sense."""
+        """Return messages about invalid values."""
         if len(self.size) != 2:
             return [f"its size must be two numbers, not {len(self.size)}"]
         return _size_faults(self.size)
 
     @staticmethod
     def height_faults(heights: ArrayLike) -> list[str]:
-        """Return what makes no sense of heights."""
+        """Return messages about invalid heights."""
         shape = np.shape(heights)
         if len(shape) == 2 and min(shape) >= 2:
             return []
@@ -237,7 +237,7 @@ class HeightField:
 
 
 Shape: TypeAlias = Plane | Sphere | Capsule | Box | Mesh
-# By the names that files have for them; a height field becomes a mesh.
+# By their names in files; a height field becomes a mesh.
 SHAPES: dict[str, type[Any]] = {
     "box": Box,
     "capsule": Capsule,
@@ -249,7 +249,7 @@ SHAPES: dict[str, type[Any]] = {
 
 
 def bounds(shape: Any) -> FloatArray:
-    """Return the least and largest coordinates of a shape in its frame ``(2, 3)`` [m].
+    """Return a shape's lower and upper bounds in its frame ``(2, 3)`` [m].
 
     Of a shape that ends: no plane.
     """
@@ -275,8 +275,8 @@ def _range_faults(shape: Any) -> list[str]:
 
 
 def _size_faults(values: Sequence[float]) -> list[str]:
-    odd = [value for value in values if not 0 < value < np.inf]
-    return [f"its size must be above 0, not {value:g}" for value in odd[:1]]
+    invalid = [value for value in values if not 0 < value < np.inf]
+    return [f"its size must be above 0, not {value:g}" for value in invalid[:1]]
 
 
 def _point_faults(point: Vector) -> list[str]:

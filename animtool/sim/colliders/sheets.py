@@ -1,4 +1,4 @@
-"""Surfaces that change their shape, and contact with them."""
+"""Deforming surfaces, and contact of particles with them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.sim.contact import Material
 
 
 class SheetMotion(Protocol):
-    """Where a surface is over time; it does not feel what runs into it."""
+    """A surface over time; particles do not push it."""
 
     def points(self, t: float) -> FloatArray:
         """Return its points ``(N, 3)`` at a time [s] [m].
@@ -25,16 +25,16 @@ class SheetMotion(Protocol):
         """
 
     def triangles(self, t: float) -> IntArray:
-        """Return corners of its triangles ``(T, 3)`` at such a time."""
+        """Return the corners of its triangles ``(T, 3)`` at a time [s]."""
 
     def forget(self, t: float) -> None:
-        """Take note that no time before one will be asked for [s]."""
+        """Release buffered states before a time [s]."""
 
 
 @described
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet(Material, Checked):
-    """A surface in motion, and what touching it does.
+    """A deforming surface and its contact material.
 
     Particles meet it from both sides of its thickness.
 
@@ -55,12 +55,12 @@ class Sheet(Material, Checked):
     depenetration: Annotated[float, above(0, "SIM020")] = 1.0
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return what of it makes no sense: an option, and why."""
+        """Return invalid options, each with a message."""
         faults = Checked.problems(self)
         return [one for one in faults if one[0] == "radius"] or faults
 
     def collider(self, points: FloatArray, triangles: IntArray) -> Collider:
-        """Return it as it stands at a time, as a collider that rests.
+        """Return its shape at a time as a static collider.
 
         Args:
             points: ``(N, 3)`` [m].
@@ -80,7 +80,7 @@ class Sheet(Material, Checked):
 
 
 def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
-    """Return a closed mesh about a surface: both its sides, and its rim.
+    """Return a closed mesh around a surface: both sides and the rim.
 
     Args:
         points: ``(N, 3)`` [m].
@@ -100,7 +100,7 @@ def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
 
 
 def hull_points(points: FloatArray, triangles: IntArray, radius: float) -> FloatArray:
-    """Return the points of a hull: of the front, then of the back ``(2 N, 3)`` [m]."""
+    """Return a hull's points: the front's, then the back's ``(2 N, 3)`` [m]."""
     a, b, c = points[triangles].swapaxes(0, 1)
     across = np.cross(b - a, c - a)
     corners, weights = triangles.T.ravel(), np.tile(across, (3, 1)).T
@@ -112,7 +112,7 @@ def hull_points(points: FloatArray, triangles: IntArray, radius: float) -> Float
 
 
 def hull_faces(triangles: IntArray, count: int) -> IntArray:
-    """Return the triangles of a hull about a surface of so many points ``(M, 3)``."""
+    """Return the triangles of a hull around a surface of N points ``(M, 3)``."""
     sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     size = [count, 1]
     alone = ~np.isin(sides @ size, sides[:, ::-1] @ size)
@@ -125,9 +125,8 @@ def hull_faces(triangles: IntArray, count: int) -> IntArray:
     return np.concatenate([triangles, back, *rim])
 
 
-# From colliders at rest, a start and an end ``(2, N, 3)``, radii and times within a
-# step from when on particles are there, to where these end, whether they touch, and
-# how ``(N,)`` and ``(N, 3)``.
+# Maps static colliders, start and end states ``(2, N, 3)``, radii and spawn times
+# within the step to end states, contact kinds ``(N,)`` and normals ``(N, 3)``.
 Settle: TypeAlias = Callable[
     [Collider, FloatArray, FloatArray, FloatArray, FloatArray], Any
 ]
@@ -142,7 +141,7 @@ def collide_with_sheet(
     late: FloatArray,
     settle: Settle,
 ) -> tuple[IntArray, Any] | None:
-    """Return who may touch a sheet in a step, and how they end; None for nobody.
+    """Return the particles near a sheet and their end states; None if none.
 
     Each particle is seen from what of the sheet is nearest to it, which goes straight
     through the step: the sheet is then as it is at the end, and at rest.
@@ -169,12 +168,12 @@ def collide_with_sheet(
     if not len(near) or not len(triangles):
         return None
     velocity = _displacement(before[0, near], begin, end - begin, triangles) / (t1 - t0)
-    start, ahead = before[:, near].copy(), after[:, near].copy()
+    start, goal = before[:, near].copy(), after[:, near].copy()
     start[0] += velocity * (t1 - t0 - late[near])[:, None]
     start[1] -= velocity
-    ahead[1] -= velocity
+    goal[1] -= velocity
     collider = sheet.collider(end, triangles)
-    state, touches, normals = settle(collider, start, ahead, radii[near], late[near])
+    state, touches, normals = settle(collider, start, goal, radii[near], late[near])
     state[1] += velocity
     return near, (state, touches, normals)
 
@@ -186,10 +185,10 @@ def _within(
     goal: FloatArray,
     reach: FloatArray,
 ) -> BoolArray:
-    """Return whose way comes into the box of a sheet's ``(N,)``."""
+    """Return which paths enter the bounding box of a sheet ``(N,)``."""
     low = np.minimum(begin.min(axis=0), end.min(axis=0))
     high = np.maximum(begin.max(axis=0), end.max(axis=0))
-    # A path is a parabola, which leaves the box of its ends by no more than its length.
+    # A path is a parabola: it leaves its end points' box by at most its length.
     slack = reach[:, None] + np.linalg.norm(goal - start, axis=1, keepdims=True)
     above = np.maximum(start, goal) + slack >= low
     below = np.minimum(start, goal) - slack <= high
@@ -197,27 +196,30 @@ def _within(
 
 
 def _displacement(
-    points: FloatArray, places: FloatArray, ways: FloatArray, triangles: IntArray
+    points: FloatArray,
+    positions: FloatArray,
+    displacements: FloatArray,
+    triangles: IntArray,
 ) -> FloatArray:
-    """Return the ways that a surface goes where it is nearest to points ``(N, 3)``."""
+    """Return a surface's displacement at its nearest points ``(N, 3)``."""
     from scipy.spatial import cKDTree
 
     used = np.unique(triangles)
-    nearest = used[cKDTree(places[used]).query(points)[1]]
-    around = _around(triangles, len(places))[nearest]
+    nearest = used[cKDTree(positions[used]).query(points)[1]]
+    around = _around(triangles, len(positions))[nearest]
     corners = triangles[around]
-    a, b, c = (places[corners[..., k]] for k in range(3))
+    a, b, c = (positions[corners[..., k]] for k in range(3))
     shares = _shares(points[:, None], a, b, c)
-    displaced = np.einsum("ndk,ndkx->ndx", shares, places[corners])
+    displaced = np.einsum("ndk,ndkx->ndx", shares, positions[corners])
     off = np.linalg.norm(displaced - points[:, None], axis=2)
     off[around < 0] = np.inf
     best = off.argmin(axis=1)[:, None, None]
-    whole = np.einsum("ndk,ndkx->ndx", shares, ways[corners])
-    return np.asarray(np.take_along_axis(whole, best, axis=1)[:, 0])
+    candidates = np.einsum("ndk,ndkx->ndx", shares, displacements[corners])
+    return np.asarray(np.take_along_axis(candidates, best, axis=1)[:, 0])
 
 
 def _around(triangles: IntArray, count: int) -> IntArray:
-    """Return the triangles at each point ``(N, most)``, -1 where there are fewer."""
+    """Return the triangles around each point ``(N, most)``, padded with -1."""
     order = np.argsort(triangles.ravel(), kind="stable")
     corner, face = triangles.ravel()[order], order // 3
     firsts = np.searchsorted(corner, np.arange(count + 1))
@@ -229,7 +231,7 @@ def _around(triangles: IntArray, count: int) -> IntArray:
 def _shares(
     points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray
 ) -> FloatArray:
-    """Return what of each corner is in the point of a triangle below others."""
+    """Return barycentric weights of the nearest points of triangles."""
     ab, ac, ap = b - a, c - a, points - a
     d00, d01, d11 = ((u * v).sum(axis=-1) for u, v in ((ab, ab), (ab, ac), (ac, ac)))
     d20, d21 = (ap * ab).sum(axis=-1), (ap * ac).sum(axis=-1)

@@ -1,4 +1,4 @@
-"""Surfaces that change their shape, made ready for steps over cells of time."""
+"""Deforming surfaces, prepared for kernels that take many substeps."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from animtool.core.errors import Fault, warning
 from animtool.sim.colliders.sheets import Sheet, hull_faces, hull_points
 from animtool.sim.contact import SPEED_LIMIT
 
-# Where points are is asked for no more often than this [s]: between, they go straight.
+# Points are sampled at most this often [s], and interpolated in between.
 KNOT = 1 / 240
-# Share of a cell that whole numbers of them may be off.
+# Rounding tolerance of the cell count, as a fraction of a cell.
 ON_GRID = 1e-9
 
 
 class Surfaces:
-    """Sheets as kernels meet them that go through many steps at once.
+    """Sheets in the layout of kernels that take many substeps at once.
 
     Points at one place at the beginning are one; triangles stay as they are then.
 
@@ -43,7 +43,7 @@ class Surfaces:
     def over(
         self, origin: float, cell: float, index: int, cells: int
     ) -> list[tuple[Any, ...]]:
-        """Return what kernels take of them for some even cells of time.
+        """Return the kernel's arrays for an interval split into equal cells.
 
         Args:
             origin: Where the first of all cells begins [s].
@@ -70,9 +70,9 @@ class Surfaces:
     def _look(
         self, i: int, sheet: Sheet, points: FloatArray, knots: FloatArray
     ) -> None:
-        """Note how fast one goes, and when it is put elsewhere."""
-        ways = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
-        speeds = ways / np.diff(knots)
+        """Record a sheet's speed, and its teleports."""
+        travelled = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
+        speeds = travelled / np.diff(knots)
         jumps = speeds > SPEED_LIMIT
         self.fastest = max(self.fastest, float(speeds[~jumps].max(initial=0.0)))
         for when in knots[1:][jumps].tolist():
@@ -85,12 +85,12 @@ class Surfaces:
             self._jumps[i, when] = fault
 
     def notices(self) -> list[Fault]:
-        """Return a warning for each time so far that one is put elsewhere (SIM120)."""
+        """Return a warning for each teleport so far (SIM120)."""
         return list(self._jumps.values())
 
 
 class _Ready:
-    """A sheet with the tree that it had at the beginning.
+    """A sheet with its tree, built once at the start.
 
     Attributes:
         sheet: What it is made of.
@@ -103,7 +103,7 @@ class _Ready:
         self.sheet = sheet
         points = sheet.motion.points(origin)
         self._rows, self._triangles = _welded(points, sheet.motion.triangles(origin))
-        self._seen: tuple[FloatArray, FloatArray] | None = None
+        self._displaced: tuple[FloatArray, FloatArray] | None = None
         margin = sheet.radius if sheet.closed else 0.0
         self.numbers = (
             sheet.restitution, sheet.friction, margin, sheet.depenetration, SPEED_LIMIT,
@@ -118,16 +118,16 @@ class _Ready:
     def points(self, t: float) -> FloatArray:
         """Return its points at a time [s] [m]."""
         points = self.sheet.motion.points(t)
-        if self._seen is None or self._seen[0] is not points:
+        if self._displaced is None or self._displaced[0] is not points:
             displaced = np.ascontiguousarray(points[self._rows], np.float64)
             if not self.sheet.closed:
                 displaced = hull_points(displaced, self._triangles, self.sheet.radius)
-            self._seen = points, displaced
-        return self._seen[1]
+            self._displaced = points, displaced
+        return self._displaced[1]
 
 
 def _welded(points: FloatArray, triangles: IntArray) -> tuple[IntArray, IntArray]:
-    """Return which points are used, and triangles of these, without doubles.
+    """Return the used points, and triangles without degenerate ones.
 
     Points of a triangle that would lose its area by that stay: it may yet gain it.
     """
@@ -141,5 +141,5 @@ def _welded(points: FloatArray, triangles: IntArray) -> tuple[IntArray, IntArray
 
 
 def _pinched(triangles: IntArray) -> Any:
-    """Return whether corners of triangles are one ``(T,)``."""
+    """Return which triangles have two equal corners ``(T,)``."""
     return (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)

@@ -1,4 +1,4 @@
-"""Integrators: a file a family, and the table of their names."""
+"""Integrators: one module per family, and the table of names."""
 
 from animtool.sim.integrators.table import INTEGRATORS, find_integrator
 

@@ -1,4 +1,4 @@
-"""Methods that choose their steps: step doubling, a pair, and those of scipy.
+"""Adaptive methods: step doubling, an embedded pair, and SciPy's solvers.
 
 References:
     J. R. Dormand, P. J. Prince, A family of embedded Runge-Kutta formulae, Journal of
@@ -20,7 +20,7 @@ from animtool.sim.stability import rate_limit
 
 
 def doubled(base: Integrator) -> Integrator:
-    """Return step doubling with steps of another method.
+    """Return step doubling of a fixed-step method.
 
     What the two half steps miss is taken from how far the whole one is off, and added:
     so the order is one more than that of the other method.
@@ -40,14 +40,14 @@ def doubled(base: Integrator) -> Integrator:
     def both(
         equations: Equations, t: float, y: FloatArray, h: float, memory: object
     ) -> Step | None:
-        whole = step(equations, t, y, h, None)
+        full = step(equations, t, y, h, None)
         first = step(equations, t, y, h / 2, None)
-        if whole is None or first is None:
+        if full is None or first is None:
             return None
         second = step(equations, t + h / 2, first.state, h / 2, first.memory)
         if second is None:
             return None
-        error = gain * (second.state - whole.state)
+        error = gain * (second.state - full.state)
         return Step(second.state + error, error=error)
 
     return replace(
@@ -68,7 +68,7 @@ def doubled(base: Integrator) -> Integrator:
 
 
 def _growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
-    """Return by what two half steps with their correction grow; empty where unknown."""
+    """Return the growth polynomial of two half steps with correction, or empty."""
     if not base:
         return ()
     half = [c / 2**i for i, c in enumerate(base)]

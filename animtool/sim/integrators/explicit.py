@@ -1,4 +1,4 @@
-"""Explicit methods: Euler, its variants, and those of which a tableau says all.
+"""Explicit methods: Euler, its variants, and Runge-Kutta tableaus.
 
 The velocity at the end is ``v + h a``, so positions move by ``h v + h² a / 2``.
 
@@ -19,22 +19,22 @@ from animtool.sim.stability import jury_limit, rate_limit
 
 @dataclass(frozen=True, slots=True)
 class Tableau:
-    """An explicit method of S stages."""
+    """An explicit Runge-Kutta method of S stages."""
 
-    # Where in the step each stage is ``(S,)`` [1]; the first is 0.
+    # Stage times within the step ``(S,)`` [1]; the first is 0.
     nodes: tuple[float, ...]
     rows: tuple[tuple[float, ...], ...]  # weights of the stages before each, S tuples
-    weights: tuple[float, ...]  # of the stages in the step ``(S,)``
-    # Of the stages in the estimate of the error ``(S,)``; none of methods without one.
+    weights: tuple[float, ...]  # of the stages ``(S,)``
+    # Error weights ``(S,)``; empty without an embedded estimate.
     errors: tuple[float, ...] = ()
 
     def step(
         self, equations: Equations, t: float, y: FloatArray, h: float, memory: object
     ) -> Step:
-        """Return where a step leads; of every product, step times weight comes first.
+        """Return the state after a step; each product starts with step times weight.
 
-        A last stage at the step's end is the state itself, whose rate the next step
-        begins with.
+        A last stage at the step's end is the state itself; its rate is reused by the
+        next step.
         """
         rates: list[FloatArray] = []
         at = y
@@ -48,11 +48,11 @@ class Tableau:
 
     @property
     def first_as_last(self) -> bool:
-        """Whether the last stage is the state at the end of the step."""
+        """Whether the last stage is evaluated at the end of the step."""
         return self.rows[-1] + (0.0,) == self.weights
 
     def integrator(self, name: str, summary: str, order: int) -> Integrator:
-        """Return the method as an entry of the table; errors make it adaptive."""
+        """Return the method's table entry; error weights make it adaptive."""
         growth = self.growth()
         return Integrator(
             name,
@@ -67,7 +67,7 @@ class Tableau:
         )
 
     def growth(self) -> tuple[float, ...]:
-        """Return the polynomial R of which ``y' = λ y`` grows by R(h λ) a step.
+        """Return the stability polynomial R: ``y' = λ y`` grows by R(h λ) a step.
 
         >>> Tableau((0.0, 0.5), ((), (0.5,)), (0.0, 1.0)).growth()
         (1.0, 1.0, 0.5)
@@ -115,7 +115,7 @@ RK4 = Tableau(
 def modified_euler(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step:
-    """Return where a step along the mean of both velocities leads."""
+    """Return the state after a step along the mean of both velocities."""
     x, v = y
     after = v + h * equations.acceleration(t, x, v)
     return Step(np.array((x + (0.5 * h) * (v + after), after)))

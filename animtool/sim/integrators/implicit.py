@@ -1,4 +1,4 @@
-"""Implicit methods: Euler, the trapezoidal rule, the backward difference.
+"""Implicit methods: Euler, the trapezoidal rule, BDF2.
 
 References:
     E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 1996, V.1.
@@ -13,13 +13,13 @@ from animtool.sim.integrators.integrator import Integrator, Step
 from animtool.sim.newton import solve_stage
 from animtool.sim.stability import unlimited
 
-# Beyond it the difference of two unequal steps is not stable: 1 + √2 is the limit.
+# Above this ratio BDF2 with variable steps is unstable; the limit is 1 + √2.
 LARGEST_RATIO = 2.4
 
 
 @dataclass(frozen=True, slots=True)
 class Before:
-    """The step before: where it began and how long it was [s]."""
+    """The previous step: its start and its length [s]."""
 
     state: FloatArray
     h: float
@@ -28,7 +28,7 @@ class Before:
 def implicit_euler(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step | None:
-    """Return where a step along the rate at its end leads."""
+    """Return the state after a step along the rate at its end."""
     state = solve_stage(equations, t + h, y, y, h)
     return None if state is None else Step(state)
 
@@ -46,7 +46,7 @@ IMPLICIT_EULER = Integrator(
 def trapezoid(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step | None:
-    """Return where a step along the mean of the rates at both ends leads."""
+    """Return the state after a step along the mean of the rates at both ends."""
     base = y + (0.5 * h) * equations.rate(t, y)
     state = solve_stage(equations, t + h, base, y, 0.5 * h)
     return None if state is None else Step(state)
@@ -66,14 +66,14 @@ TRAPEZOID = Integrator(
 def bdf2(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step | None:
-    """Return where a step leads; the first, with none before it, as implicit Euler."""
+    """Return the state after a BDF2 step; the first step is implicit Euler."""
     base, scale = y, h
     known = memory if isinstance(memory, Before) else Before(y, 0.0)
     if known.h > 0 and known.state.shape == y.shape and h / known.h <= LARGEST_RATIO:
         ratio = h / known.h
-        share = 1 / (1 + 2 * ratio)
-        base = (share * (1 + ratio) ** 2) * y - (share * ratio**2) * known.state
-        scale = h * (1 + ratio) * share
+        weight = 1 / (1 + 2 * ratio)
+        base = (weight * (1 + ratio) ** 2) * y - (weight * ratio**2) * known.state
+        scale = h * (1 + ratio) * weight
     state = solve_stage(equations, t + h, base, y, scale)
     return None if state is None else Step(state, Before(y, h))
 

@@ -1,4 +1,4 @@
-"""What an integrator is: one entry of the table."""
+"""An entry of the table of integrators."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.sim.stability import Limit
 
 
 class Form(StrEnum):
-    """What of a system a method uses.
+    """The form of equations that a method needs.
 
     Attributes:
         RATES: Rates of the whole state; any system has them.
@@ -25,7 +25,7 @@ class Form(StrEnum):
 
 
 class Control(StrEnum):
-    """Who chooses the steps.
+    """How the step size is chosen.
 
     Attributes:
         FIXED: The caller.
@@ -40,18 +40,17 @@ class Control(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Where a step leads."""
+    """The result of a step."""
 
-    state: FloatArray  # after it
-    memory: object = None  # what the method takes along to the next step
-    # Estimate of the error of this step, of the state's shape; None of methods that
-    # have none.
+    state: FloatArray  # after the step
+    memory: object = None  # passed to the next step
+    # Error estimate in the state's shape; None without an estimate.
     error: FloatArray | None = None
 
 
-# From equations, time [s], state, step [s] and memory (None at the start and where
-# the state was changed from outside) to where it leads; None where the equations of
-# an implicit step were not solved.
+# Maps equations, time [s], state, step [s] and memory to the result. Memory is None at
+# the start and after the state was changed from outside; the result is None if an
+# implicit step did not converge.
 StepFunction: TypeAlias = Callable[
     [Equations, float, FloatArray, float, object], Step | None
 ]
@@ -59,7 +58,7 @@ StepFunction: TypeAlias = Callable[
 
 @dataclass(frozen=True, slots=True)
 class Integrator:
-    """One entry of the table of integrators.
+    """An entry of the table of integrators.
 
     Attributes:
         name: As options write it.

@@ -23,7 +23,7 @@ from animtool.sim.stability import jury_limit
 def symplectic_euler(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step:
-    """Return where a step leads: the velocity first, then along the new one."""
+    """Return the state after a step: velocity first, then position."""
     x, v = y
     after = v + h * equations.acceleration(t, x, v)
     return Step(np.array((x + h * after, after)))
@@ -44,7 +44,7 @@ SYMPLECTIC_EULER = Integrator(
 def velocity_verlet(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step:
-    """Return where a step leads.
+    """Return the state after a step: half a kick, a drift, half a kick.
 
     The second kick's force is the next step's first one, unless it depends on the
     velocity, which that kick changes.
@@ -78,7 +78,7 @@ VELOCITY_VERLET = Integrator(
 def position_verlet(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step:
-    """Return where a step leads: half a drift, a kick, half a drift."""
+    """Return the state after a step: half a drift, a kick, half a drift."""
     x, v = y
     halfway = x + (0.5 * h) * v
     after = v + h * equations.acceleration(t + 0.5 * h, halfway, v)

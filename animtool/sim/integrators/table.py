@@ -1,4 +1,4 @@
-"""The table of integrators: a file a family, imported when used."""
+"""The table of integrators: imported when first used."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.sim.integrators.integrator import Integrator
 __all__ = ["INTEGRATORS", "find_integrator"]
 
 _FOLDER = "animtool.sim.integrators"
-# The file of each, in the order in which they are listed: from the simplest on.
+# The module of each, listed from simple to complex.
 _FAMILIES = {
     "euler": "explicit",
     "modified_euler": "explicit",
@@ -36,7 +36,7 @@ INTEGRATORS: dict[str, str] = {
 
 
 def find_integrator(name: str) -> Integrator:
-    """Return an integrator by its name.
+    """Return an integrator by name.
 
     Raises:
         OptionError: There is none of that name (SIM001).

@@ -1,1 +1,1 @@
-"""One simulation in several ways: what each setting costs, and how far it is off."""
+"""Trials: one simulation under several settings, with cost and error of each."""

@@ -1,4 +1,4 @@
-"""What settings cost, how far they are off, and which of them are worth it."""
+"""Cost and error of settings, and the best of them."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from collections.abc import Sequence
 
 from animtool.core.record import dataclass
 
-# An error this much larger is as good, and a cost this much lower is worth it.
+# Errors within this factor are equal; a cost lower by this factor is worth it.
 AS_GOOD, WORTH_IT = 1.05, 0.8
-# Costs that differ by no more than this share are told apart by the work: times do.
+# Timings within this fraction are equal; the counted work decides.
 NOISE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a setting takes, and what it gives."""
+    """The cost and the error of a setting."""
 
-    value: float  # time [s], or what else costs
+    value: float  # time [s], or another cost
     error: float  # [m]
     work: int = 0  # what is counted
 
 
 def best_of(costs: Sequence[Cost | None]) -> list[int]:
-    """Return which are as cheap as any that is as exact; None did not work.
+    """Return the Pareto-optimal settings; failed runs are None.
 
     >>> best_of([Cost(1, 0.1), Cost(2, 0.01), Cost(3, 0.05), None])
     [0, 1]
@@ -39,7 +39,7 @@ def best_of(costs: Sequence[Cost | None]) -> list[int]:
 def recommended_of(
     costs: Sequence[Cost | None], chosen: int, enough: float
 ) -> int | None:
-    """Return what to take in place of the chosen setting; None where it is right.
+    """Return the setting to use instead of the chosen; None if that is best.
 
     Costs are None of what did not work; where the chosen one did not, an error that is
     enough [m] will do.
@@ -48,7 +48,7 @@ def recommended_of(
     1
     """
     now = costs[chosen]
-    # What has the same error after the same work is the same run, and times are noise.
+    # Equal error after equal work is the same run; the timing is noise.
     same = None if now is None else (now.error, now.work)
     within = enough if now is None else now.error * AS_GOOD
     most = float("inf") if now is None else now.value * WORTH_IT
@@ -66,9 +66,9 @@ def recommended_of(
 
 
 def cheapest_of(costs: Sequence[Cost | None], budget: float) -> int | None:
-    """Return the cheapest whose error is no more than a budget [m]; None where none is.
+    """Return the cheapest setting within an error budget [m]; None if none is.
 
-    Of those whose costs are alike, it is the one with the least work.
+    Among equal costs, the one with the least work.
 
     >>> cheapest_of([Cost(1.1, 0.01, 50), Cost(1.0, 0.01, 80), Cost(0.2, 0.3)], 0.1)
     0
@@ -77,5 +77,5 @@ def cheapest_of(costs: Sequence[Cost | None], budget: float) -> int | None:
     if not fit:
         return None
     least = min(cost.value for cost, _ in fit)
-    alike = [(c.work, c.value, i) for c, i in fit if c.value <= least * (1 + NOISE)]
-    return min(alike)[-1]
+    equals = [(c.work, c.value, i) for c, i in fit if c.value <= least * (1 + NOISE)]
+    return min(equals)[-1]

@@ -1,4 +1,4 @@
-"""Every setting of a simulation against a finer one."""
+"""Measurement of all settings of a trial against a reference run."""
 
 from __future__ import annotations
 
@@ -17,84 +17,81 @@ from animtool.sim.trajectory import Status
 from animtool.sim.trials.costs import Cost, best_of, cheapest_of, recommended_of
 from animtool.sim.trials.trial import (
     CostMeasure,
-    Distances,
     ErrorMeasure,
     Figure,
-    Outcome,
+    PointDistances,
     Setting,
     Trial,
+    TrialOutcome,
     distances,
     extent_of,
-    order_seen,
+    observed_order,
     reach_of,
 )
 
-# A motion that halving the steps does not bring nearer by a power of this is sensitive.
+# If halving the step reduces the difference by less than this power, the run is
+# chaotic.
 MIN_ORDER = 0.5
-# Beside the size of a motion, distances that rounding makes, and those that nobody
-# sees: such make no motion sensitive.
+# Differences below these, relative to the extent, are rounding or invisible, and do not
+# make a run chaotic.
 ROUNDING, UNSEEN = 1e-13, 1e-6
-# Beside it, an error that is no error any more: the motion has blown up.
+# Larger errors, relative to the extent, mean that the run has diverged.
 FAR = 10.0
-# Share of points that only one of two motions has, from which on likewise.
-MAX_APART = 0.5
-# Where the chosen setting blows up, an error that will do, likewise.
+# Likewise for the fraction of points that only one of two runs has.
+MAX_UNMATCHED = 0.5
+# The accepted error if the chosen setting diverges, relative to the extent.
 ENOUGH = 0.01
-# As long as they take less together, short runs are taken again, so often at most, and
-# the shortest counts [s].
+# Short runs are repeated within this time, up to this often, and the shortest counts
+# [s].
 SHORT, REPEATS = 0.3, 3
-# A method that took this many times as long as the finest motion has no finer settings
-# tried: what they give is not worth it.
+# Finer settings of a method are skipped once it took this many times as long as the
+# reference.
 TOO_SLOW = 10.0
-# Below these, differences of figures are none: shares of one, metres and pairs.
-ALIKE = {
+# Smaller differences of figures do not count: fractions, metres and pairs.
+FIGURE_TOLERANCES = {
     Figure.STRETCH: 1e-3,
     Figure.DEPTH: 1e-4,
     Figure.PIERCED: 1.0,
 }
-ENERGY_ALIKE = 1e-3
+ENERGY_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The motion that others are compared with."""
+    """The run that others are compared with."""
 
-    setting: Setting  # of it
-    error: Distances  # how far it may well be off itself, from the two finest
-    # Power of the step that its error goes with, from the three finest; None where they
-    # do not differ.
+    setting: Setting  # the setting of the reference run
+    error: PointDistances  # error estimate of the reference, from the two finest runs
+    # Observed order of convergence, from the three finest runs; None if they are equal.
     order: float | None
-    # Whether halving the steps hardly brings it nearer: then nothing is near, and
-    # errors say little.
+    # Whether the motion is chaotic: halving the step hardly reduces the difference.
     sensitive: bool
     json_keys: ClassVar[str] = "*setting error order sensitive"
 
 
 @dataclass(frozen=True, slots=True)
 class TrialRow:
-    """A setting, and what it comes to."""
+    """A setting and its results."""
 
-    setting: Setting  # what is tried
-    # Wall time of the simulation [s]; 0 where the method is not for it.
+    setting: Setting  # the tried setting
+    # Wall time of the simulation [s]; 0 if the method does not apply.
     seconds: float = 0.0
-    steps: int = 0  # that were taken
-    status: Status | None = None  # how it ended; None where the method is not for it
-    # Why it stopped, or is not for it; empty where it did what it should.
+    steps: int = 0  # number of steps
+    status: Status | None = None  # how it ended; None if the method does not apply
+    # Why it stopped or does not apply; empty on success.
     reason: str = ""
     stable_step: float | None = None  # as in `Outcome`
-    # Distances from the reference; None where it did not get to the end, or there is no
-    # reference.
-    error: Distances | None = None
-    # Most that the energy differed from that of the start, in the largest that there
-    # was [1]; None where it may come and go.
+    # Distances from the reference; None if it stopped early or there is no reference.
+    error: PointDistances | None = None
+    # Largest energy change, relative to the largest energy [1]; None if not conserved.
     energy_drift: float | None = None
     bytes: int = 0  # as in `Outcome`
-    # As in `Outcome`; empty too where it did not get to the end.
+    # As in `TrialOutcome`; empty if it stopped early.
     figures: Mapping[Figure, float] = field(default_factory=dict)
-    worst: str = ""  # where the largest distance is; empty where it has no name
-    chosen: bool = False  # whether the file has it so
-    best: bool = False  # whether no other that is as exact is cheaper
-    # Whether to take it in place of the chosen one, or the cheapest within a budget.
+    worst: str = ""  # where the largest distance is; may be empty
+    chosen: bool = False  # whether the file uses it
+    best: bool = False  # whether no cheaper setting is as accurate
+    # Whether it is recommended, or the cheapest within a budget.
     recommended: bool = False
     json_keys: ClassVar[str] = (
         "*setting status=ended reason stable_step seconds~ steps bytes "
@@ -103,7 +100,7 @@ class TrialRow:
 
     @property
     def ended(self) -> str:
-        """How it ended, in words."""
+        """How the run ended, in words."""
         if self.status is None:
             return "left out"
         return "blew up" if self.status == "unstable" else str(self.status)
@@ -111,58 +108,58 @@ class TrialRow:
 
 @dataclass(frozen=True, slots=True)
 class TrialTable:
-    """The settings of one simulation."""
+    """The results of all settings of a trial."""
 
     name: str  # what it is called
     kind: str  # what it is
     span: float  # how long it was simulated [s]
-    instants: int  # at how many times points were compared
-    points: int  # how many there were, at most
-    extent: float  # diagonal of the box that they stayed in [m]
-    # What they were compared with; None where every fine one stopped.
+    instants: int  # number of compared times
+    points: int  # largest number of points
+    extent: float  # diagonal of the bounding box [m]
+    # The reference; None if every fine run stopped early.
     reference: Reference | None
     rows: list[TrialRow]  # in the order tried
-    notices: list[Fault] = field(default_factory=list)  # what is odd about it
-    error: ErrorMeasure = ErrorMeasure.RMS  # what rows are judged by
+    notices: list[Fault] = field(default_factory=list)  # warnings
+    error: ErrorMeasure = ErrorMeasure.RMS  # the error that rows are ranked by
     cost: CostMeasure = CostMeasure.SECONDS
-    unit: str = "steps"  # what is counted of the work
-    budget: float | None = None  # largest error that will do [m]
-    # How the recommended setting is asked for; empty where there is none.
+    unit: str = "steps"  # unit of the counted work
+    budget: float | None = None  # largest acceptable error [m]
+    # How to request the recommended setting; empty if none.
     lines: tuple[str, ...] = ()
-    reach: float = 0.0  # how far what is placed reaches from its points, at most [m]
+    reach: float = 0.0  # largest extent of instances from their points [m]
     json_keys: ClassVar[str] = (
         "name kind span instants points extent measure=error cost unit lines reference "
         "rows"
     )
 
     def error_of(self, row: TrialRow | Reference) -> float | None:
-        """Return what a row is judged by, turns included [m]; None of no error."""
+        """Return a row's error, rotations included [m]; None if unknown."""
         return None if row.error is None else row.error.error(self.error, self.reach)
 
     @property
     def chosen(self) -> TrialRow:
-        """The row of the file's own setting."""
+        """The row of the file's setting."""
         return next(row for row in self.rows if row.chosen)
 
     @property
     def recommended(self) -> TrialRow | None:
-        """The row to take; None where the chosen one is right, or nothing is known."""
+        """The recommended row; None if the chosen one is best, or unknown."""
         return next((row for row in self.rows if row.recommended), None)
 
     @property
     def tried(self) -> list[TrialRow]:
-        """The rows of methods that are for it."""
+        """The rows of settings that the trial offers."""
         return [row for row in self.rows if row.status is not None]
 
     @property
     def by_rms(self) -> bool:
-        """Whether points are judged together, not by the largest distance."""
+        """Whether errors are root mean squares, not the largest distance."""
         return self.error is ErrorMeasure.RMS
 
     @property
     def has_lone(self) -> bool:
-        """Whether points are compared that only one of two has."""
-        return any(row.error is not None and row.error.apart for row in self.tried)
+        """Whether some compared runs have unmatched points."""
+        return any(row.error is not None and row.error.unmatched for row in self.tried)
 
 
 def measure(
@@ -171,7 +168,7 @@ def measure(
     budget: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TrialTable:
-    """Make something in several ways, and measure each.
+    """Run all settings of a trial, and measure each.
 
     Args:
         trial: What, and which ways there are.
@@ -184,8 +181,8 @@ def measure(
         OptionError: Something makes no sense, whatever the setting.
     """
     settings = list(dict.fromkeys([*trial.settings(), trial.chosen]))
-    whole = len({*settings, *trial.references()[0]})
-    runs = _Runs(trial, whole, progress)
+    count = len({*settings, *trial.references()[0]})
+    runs = _Runs(trial, count, progress)
     reference, truth = _reference(trial, runs)
     rows = _rows(trial, runs, settings, truth)
     extent = 0.0 if truth is None else extent_of(truth.shots)
@@ -193,7 +190,7 @@ def measure(
     notices = [*trial.notices, *_notices(trial, reference)]
     if truth is not None and reference is not None:
         if reference.sensitive:
-            rows = _marked_alike(rows, truth, trial.cost)
+            rows = _marked_by_figures(rows, truth, trial.cost)
         else:
             rows = _marked(rows, trial, reference, extent, reach, budget)
     table = TrialTable(
@@ -219,27 +216,27 @@ def measure(
 
 
 class _Runs:
-    """Runs each setting once."""
+    """Runs each setting once, and caches the result."""
 
     def __init__(
-        self, trial: Trial, whole: int, progress: Callable[[float], None] | None
+        self, trial: Trial, count: int, progress: Callable[[float], None] | None
     ) -> None:
-        self._trial, self._whole, self._progress = trial, whole, progress
-        self._done: dict[Setting, Outcome] = {}
+        self._trial, self._count, self._progress = trial, count, progress
+        self._done: dict[Setting, TrialOutcome] = {}
 
     def has(self, setting: Setting) -> bool:
-        """Return whether a setting was run."""
+        """Return whether a setting has been run."""
         return setting in self._done
 
-    def of(self, setting: Setting) -> Outcome:
-        """Return what a setting comes to."""
+    def of(self, setting: Setting) -> TrialOutcome:
+        """Return the result of a setting."""
         if setting not in self._done:
             self._done[setting] = self._run(setting)
             if self._progress is not None:
-                self._progress(min(1.0, len(self._done) / self._whole))
+                self._progress(min(1.0, len(self._done) / self._count))
         return self._done[setting]
 
-    def _run(self, setting: Setting) -> Outcome:
+    def _run(self, setting: Setting) -> TrialOutcome:
         with np.errstate(all="ignore"):
             done = self._trial.run(setting)
             spent = [done.seconds]
@@ -249,14 +246,16 @@ class _Runs:
         return replace(done, seconds=min(spent))
 
 
-def _reference(trial: Trial, runs: _Runs) -> tuple[Reference | None, Outcome | None]:
+def _reference(
+    trial: Trial, runs: _Runs
+) -> tuple[Reference | None, TrialOutcome | None]:
     for settings in trial.references():
-        outcomes: list[Outcome] = []
+        outcomes: list[TrialOutcome] = []
         for setting in settings:
             try:
                 outcomes.append(runs.of(setting))
             except OptionError:
-                break  # the method is not for it; another may be
+                break  # the method does not apply; another may
             if outcomes[-1].status is not Status.OK:
                 break
         else:
@@ -265,23 +264,23 @@ def _reference(trial: Trial, runs: _Runs) -> tuple[Reference | None, Outcome | N
 
 
 def _judged(
-    setting: Setting, outcomes: list[Outcome], measure: ErrorMeasure
+    setting: Setting, outcomes: list[TrialOutcome], measure: ErrorMeasure
 ) -> Reference:
-    """Return how near the finest of motions is, each in half the steps of the last."""
+    """Return the reference and its error estimate, from runs of halved steps."""
     if len(outcomes) == 1:
-        return Reference(setting, Distances(0.0, 0.0, 0.0), None, False)
+        return Reference(setting, PointDistances(0.0, 0.0, 0.0), None, False)
     gaps = [distances(fine.shots, rough.shots) for rough, fine in pairwise(outcomes)]
     reach = reach_of(outcomes[-1].shots)
     coarse, fine = (gap.error(measure, reach) for gap in (gaps[0], gaps[-1]))
     extent = extent_of(outcomes[-1].shots) + reach
-    order = order_seen(coarse, fine) if fine > ROUNDING * extent else None
+    order = observed_order(coarse, fine) if fine > ROUNDING * extent else None
     sensitive = order is not None and order < MIN_ORDER and fine > UNSEEN * extent
-    share = 1.0 if order is None else max(2**order - 1, 1.0)
-    return Reference(setting, gaps[-1].scaled(1 / share), order, sensitive)
+    gain = 1.0 if order is None else max(2**order - 1, 1.0)
+    return Reference(setting, gaps[-1].scaled(1 / gain), order, sensitive)
 
 
 def _rows(
-    trial: Trial, runs: _Runs, settings: Sequence[Setting], truth: Outcome | None
+    trial: Trial, runs: _Runs, settings: Sequence[Setting], truth: TrialOutcome | None
 ) -> list[TrialRow]:
     rows: list[TrialRow] = []
     slow: dict[str, TrialRow] = {}
@@ -300,7 +299,7 @@ def _rows(
 
 
 def _row(
-    trial: Trial, runs: _Runs, setting: Setting, truth: Outcome | None
+    trial: Trial, runs: _Runs, setting: Setting, truth: TrialOutcome | None
 ) -> TrialRow:
     try:
         done = runs.of(setting)
@@ -317,11 +316,11 @@ def _row(
     )
     if done.status is not Status.OK:
         return row
-    whole = replace(row, energy_drift=_drift(done.energies), figures=done.figures)
+    complete = replace(row, energy_drift=_drift(done.energies), figures=done.figures)
     if done.error is not None:
-        return replace(whole, error=done.error, worst=done.worst)
+        return replace(complete, error=done.error, worst=done.worst)
     if truth is None:
-        return whole
+        return complete
     error = distances(truth.shots, done.shots)
     sign = _sign(error, extent_of(truth.shots))
     if sign:
@@ -332,20 +331,20 @@ def _row(
             stable_step=done.stable_step,
         )
     worst = "" if trial.where is None or error.at is None else trial.where(*error.at)
-    return replace(whole, error=error, worst=worst)
+    return replace(complete, error=error, worst=worst)
 
 
-def _sign(error: Distances, extent: float) -> str:
-    """Return why a motion that went on to the end is none, empty where it is one."""
-    if error.apart > MAX_APART:
-        return f"{error.apart:.0%} of its points differ"
+def _sign(error: PointDistances, extent: float) -> str:
+    """Return why a completed run is unusable; empty if it is fine."""
+    if error.unmatched > MAX_UNMATCHED:
+        return f"{error.unmatched:.0%} of its points differ"
     if not error.largest <= FAR * extent:
         return f"its error is {length_text(error.largest)}"
     return ""
 
 
 def _drift(energies: Sequence[Energy] | None) -> float | None:
-    """Return the most that energy differs from the first, in the largest there is."""
+    """Return the largest energy change, relative to the largest energy."""
     if not energies:
         return None
     totals = np.array([energy.total for energy in energies])
@@ -380,13 +379,13 @@ def _marked(
     reach: float,
     budget: float | None,
 ) -> list[TrialRow]:
-    """Return rows with the best marked, and the one to take."""
+    """Return rows with the best marked, and the recommended one."""
     if not any(row.error is not None and row.error.largest for row in rows):
-        # Nothing moves: each will do, and times are chance.
+        # Nothing moves: all settings are equal, and times are noise.
         if budget is None:
             return rows
         return [replace(row, recommended=row.chosen) for row in rows]
-    # What is nearer to the reference than that is to the truth is as good.
+    # Closer to the reference than its own error estimate is as good.
     extent += reach
     floor = max(reference.error.error(trial.error, reach), ROUNDING * extent)
     costs = [
@@ -407,33 +406,37 @@ def _marked(
     ]
 
 
-def _marked_alike(
-    rows: list[TrialRow], truth: Outcome, measure: CostMeasure
+def _marked_by_figures(
+    rows: list[TrialRow], truth: TrialOutcome, measure: CostMeasure
 ) -> list[TrialRow]:
-    """Return rows of a sensitive motion, marked by energy, strain and penetration.
+    """Return rows of a chaotic motion, marked by energy, strain, depth.
 
     The error of a row is the most that one of its figures is above that of the
     reference, over what makes no difference. Rows with less than one are as good.
     """
-    own = _figures(_drift(truth.energies), truth.figures)
-    if not own:
+    true_figures = _figures(_drift(truth.energies), truth.figures)
+    if not true_figures:
         return rows
     costs: list[Cost | None] = []
     for row in rows:
         figures = _figures(row.energy_drift, row.figures)
-        if row.status is not Status.OK or figures.keys() != own.keys():
+        if row.status is not Status.OK or figures.keys() != true_figures.keys():
             costs.append(None)
             continue
-        above = [max(0.0, figures[name] - own[name]) for name in own]
+        above = [max(0.0, figures[name] - true_figures[name]) for name in true_figures]
         costs.append(_cost(row, measure, max(1.0, *above)))
     best = best_of(costs)
     return [replace(row, best=i in best) for i, row in enumerate(rows)]
 
 
 def _figures(drift: float | None, figures: Mapping[Figure, float]) -> dict[str, float]:
-    """Return figures over what makes no difference."""
-    shares = {str(k): x / ALIKE[k] for k, x in figures.items() if k in ALIKE}
-    return shares if drift is None else {**shares, "energy": drift / ENERGY_ALIKE}
+    """Return figures relative to their tolerances."""
+    shares = {
+        str(k): x / FIGURE_TOLERANCES[k]
+        for k, x in figures.items()
+        if k in FIGURE_TOLERANCES
+    }
+    return shares if drift is None else {**shares, "energy": drift / ENERGY_TOLERANCE}
 
 
 def _cost(row: TrialRow, measure: CostMeasure, error: float) -> Cost:

@@ -1,4 +1,4 @@
-"""What can be simulated in several ways, how far apart, and which are worth it."""
+"""A trial: the settings of a simulation, and distances between its runs."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from animtool.maths import so3
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 
-# Steps over the chosen one: of settings to try, and of the motion that they are
-# compared with, each of which is half of the one before.
+# Step factors over the chosen step: of settings to try, and of reference runs, each
+# half of the previous one.
 COARSER = (4.0, 2.0, 1.0, 0.5)
 FINER = (0.5, 0.25, 0.125)
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A way to simulate."""
+    """A method with its options."""
 
     method: str  # an integrator or a solver
-    # Names and values that go with it, as the scene file writes them.
+    # Its options by name, in the notation of the scene file.
     options: tuple[tuple[str, float], ...]
     json_keys: ClassVar[str] = "method options=by_name"
 
     @property
     def by_name(self) -> dict[str, float]:
-        """The options by name."""
+        """The options, by name."""
         return dict(self.options)
 
     @staticmethod
@@ -52,7 +52,7 @@ class Setting:
         return dict(self.options)[name]
 
     def __str__(self) -> str:
-        """Return it as the scene file writes it.
+        """Return it in the notation of scene files.
 
         >>> str(Setting.of("rk4", step=0.01))
         'rk4, step 0.01'
@@ -62,36 +62,36 @@ class Setting:
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
-    """Points at a time."""
+class Snapshot:
+    """The points at one time."""
 
     points: FloatArray  # (N, 3) [m]
-    # Which point is which, ascending (N,); None where they are always the same.
+    # Point ids, ascending (N,); None if constant.
     ids: IntArray | None = None
-    orientations: FloatArray | None = None  # x, y, z, w (N, 4); None of mere points
-    reach: float = 0.0  # how far what is placed reaches from its point, at most [m]
+    orientations: FloatArray | None = None  # x, y, z, w (N, 4); None for plain points
+    reach: float = 0.0  # largest extent of instances from their point [m]
 
 
 class Figure(StrEnum):
-    """A figure of a motion besides where its points are."""
+    """A measured quantity of a run besides its points."""
 
-    STRETCH = "stretch"  # most that a spring was longer than at rest, over that [1]
-    DEPTH = "depth"  # most that cloth was inside of what it meets [m]
-    PIERCED = "pierced"  # most pairs of edge and face that pierced each other at once
-    MISS = "miss"  # most that a position was off its target [m]
-    MISS_ANGLE = "miss_angle"  # of an orientation, aim or pole likewise [rad]
-    REACHED = "reached"  # share of the frames that reached every target [1]
+    STRETCH = "stretch"  # largest spring elongation over its rest length [1]
+    DEPTH = "depth"  # largest penetration of cloth [m]
+    PIERCED = "pierced"  # largest number of edge-face pairs that pierce each other
+    MISS = "miss"  # largest distance to a position target [m]
+    MISS_ANGLE = "miss_angle"  # of orientations, aims and poles [rad]
+    REACHED = "reached"  # fraction of frames that reach every target [1]
 
 
 class ErrorMeasure(StrEnum):
-    """Which of the distances of a setting is its error."""
+    """The distance that counts as a setting's error."""
 
     LARGEST = "largest"
     RMS = "rms"
 
 
 class CostMeasure(StrEnum):
-    """What a setting costs: what is timed or written, or work that is counted."""
+    """The measure of cost: time, file size, or counted work."""
 
     SECONDS = "seconds"
     BYTES = "bytes"
@@ -99,106 +99,107 @@ class CostMeasure(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What a setting came to."""
+class TrialOutcome:
+    """The result of running one setting."""
 
     seconds: float  # wall time of the simulation [s]
-    steps: int  # that were taken
-    shots: Sequence[Shot]  # at the times that were reached
+    steps: int  # number of steps
+    shots: Sequence[Snapshot]  # at the times reached
     status: Status = Status.OK  # how it ended
-    reason: str = ""  # why it stopped, empty where it did not
-    # The largest that is stable where it ended [s]: 0 where none is, infinite where all
-    # are, None where it is not known.
+    reason: str = ""  # why it stopped, empty on success
+    # The largest stable step at the end [s]: 0 if none, infinite if all, None if
+    # unknown.
     stable_step: float | None = None
-    # At these times; None where energy may come and go.
+    # At these times; None if energy is not conserved.
     energies: Sequence[Energy] | None = None
-    bytes: int = 0  # size of what was written; 0 where nothing was
-    # What else tells settings apart.
+    bytes: int = 0  # size of the output; 0 without one
+    # Other figures of the setting.
     figures: Mapping[Figure, float] = field(default_factory=dict)
-    # How far it is off, where that is measured as it is made, and not by shots.
-    error: Distances | None = None
-    worst: str = ""  # where that is
+    # Its error, if measured directly and not from snapshots.
+    error: PointDistances | None = None
+    worst: str = ""  # location of that error
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What is made of an input, in the way that its file chooses and in others."""
+    """A simulation that can be run under several settings."""
 
     name: str
     kind: str  # `particles`, `cloth`, `ik`
-    span: float  # how long, with what comes before the first frame [s]
+    span: float  # duration, with pre-roll [s]
     chosen: Setting  # of the file
-    # Ways to try, the coarsest of each method first.
+    # Settings to try, per method from coarse to fine.
     settings: Callable[[], list[Setting]]
-    # What others can be compared with, the first that works to be taken: of a method
-    # each, its steps being half of those before.
+    # Candidates for the reference, the first that works is taken: one method each, with
+    # steps halved each time.
     references: Callable[[], list[list[Setting]]]
-    # Makes it in one way; `OptionError` where the method is not for it.
-    run: Callable[[Setting], Outcome]
-    error: ErrorMeasure = ErrorMeasure.RMS  # what settings are judged by
+    # Runs a setting; raises `OptionError` if the method does not apply.
+    run: Callable[[Setting], TrialOutcome]
+    error: ErrorMeasure = ErrorMeasure.RMS  # the error that settings are ranked by
     cost: CostMeasure = CostMeasure.SECONDS
-    unit: str = "steps"  # what is counted of the work
-    # Of a shot and a point, its name and time; None names none.
+    unit: str = "steps"  # unit of the counted work
+    # Name and time of a point of a snapshot; None without names.
     where: Callable[[int, int], str] | None = None
-    # The keys of an entry of the file that ask for a setting; None of no entry.
+    # Keys of the file entry that request a setting; None without an entry.
     changes: Callable[[Setting], Mapping[str, Any]] | None = None
-    # How a setting is asked for: lines of the scene file, or options of a command.
+    # How to request a setting: scene file lines, or command options.
     lines: Callable[[Setting], list[str]] | None = None
-    # Writes what a setting gives as USD, to be looked at; None where it cannot be.
+    # Writes a setting's result as USD for viewing; None if unavailable.
     write: Callable[[Setting, Path], None] | None = None
-    size: float = 0.0  # of the figure that is written [m]; 0 is not known
-    notices: tuple[Fault, ...] = ()  # what is odd about it
+    size: float = 0.0  # size of the written figure [m]; 0 is unknown
+    notices: tuple[Fault, ...] = ()  # warnings
 
 
 def ladder(value: float, shares: Sequence[float] = COARSER) -> list[float]:
-    """Return values in some shares of one, as they would be written.
+    """Return multiples of a value, rounded for a file.
 
     >>> ladder(0.03)
     [0.12, 0.06, 0.03, 0.015]
     """
-    return [value if share == 1 else float(f"{value * share:.12g}") for share in shares]
+    return [
+        value if factor == 1 else float(f"{value * factor:.12g}") for factor in shares
+    ]
 
 
 def stepwise(
     method: str, step: float, shares: Sequence[float] = COARSER
 ) -> list[Setting]:
-    """Return a method with steps in some shares of one [s]."""
+    """Return a method with several multiples of a step [s]."""
     return [Setting.of(method, step=each) for each in ladder(step, shares)]
 
 
 @dataclass(frozen=True, slots=True)
-class Distances:
-    """How far points are from where others have them, over all times."""
+class PointDistances:
+    """Distances between the points of two runs, over all times."""
 
     largest: float  # [m]
     rms: float  # root of the mean of squares [m]
-    median: float  # half of them are nearer [m]
-    apart: float = 0.0  # share of the points that only one of the two has [1]
-    # Root of the mean of squares of the angles between their orientations [rad]; None
-    # where they have none.
+    median: float  # [m]
+    unmatched: float = 0.0  # fraction of points that only one of the two has [1]
+    # Root mean square of angles between orientations [rad]; None without any.
     angle: float | None = None
-    at: tuple[int, int] | None = None  # shot and point of the largest; None of none
+    at: tuple[int, int] | None = None  # its snapshot and point; None if empty
     json_keys: ClassVar[str] = "largest rms median apart angle?"
 
     def error(self, measure: ErrorMeasure, reach: float) -> float:
-        """Return the distance of what reaches so far from the points [m]."""
-        own = self.largest if measure is ErrorMeasure.LARGEST else self.rms
-        return own + (0.0 if self.angle is None else self.angle * reach)
+        """Return the distance at a given reach from the points [m]."""
+        distance = self.largest if measure is ErrorMeasure.LARGEST else self.rms
+        return distance + (0.0 if self.angle is None else self.angle * reach)
 
-    def scaled(self, factor: float) -> Distances:
-        """Return them times a factor."""
-        return Distances(
+    def scaled(self, factor: float) -> PointDistances:
+        """Return them multiplied by a factor."""
+        return PointDistances(
             self.largest * factor,
             self.rms * factor,
             self.median * factor,
-            self.apart,
+            self.unmatched,
             None if self.angle is None else self.angle * factor,
             self.at,
         )
 
 
-def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
-    """Return how far shots are from others of the same times.
+def distances(truth: Sequence[Snapshot], shots: Sequence[Snapshot]) -> PointDistances:
+    """Return distances between snapshots at the same times.
 
     Points are compared by their ids.
 
@@ -211,7 +212,7 @@ def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
     most, at = -1.0, None
     for k, (one, other) in enumerate(zip(truth, shots, strict=True)):
         a, b = one.points, other.points
-        turned, turns = one.orientations, other.orientations
+        here, there = one.orientations, other.orientations
         if one.ids is not None and other.ids is not None:
             _, i, j = np.intersect1d(
                 one.ids, other.ids, assume_unique=True, return_indices=True
@@ -219,8 +220,8 @@ def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
             lone += len(a) + len(b) - 2 * len(i)
             count += len(a) + len(b) - len(i)
             a, b, points = a[i], b[j], i
-            turned = None if turned is None else turned[i]
-            turns = None if turns is None else turns[j]
+            here = None if here is None else here[i]
+            there = None if there is None else there[j]
         else:
             count += len(a)
             points = np.arange(len(a))
@@ -229,25 +230,25 @@ def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
             farthest = int(gaps.argmax())
             most, at = float(gaps[farthest]), (k, int(points[farthest]))
         parts.append(gaps)
-        if turned is not None and turns is not None:
-            angles.append(so3.angle_between(turned, turns))
+        if here is not None and there is not None:
+            angles.append(so3.angle_between(here, there))
     every: FloatArray = np.concatenate(parts)
     angle = _rms(np.concatenate(angles)) if angles else None
     if not len(every):
-        return Distances(0.0, 0.0, 0.0, lone / max(count, 1), angle)
+        return PointDistances(0.0, 0.0, 0.0, lone / max(count, 1), angle)
     largest, median = float(every.max()), float(np.median(every))
-    return Distances(largest, _rms(every), median, lone / count, angle, at)
+    return PointDistances(largest, _rms(every), median, lone / count, angle, at)
 
 
 def _rms(values: FloatArray) -> float:
-    """Return the root of the mean of squares of values ``(N,)``, 0 of none."""
-    # Squares of what has blown up are beyond any number.
+    """Return the root mean square of values ``(N,)``, 0 if empty."""
+    # Squares of diverged values overflow.
     with np.errstate(over="ignore"):
         return math.sqrt(float(np.mean(values**2))) if len(values) else 0.0
 
 
-def extent_of(shots: Sequence[Shot]) -> float:
-    """Return the diagonal of the box that all points stay in [m]."""
+def extent_of(shots: Sequence[Snapshot]) -> float:
+    """Return the diagonal of the bounding box of all points [m]."""
     every = [shot.points for shot in shots if len(shot.points)]
     if not every:
         return 0.0
@@ -256,18 +257,18 @@ def extent_of(shots: Sequence[Shot]) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def reach_of(shots: Sequence[Shot]) -> float:
-    """Return how far what is placed reaches from its point, at any time [m]."""
+def reach_of(shots: Sequence[Snapshot]) -> float:
+    """Return the largest extent of instances from their points, at any time [m]."""
     return max((shot.reach for shot in shots), default=0.0)
 
 
-def order_seen(coarse: float, fine: float) -> float | None:
-    """Return the power of the step that errors go with; None where nothing tells it.
+def observed_order(coarse: float, fine: float) -> float | None:
+    """Return the observed order of convergence; None if undefined.
 
     A motion moves by the coarse distance from steps to half of them, by the fine one
     from these to half of them again [m].
 
-    >>> order_seen(0.4, 0.1)
+    >>> observed_order(0.4, 0.1)
     2.0
     """
     if not (coarse > 0 and fine > 0 and math.isfinite(coarse / fine)):

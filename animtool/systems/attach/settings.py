@@ -15,7 +15,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.options import LARGEST, range_faults, ranges_of, within
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
-from animtool.motion.keyed import Interpolation, Weight, chosen, weights_at
+from animtool.motion.keyed import KeyInterpolation, Weight, chosen, weights_at
 from animtool.motion.passes import OptionChecks
 from animtool.rig.parts import AttachKind
 from animtool.systems.framework.fields import (
@@ -101,7 +101,7 @@ class SimulateOptions:
     # Share of the simulation, one number or ``[[frame, weight], …]`` [1].
     weight: Weight = 1.0
     # How weights run from key to key.
-    interpolation: Interpolation = Interpolation.LINEAR
+    interpolation: KeyInterpolation = KeyInterpolation.LINEAR
     # What carries an attachment jumps where it would be faster [m/s]; 0 never does.
     teleport_speed: Annotated[float, within(0.0, "SIM004")] = 50.0
     teleports: tuple[float, ...] = ()  # frames that begin with a jump
@@ -188,7 +188,7 @@ def option_checks(options: SimulateOptions) -> OptionChecks:
     checks["lead"] = partial(chosen, Lead, options.lead, "lead")
     checks["weight"] = partial(weights_at, options.weight, np.zeros(1))
     checks["interpolation"] = partial(
-        chosen, Interpolation, options.interpolation, "interpolation"
+        chosen, KeyInterpolation, options.interpolation, "interpolation"
     )
     checks["save"] = partial(_check_save, options)
     checks["save_at"] = partial(_check_finite, options.save_at, "save_at")

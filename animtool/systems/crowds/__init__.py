@@ -1,1 +1,1 @@
-"""Crowds: agents that walk to their goals and avoid each other."""
+"""Crowds: agents that walk to goals and avoid each other."""

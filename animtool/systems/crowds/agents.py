@@ -1,17 +1,17 @@
-"""Who is in a crowd: where agents begin, what they like, and where they go."""
+"""Agents of a crowd: start positions, preferred speeds and routes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import (
     Fault,
     Problem,
@@ -24,30 +24,31 @@ from animtool.core.errors import (
 from animtool.core.record import dataclass
 from animtool.systems.crowds.ground import Frame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
+from animtool.systems.framework.groups import Groups, duplicate_names
 from animtool.systems.particles.emitter import Emitter, uniforms
 
-# Slowest that an agent likes to walk, over the mean; and most deviations from it.
+# Slowest preferred speed over the mean, and most standard deviations from it.
 SLOWEST = 1 / 3
 DEVIATIONS = 2.0
-# How fast agents may be over the mean speed, where nothing is said.
+# Default maximum speed over the mean.
 FASTEST = 1.3
-# Who gives least, over who gives most: were all alike, arches before doors would hold.
+# Least over largest readiness to yield: with equal agents, arches before doors would
+# lock.
 FIRMEST = 0.2
-# Agents go to random places in a goal, no farther from its middle than this part of its
-# radius; those of a group to the same.
+# Agents aim at random points within this fraction of a goal's radius; group members
+# share theirs.
 SPREAD = 0.8
-# Room from one to the next of a group, over both radii.
+# Spacing within a group, over the sum of radii.
 ABREAST = 1.3
-# Rounds in which those that begin in each other are moved apart, and how often others
-# that they come to are looked for.
+# Passes that separate agents at the start, and how often neighbours are rebuilt.
 ROUNDS, SPREADS = 100, 100
-# An overlap that is left, over a radius: less shows nowhere.
+# Remaining overlap over a radius; less is invisible.
 ENOUGH = 0.004
 
 
 @dataclass(frozen=True)
-class Agents:
-    """N agents of some populations, in the frame of the ground.
+class Agents(Groups):
+    """N agents of several populations, in the frame of the ground.
 
     Attributes:
         starts: x and z that they begin at ``(N, 2)`` [m].
@@ -62,8 +63,7 @@ class Agents:
         chances: Where in its clips each begins, from 0 to 1 ``(N,)``.
     """
 
-    populations: Sequence[PopulationModel]
-    ends: Sequence[int]  # where each population ends among all
+    noun: ClassVar[str] = "agent"
     starts: FloatArray
     speeds: FloatArray
     most: FloatArray
@@ -75,40 +75,15 @@ class Agents:
     sizes: FloatArray
     chances: FloatArray
 
-    def __len__(self) -> int:
-        """Return how many there are."""
-        return len(self.starts)
-
-    @cached_property
-    def kinds(self) -> IntArray:
-        """Return the number of each one's population ``(N,)``."""
-        counts = np.diff([0, *self.ends])
-        return np.repeat(np.arange(len(self.populations)), counts)
-
-    def each(self, values: Sequence[float]) -> FloatArray:
-        """Return a value of each one's population ``(N,)``."""
-        return np.asarray(values, np.float64)[self.kinds]
-
-    @cached_property
-    def radii(self) -> FloatArray:
-        """Return the radius of each ``(N,)`` [m]."""
-        return self.each([one.radius for one in self.populations])
-
     @cached_property
     def heights(self) -> FloatArray:
-        """Return how tall each is ``(N,)`` [m]."""
-        return self.each([one.height for one in self.populations])
-
-    def named(self, i: int) -> str:
-        """Return an agent, for messages."""
-        kind = int(self.kinds[i])
-        first = [0, *self.ends][kind]
-        return f"agent {i - first} of {self.populations[kind].name!r}"
+        """Return each agent's height ``(N,)`` [m]."""
+        return self.each([one.height for one in self.entries])
 
 
 @dataclass(frozen=True, slots=True)
-class Going:
-    """How N agents go at a time."""
+class AgentMotion:
+    """Positions, velocities and headings of N agents at a time."""
 
     points: FloatArray  # x and z (N, 2) [m]
     velocities: FloatArray  # (N, 2) [m/s]
@@ -118,20 +93,20 @@ class Going:
 def agents_of(
     spec: CrowdsModel, parts: Sequence[Mapping[str, Any]], begin: float, frame: Frame
 ) -> tuple[Agents, list[Fault]]:
-    """Return the agents of a spec; who begins in another is moved (SIM147)."""
+    """Return the agents of a spec; overlapping ones are separated (SIM147)."""
     _check(spec)
     drawn = [
-        _drawn(one, own, begin, frame)
-        for one, own in zip(spec.populations, parts, strict=True)
+        _drawn(one, part, begin, frame)
+        for one, part in zip(spec.populations, parts, strict=True)
     ]
     counts = [len(each[0]) for each in drawn]
     starts, speeds, gives, delays, sides, offsets, sizes, chances = (
         np.concatenate(each) for each in zip(*(one[:8] for one in drawn), strict=True)
     )
     groups, number = [], 0
-    for *_, own in drawn:
-        groups.append(np.where(own >= 0, own + number, -1))
-        number += int(own.max(initial=-1)) + 1
+    for *_, part in drawn:
+        groups.append(np.where(part >= 0, part + number, -1))
+        number += int(part.max(initial=-1)) + 1
     most = [
         one.speed.most if one.speed.most is not None else FASTEST * one.speed.mean
         for one in spec.populations
@@ -150,13 +125,13 @@ def agents_of(
         sizes,
         chances,
     )
-    return _apart(agents, [own.get("points") is not None for own in parts])
+    return _separated(agents, [part.get("points") is not None for part in parts])
 
 
-def _apart(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]:
-    """Return agents none of which begins in another.
+def _separated(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]:
+    """Return agents moved until none overlap at the start.
 
-    Those whose places a file gives are named.
+    Agents with positions from a file are reported.
     """
     count, starts, overlap = len(agents), agents.starts, np.inf
     radius = float(agents.radii.max(initial=1.0))
@@ -166,14 +141,18 @@ def _apart(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]
         before = starts
         nothing = np.zeros(count + 1, np.int32), np.zeros((0, 4))
         starts, overlap = separated(agents, before, *nothing)
-        # Who was moved may be in another now.
+        # Separated agents may now be inside another.
         overlap = overlap if (starts == before).all() else np.inf
     moved = np.linalg.norm(starts - agents.starts, axis=1)
-    odd = (moved > ENOUGH * agents.radii) & np.asarray(placed, bool)[agents.kinds]
+    moved_far = (moved > ENOUGH * agents.radii) & np.asarray(placed, bool)[agents.kinds]
     faults = []
-    if odd.any():
-        message = f"{counted(int(odd.sum()), 'agent')} would start inside each other, "
-        message += f"{agents.named(int(np.argmax(odd)))} first: moved apart by up to "
+    if moved_far.any():
+        message = (
+            f"{counted(int(moved_far.sum()), 'agent')} would start inside each other, "
+        )
+        message += (
+            f"{agents.named(int(np.argmax(moved_far)))} first: moved apart by up to "
+        )
         message += f"{moved.max():.3g} m"
         faults.append(warning("SIM147", message, "place them farther apart"))
     if overlap > ENOUGH * radius:
@@ -187,14 +166,14 @@ def _apart(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]
 def separated(
     agents: Agents, x: FloatArray, starts: npt.NDArray[np.int32], walls: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return agents at x and z ``(N, 2)`` moved apart, and the overlap left [m].
+    """Return x and z ``(N, 2)`` without overlaps, and the overlap that remains [m].
 
     ``walls`` are as the kernel has them, those of each agent behind its start.
     """
-    still, radius = np.zeros_like(x), float(agents.radii.max(initial=1.0))
+    velocities, radius = np.zeros_like(x), float(agents.radii.max(initial=1.0))
     count = len(x)
     moved, _, overlap, _ = _kernels.crowd_step(
-        points=x, velocities=still, preferred=still,
+        points=x, velocities=velocities, preferred=velocities,
         radii=agents.radii, most=np.zeros(count), gives=agents.gives,
         shoulders=np.zeros((count, 2)), depth=1.0, groups=agents.groups,
         does=np.zeros(count, np.uint8), starts=starts, walls=walls,
@@ -207,7 +186,7 @@ def separated(
 def _drawn(
     population: PopulationModel, parts: Mapping[str, Any], begin: float, frame: Frame
 ) -> tuple[Any, ...]:
-    """Return starts and what else `Agents` has of a population, its groups last."""
+    """Return start positions and other sampled fields of a population, groups last."""
     points = parts.get("points")
     if points is not None and (
         points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all()
@@ -235,13 +214,13 @@ def _drawn(
         sizes = np.bincount(groups)[groups]
         sides = (rank - (sizes - 1) / 2) * 2 * ABREAST * population.radius
         if parts.get("points") is None:
-            # The others stand about the first, at some angle.
+            # The others stand around the first, at a random angle.
             along = _circle(2 * np.pi * chances[groups * group, 0])
             starts = starts[groups * group] + along * sides[:, None]
         more[:, 2:] = more[groups * group, 2:]
         chances = np.concatenate([chances[groups * group, :5], chances[:, 5:]], axis=1)
     speed = population.speed
-    # Box and Muller.
+    # Box-Muller transform.
     normal = np.sqrt(-2 * np.log1p(-chances[:, 1])) * np.cos(2 * np.pi * chances[:, 2])
     off = np.clip(normal, -DEVIATIONS, DEVIATIONS) * speed.spread
     speeds = np.maximum(speed.mean + off, SLOWEST * speed.mean)
@@ -264,14 +243,14 @@ def _circle(angles: FloatArray) -> FloatArray:
 
 
 def _check(spec: CrowdsModel) -> None:
-    """Refuse keys that do not fit together (SIM145)."""
+    """Refuse invalid combinations of keys (SIM145)."""
     refuse_all("SIM145", _problems(spec))
 
 
 def _problems(spec: CrowdsModel) -> Iterator[Problem]:
     goals = [goal.name for goal in spec.goals]
-    yield from _same_names("goals", goals)
-    yield from _same_names("populations", [one.name for one in spec.populations])
+    yield from duplicate_names("goals", goals)
+    yield from duplicate_names("populations", [one.name for one in spec.populations])
     for k, population in enumerate(spec.populations):
         where = f"populations[{k}]"
         for name in population.route:
@@ -296,9 +275,3 @@ def _problems(spec: CrowdsModel) -> Iterator[Problem]:
             if not first < last:
                 message = f"{door.name!r} is open from {first:g} s to {last:g} s"
                 yield message, f"doors[{k}]", "write the earlier time first"
-
-
-def _same_names(kind: str, names: Sequence[str]) -> Iterator[Problem]:
-    for k, name in enumerate(names):
-        if name in names[:k]:
-            yield f"two {kind} are named {excerpt(name)}", f"{kind}[{k}]", None

@@ -1,4 +1,4 @@
-"""Where a crowd begins: its ground, agents out of obstacles, goals that they reach."""
+"""Initial state of a crowd: its ground, clear start positions, reachable goals."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from animtool.core.errors import Fault, counted, refuse, warning
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Mesh
 from animtool.systems.crowds.agents import ENOUGH, Agents, separated
-from animtool.systems.crowds.ground import Frame, Ground
+from animtool.systems.crowds.ground import Frame, Terrain
 from animtool.systems.crowds.obstacles import Obstacles, lost
-from animtool.systems.crowds.routes import Grid
+from animtool.systems.crowds.routes import NavGrid
 from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import Steering
 from animtool.systems.framework.simulation import SimContext
 
-# Moves out of obstacles that agents begin in.
+# Passes that move agents out of obstacles at the start.
 MOVES = 20
 
 
 def outside(
-    agents: Agents, grid: Grid | None, obstacles: Obstacles, begin: float
+    agents: Agents, grid: NavGrid | None, obstacles: Obstacles, begin: float
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return where agents begin out of obstacles, and who was moved (SIM148)."""
+    """Return start positions clear of obstacles, and who was moved (SIM148)."""
     x, notices = agents.starts, list[Fault]()
     count = len(agents)
     if grid is not None and count and grid.free.any():
         off = lost(grid, x)
-        x = np.where(off[:, None], grid.place(grid.free_at(x)), x)
+        x = np.where(off[:, None], grid.positions_of(grid.free_at(x)), x)
     radius = float(agents.radii.max(initial=1.0))
     for _ in range(MOVES):
         walls = obstacles.walls(begin, 0.0, x)
@@ -52,12 +52,12 @@ def outside(
 def unreachable(
     spec: CrowdsModel, agents: Agents, steering: Steering, start: FloatArray
 ) -> list[Fault]:
-    """Return warnings of goals that no way leads to (SIM146)."""
+    """Return warnings of goals that no path leads to (SIM146)."""
     grid, faults = steering.grid, list[Fault]()
     if grid is None or not grid.free.any():
         return []
     parts = grid.parts.ravel()
-    own = parts[grid.free_at(start)]
+    reachable = parts[grid.free_at(start)]
     for g, goal in enumerate(spec.goals):
         at = steering.points[g : g + 1]
         if lost(grid, at)[0]:
@@ -66,7 +66,7 @@ def unreachable(
             faults.append(warning("SIM146", message, "move the goal"))
         part = parts[grid.free_at(at)[0]]
         for kind, population in enumerate(spec.populations):
-            mine = (agents.kinds == kind) & (own != part)
+            mine = (agents.kinds == kind) & (reachable != part)
             if goal.name in population.route and mine.any():
                 message = f"no path leads {counted(int(mine.sum()), 'agent')} of "
                 message += f"{population.name!r} to the goal {goal.name!r}: they go "
@@ -77,20 +77,20 @@ def unreachable(
 
 
 def along_ground(frame: Frame, direction: Sequence[float]) -> FloatArray:
-    """Return a direction of the world along the ground ``(2,)``, of length 1."""
-    way = frame.turned_back(np.array(direction, float))[[0, 2]]
-    size = float(np.linalg.norm(way))
+    """Return a world direction projected on the ground ``(2,)``, normalised."""
+    flat = frame.turned_back(np.array(direction, float))[[0, 2]]
+    size = float(np.linalg.norm(flat))
     if not size > 0:
         message = "the direction of a queue is vertical"
         refuse("SIM145", message, "goals", "use a direction along the ground")
-    return np.asarray(way / size)
+    return np.asarray(flat / size)
 
 
-def ground_of(context: SimContext) -> tuple[Frame, Ground]:
-    """Return where the ground is, and what it is."""
+def ground_of(context: SimContext) -> tuple[Frame, Terrain]:
+    """Return the frame of the ground, and its terrain."""
     parts = context.parts["ground"]
     poses, shape, mesh = parts["poses"], parts.get("shape"), parts.get("mesh")
-    if len(poses.moments) > 1:
+    if len(poses.sample_times) > 1:
         message = "the ground cannot move"
         refuse("SIM145", message, "ground", "remove moves and turns")
     pose = poses.at(context.begin)
@@ -99,15 +99,15 @@ def ground_of(context: SimContext) -> tuple[Frame, Ground]:
         message = "the ground is either a shape or a mesh of a file"
         refuse("SIM145", message, "ground", "remove one of them")
     if mesh is not None:
-        found = mesh()[0]
-        corners = triangulated(found.counts, found.indices)
-        return frame, Ground(found.points[corners])
+        surface = mesh()[0]
+        corners = triangulated(surface.counts, surface.indices)
+        return frame, Terrain(surface.points[corners])
     if shape is None:
-        return frame, Ground()
+        return frame, Terrain()
     if not isinstance(shape, Mesh):
         message = (
             "the ground must be a mesh, a height_field or, without a shape, a plane"
         )
         refuse("SIM145", message, "ground", "shape: {height_field: {...}}")
     points, faces = shape.welded()
-    return frame, Ground(points[faces])
+    return frame, Terrain(points[faces])

@@ -1,4 +1,4 @@
-"""Bodies of agents in steps: what gaits they are in, feet that stay where they stand.
+"""Locomotion of agents' bodies: gait blending and planted feet.
 
 All is in the frame of the ground; a body has x to its left and z ahead.
 """
@@ -12,53 +12,55 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.systems.crowds.agents import Going
+from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.footing import Blend, BodyState, Footing, followed
 from animtool.systems.crowds.gaits import PHASES
 from animtool.systems.crowds.ground import turned, wrapped
 from animtool.systems.crowds.reach import MAX_RATE, Reach, Stances, hurried
 from animtool.systems.crowds.shoulders import Trunk
 
-# Slower than this part of the slowest gait agents stand, but for a foot off its place.
+# Below this fraction of the slowest gait agents stand, unless a foot is misplaced.
 STANDS = 0.1
-# Cadence goes with this power of speed, strides take the rest (Grieve and Gear, 1966).
+# Cadence grows with this power of speed, stride with the rest (Grieve and Gear, 1966).
 CADENCE = 0.42
-# Least and most cadence over that of the blend.
+# Bounds of cadence over the blend's.
 SLOWEST, FASTEST = 0.7, 1.6
-# How long what they play takes to follow how fast they go [s].
+# Time constant of gait blending [s].
 PACING = 0.2
-# How long agents take to go from walking to standing [s].
+# Time to blend from walking to standing [s].
 SETTLING = 0.3
-# A foot that lands within this last part of its cycle does not lift any more.
+# A foot that lands within this last part of its cycle does not lift again.
 LAST = 0.95
-# Who is turned faster than its pace by more than this does not hurry for it [rad/s].
+# Yaw rates above the pace by less than this do not speed up steps [rad/s].
 JERK = 0.6
-# Steps get quicker no faster [cycles/s²]: legs that did would jerk.
+# Largest change of cadence [cycles/s²]; faster changes would jerk the legs.
 QUICKENS = 12.0
-# How fast hips rise that legs had lowered, over the length of a leg [1/s].
+# Rising speed of lowered hips, over the leg length [1/s].
 RISES = 0.6
-# From this part of a swing on it is settled where its foot lands.
+# From this fraction of a swing on, its landing is fixed.
 SETTLED = 0.6
-# How far a landing is looked ahead [rad] where a body turns.
-MAX_TURN = 1.0
-# Whose push makes them go as fast to a side or back, over `STANDS`, walk.
+# Largest yaw by which a landing is predicted [rad].
+MAX_YAW = 1.0
+# Sideways or backward speeds above this, over `STANDS`, count as walking.
 PUSHED = 3.0
-# Steps to a side, and back, go no farther from the hips, over the length of a leg.
+# Largest sideways and backward step from the hips, over the leg length.
 SIDE, BACK = 0.25, 0.3
-# Nor does a body turn farther over a foot that stands [rad].
+# Largest yaw of a body over a planted foot [rad].
 SPUN = 0.8
 
 
 @dataclass(frozen=True)
-class Bodies(Footing):
-    """What moves the bodies of N agents."""
+class AgentBodies(Footing):
+    """Steps the bodies of N agents."""
 
     @cached_property
     def moves(self) -> IntArray:
-        """Return the joints that clips and legs turn, ascending ``(M,)``."""
+        """Return the joints that gaits or leg IK rotate, ascending ``(M,)``."""
         gaits = self.gaits
         rest = gaits.walker.rig.rest_rotations
-        tables = [one.turns for one in (*gaits.moving, gaits.idle, *gaits.reactions)]
+        tables = [
+            one.rotations for one in (*gaits.moving, gaits.idle, *gaits.reactions)
+        ]
         moved = [(np.abs(one - rest) > 1e-9).any(axis=(0, 2)) for one in tables]
         legs = [joint for leg in gaits.walker.legs for joint in leg[:3]]
         legs += self.trunk.joints.tolist()
@@ -66,28 +68,28 @@ class Bodies(Footing):
 
     @cached_property
     def trunk(self) -> Trunk:
-        """Return what turns shoulders."""
+        """Return the joints that rotate the shoulders."""
         return Trunk.of(self.gaits.walker.person)
 
     @cached_property
     def tables(self) -> tuple[list[FloatArray], FloatArray]:
-        """Return the turns of `moves` of who walks, by gait, and of who stands."""
+        """Return rotations of `moves` by gait, and of the idle."""
         gaits = self.gaits
-        return [one.turns[:, self.moves] for one in gaits.moving], gaits.idle.turns[
-            :, self.moves
-        ]
+        return [
+            one.rotations[:, self.moves] for one in gaits.moving
+        ], gaits.idle.rotations[:, self.moves]
 
-    def first(self, going: Going, chances: FloatArray) -> BodyState:
-        """Return bodies that stand ``(N,)``, as random numbers ``(N,)`` have it."""
+    def first(self, going: AgentMotion, chances: FloatArray) -> BodyState:
+        """Return bodies standing at the start, from random numbers ``(N,)``."""
         count = len(chances)
         paces = np.zeros((count, 3))
         blend = self.blend(paces)
-        places = self.stands(going, blend)
+        stands = self.stands(going, blend)
         return BodyState(
             chances,
-            places,
+            stands,
             -np.ones((count, 2)),
-            places,
+            stands,
             blend.rate,
             np.zeros(count),
             np.ones(count),
@@ -100,7 +102,7 @@ class Bodies(Footing):
         )
 
     def blend(self, paces: FloatArray) -> Blend:
-        """Return what agents play that go and turn as fast ``(N, 3)``."""
+        """Return gait weights at the agents' speeds and yaw rates ``(N, 3)``."""
         moving, leg = self.gaits.moving, self.gaits.walker.leg
         speeds, around, leftward = (
             paces[:, 0] / self.scales,
@@ -111,7 +113,7 @@ class Bodies(Footing):
             np.stack([np.maximum(speeds, 0.0), leg * around], axis=1),
             np.array([[one.speed, leg * one.turning] for one in moving]),
         )
-        # BLAS adds in an order that depends on the number of agents; einsum does not.
+        # BLAS sums in an order that depends on the number of agents; einsum does not.
         paced = np.array([[one.speed, one.period] for one in moving])
         speed, period = np.einsum("ng,gk->kn", weights, paced)
         cadence = (np.hypot(speeds, leftward) / speed) ** CADENCE
@@ -120,8 +122,7 @@ class Bodies(Footing):
             "ng,gfk->nfk", weights, np.stack([one.steps for one in moving])
         )
         stands = np.einsum("ng,gf->nf", weights, np.stack([m.stands for m in moving]))
-        # Who is pushed to a side or back makes shorter steps, more of them, and so does
-        # who spins.
+        # Sideways, backward and spinning motion uses shorter steps, and more of them.
         side = leftward * stands.mean(axis=1) / (2 * rate)
         back = -speeds * stands.mean(axis=1) / (2 * rate)
         over = np.maximum(np.abs(side) / (SIDE * leg), back / (BACK * leg))
@@ -137,17 +138,17 @@ class Bodies(Footing):
     def next(
         self,
         state: BodyState,
-        before: Going,
-        after: Going,
+        before: AgentMotion,
+        after: AgentMotion,
         dt: float,
         hit: BoolArray | None = None,
     ) -> BodyState:
-        """Return bodies a step [s] later; feet land and lift at their moments in it.
+        """Return bodies after a step [s]; feet land and lift within it.
 
-        ``hit``: whom something hit ``(N,)``.
+        ``hit``: agents hit in the step ``(N,)``.
         """
         turning = wrapped(after.headings - before.headings) / dt
-        # As they are moved: who is pushed goes where its own will does not.
+        # Actual motion: pushed agents do not move as they prefer.
         went = turned((after.points - before.points) / dt, -after.headings)
         paces = np.stack([went[:, 1], turning, went[:, 0]], axis=1)
         paces = state.paces + (paces - state.paces) * -np.expm1(-dt / PACING)
@@ -161,42 +162,42 @@ class Bodies(Footing):
         goes = moves | ~standing
         stances = self._stances(state, after, phases, blend)
         speeds = went / self.scales[:, None]
-        turns = np.clip(turning, paces[:, 1] - JERK, paces[:, 1] + JERK)
-        rates, ends = hurried(self.reach, stances, speeds, turns)
-        # Who hurried slows down again as its pace does.
+        yaw_rates = np.clip(turning, paces[:, 1] - JERK, paces[:, 1] + JERK)
+        rates, ends = hurried(self.reach, stances, speeds, yaw_rates)
+        # Hurried steps slow down again with the pace.
         slower = state.rates + (blend.rate - state.rates) * -np.expm1(-dt / PACING)
         rates = np.maximum(rates, slower)
         rates = np.minimum(rates, np.maximum(slower, state.rates + QUICKENS * dt))
         change = np.where(goes, rates * dt, 0.0)
-        places, swings = state.places.copy(), state.swings.copy()
+        footholds, swings = state.places.copy(), state.swings.copy()
         aims, heels, spans = state.aims.copy(), state.heels.copy(), state.spans.copy()
         for k in range(2):
             swings[ends[:, k], k] = 0.0
             begins = np.where(ends[:, k], stances.begins[:, k], blend.stands[:, k])
             heel = self.pitches(k, begins, blend, state.still)
-            self._advance(k, phases, change, blend, (before, after), places, swings)
+            self._advance(k, phases, change, blend, (before, after), footholds, swings)
             lifted = (state.swings[:, k] < 0) & (swings[:, k] >= 0)
             heels[lifted, k] = heel[lifted]
             left = 1 - np.maximum((phases - 0.5 * k) % 1.0, begins)
             spans[lifted, k] = left[lifted]
             landed = (state.swings[:, k] >= SETTLED) & (swings[:, k] < 0)
-            places[landed, k] = state.aims[landed, k]
+            footholds[landed, k] = state.aims[landed, k]
         phases = (phases + change) % 1.0
         for k in range(2):
             aimed = (swings[:, k] >= 0) & ~(state.swings[:, k] >= SETTLED)
             left = (1 - (phases - 0.5 * k) % 1.0) / rates
-            turn = np.clip(paces[:, 1] * left, -MAX_TURN, MAX_TURN)
+            yaw = np.clip(paces[:, 1] * left, -MAX_YAW, MAX_YAW)
             then = after.points + after.velocities * left[:, None]
-            lands = self.placed(k, blend, then, after.headings + turn, places)
+            lands = self.placed(k, blend, then, after.headings + yaw, footholds)
             new = state.swings[:, k] < 0
             aims[aimed, k] = followed(aims, lands, swings, new, self.scales, dt, k)[
                 aimed
             ]
         target = np.where(moves | (swings >= 0).any(axis=1), -dt, dt) / SETTLING
-        made = replace(
+        moved = replace(
             state,
             phases=phases,
-            places=places,
+            places=footholds,
             swings=swings,
             aims=aims,
             rates=rates,
@@ -207,46 +208,56 @@ class Bodies(Footing):
             heels=heels,
             spans=spans,
         )
-        return self._reached(state, made, after, blend, dt)
+        return self._reached(state, moved, after, blend, dt)
 
     def _reached(
-        self, before: BodyState, state: BodyState, going: Going, blend: Blend, dt: float
+        self,
+        before: BodyState,
+        state: BodyState,
+        going: AgentMotion,
+        blend: Blend,
+        dt: float,
     ) -> BodyState:
-        """Return bodies whose feet landed where legs reach, and hips lowered for it."""
+        """Return bodies with feet moved into reach, and hips lowered for them."""
         stances = self._stances(state, going, state.phases, blend)
-        places = state.places.copy()
+        footholds = state.places.copy()
         leg = self.gaits.walker.leg
         lowered = np.maximum(before.lowered - RISES * leg * dt, 0.0)
         for k in range(2):
-            seen = k, stances.thighs[:, k], stances.feet[:, k], stances.pitches[0, :, k]
+            stance = (
+                k,
+                stances.thighs[:, k],
+                stances.feet[:, k],
+                stances.pitches[0, :, k],
+            )
             stands = state.swings[:, k] < 0
-            room, ways = self.reach.room(*seen)
-            landed = stands & (places[:, k] != before.places[:, k]).any(axis=1)
-            back = np.minimum(room, 0.0)[:, None] * ways * self.scales[:, None]
-            places[landed, k, :2] += turned(back, going.headings)[landed]
-            need = np.where(stands, self.reach.lowered(*seen), 0.0)
+            room, outwards = self.reach.room(*stance)
+            landed = stands & (footholds[:, k] != before.places[:, k]).any(axis=1)
+            back = np.minimum(room, 0.0)[:, None] * outwards * self.scales[:, None]
+            footholds[landed, k, :2] += turned(back, going.headings)[landed]
+            need = np.where(stands, self.reach.lowered(*stance), 0.0)
             lowered = np.maximum(lowered, need)
-        return replace(state, places=places, lowered=lowered)
+        return replace(state, places=footholds, lowered=lowered)
 
     @cached_property
     def reach(self) -> Reach:
-        """Return how far legs reach."""
+        """Return the reach of the legs."""
         return Reach.of(self.gaits)
 
     def pitches(
-        self, k: int, begins: FloatArray, blend: Blend, still: FloatArray
+        self, k: int, begins: FloatArray, blend: Blend, standing: FloatArray
     ) -> FloatArray:
-        """Return how far heels of feet that stand are up ``(N,)`` [rad]."""
+        """Return heel pitches of planted feet ``(N,)`` [rad]."""
         stood = np.clip(begins / blend.stands[:, k], 0.0, 1.0) * (PHASES - 1)
         pitch = np.zeros(len(begins))
         for weight, one in zip(blend.weights.T, self.gaits.moving, strict=True):
             pitch += weight * np.interp(stood, np.arange(PHASES), one.pitches[k])
-        return np.asarray(pitch * (1 - still))
+        return np.asarray(pitch * (1 - standing))
 
     def _stances(
-        self, state: BodyState, going: Going, phases: FloatArray, blend: Blend
+        self, state: BodyState, going: AgentMotion, phases: FloatArray, blend: Blend
     ) -> Stances:
-        """Return how feet stand of bodies in phases."""
+        """Return the stance of feet at given phases."""
         feet = np.zeros((len(phases), 2, 4))
         off = turned(
             state.places[..., :2] - going.points[:, None], -going.headings[:, None]
@@ -271,13 +282,13 @@ class Bodies(Footing):
     def _reacting(
         self, reacts: FloatArray, dt: float, hit: BoolArray | None
     ) -> FloatArray:
-        """Return since when bodies react a step later ``(N,)`` [s]."""
+        """Return the time since each reaction began, after a step ``(N,)`` [s]."""
         if not self.gaits.reactions:
             return reacts
         period = self.gaits.reactions[0].period
-        made = np.where(reacts >= 0, reacts + dt, reacts)
-        made = np.where(made > period, -1.0, made)
-        return made if hit is None else np.where(hit & (made < 0), 0.0, made)
+        times = np.where(reacts >= 0, reacts + dt, reacts)
+        times = np.where(times > period, -1.0, times)
+        return times if hit is None else np.where(hit & (times < 0), 0.0, times)
 
     def _begun(
         self,
@@ -285,15 +296,15 @@ class Bodies(Footing):
         blend: Blend,
         begins: BoolArray,
         off: BoolArray,
-        going: Going,
+        going: AgentMotion,
     ) -> FloatArray:
-        """Return phases ``(N,)``: who begins lifts the foot that is farther behind."""
+        """Return phases ``(N,)``; starters lift the foot that is farther back."""
         back = self.stands(going, blend) - state.places
         along = turned(back[..., :2], -going.headings[:, None])[..., 1]
         score = along + np.where(off, 10.0, 0.0)
         right = score[:, 1] > score[:, 0]
-        own = np.where(right, 0.5 + blend.stands[:, 1], blend.stands[:, 0])
-        return np.where(begins, own % 1.0, state.phases)
+        lift_phases = np.where(right, 0.5 + blend.stands[:, 1], blend.stands[:, 0])
+        return np.where(begins, lift_phases % 1.0, state.phases)
 
     def _advance(
         self,
@@ -301,15 +312,15 @@ class Bodies(Footing):
         phases: FloatArray,
         change: FloatArray,
         blend: Blend,
-        goings: tuple[Going, Going],
-        places: FloatArray,
+        goings: tuple[AgentMotion, AgentMotion],
+        footholds: FloatArray,
         swings: FloatArray,
     ) -> None:
-        """Let a foot of each body lift, swing and land in a step, in place."""
+        """Lift, swing and land a foot of each body in a step, in place."""
         begin = (phases - 0.5 * k) % 1.0
         end = begin + change
         stands = blend.stands[:, k]
-        # Who stands longer than the gait has it, as that changed, lifts at once.
+        # Bodies that stand longer than their changed gait does lift at once.
         lifts = (swings[:, k] < 0) & (change > 0) & (end >= stands) & (begin < 1)
         late = (begin > stands) & ~(begin < LAST)
         lifts &= ~late
@@ -318,14 +329,14 @@ class Bodies(Footing):
         up = swings[:, k] >= 0
         done = np.clip((end - at) / np.maximum(1 - at, 1e-9), 0.0, 1.0)
         lands = up & (end >= 1)
-        share = (1 - begin) / np.where(change > 0, change, 1.0)
-        places[lands, k] = self.landing(k, blend, goings, share, places)[lands]
+        fraction = (1 - begin) / np.where(change > 0, change, 1.0)
+        footholds[lands, k] = self.landing(k, blend, goings, fraction, footholds)[lands]
         swings[up, k] += (1 - swings[up, k]) * done[up]
         swings[lands, k] = -1.0
 
 
 def _weights(points: FloatArray, known: FloatArray) -> FloatArray:
-    """Return parts of gaits ``(N, G)`` by gradient bands (Johansen, 2009).
+    """Return gait weights ``(N, G)`` by gradient-band interpolation (Johansen, 2009).
 
     ``points`` ``(N, 2)`` are among those of the gaits ``(G, 2)``.
     """
@@ -335,6 +346,6 @@ def _weights(points: FloatArray, known: FloatArray) -> FloatArray:
     squares = (off * off).sum(axis=2)
     squares[squares == 0] = np.inf
     along = np.einsum("nik,ijk->nij", points[:, None] - known[None], off) / squares
-    # The band of the nearest one is half or more: they never add up to 0.
+    # The nearest band has at least half the weight: the sum is never 0.
     bands = np.clip(1 - along, 0.0, 1.0).min(axis=2)
     return np.asarray(bands / bands.sum(axis=1, keepdims=True))

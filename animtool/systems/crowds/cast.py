@@ -1,4 +1,4 @@
-"""Agents with bodies: which has which rig, and the characters that they show."""
+"""Characters of a crowd: agents grouped by rig, and the poses they show."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from animtool.motion.frames import Cast, CharactersFrame
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.crowds.agents import Agents, Going
-from animtool.systems.crowds.bodies import Bodies
+from animtool.systems.crowds.agents import AgentMotion, Agents
+from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.footing import BodyState, Heights
 from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import Frame, about_up
 from animtool.systems.crowds.poses import poses_of
 
-# Samples a second of what those do who stand: it is slow.
+# Samples a second of the idle, which is slow.
 STANDING_RATE = 24.0
-# From and to these parts of a swing on soles are close to the ground.
+# Phases of a swing at which soles are close to the ground.
 LIFTED, LANDING = 0.08, 0.78
 
 
 @dataclass(frozen=True)
 class CastGroup:
-    """Agents of one rig, and what they show."""
+    """Agents that share a rig, and their character."""
 
-    own: IntArray  # which agents (n,)
-    bodies: Bodies
+    agents: IntArray  # indices of agents (n,)
+    bodies: AgentBodies
     cast: Cast
 
 
 @dataclass(frozen=True)
 class Casting:
-    """The bodies of N agents, by rig."""
+    """The bodies of N agents, grouped by rig."""
 
     groups: Sequence[CastGroup]
-    order: IntArray  # of the agents, those of one rig after those of another (N,)
+    order: IntArray  # agent order, rig by rig (N,)
 
     @staticmethod
     def of(
@@ -52,42 +52,50 @@ class Casting:
         *,
         falls: bool,
     ) -> Casting:
-        """Return bodies of agents, of the gaits of each population; some may fall."""
+        """Return bodies for agents, from their populations' gaits; some may fall."""
         distinct = list(dict.fromkeys(sources))
         which = np.array([distinct.index(one) for one in sources])[agents.kinds]
         groups = []
         for k, source in enumerate(distinct):
-            own = np.flatnonzero(which == k)
-            bodies = Bodies(source(), agents.sizes[own], ground)
-            groups.append(CastGroup(own, bodies, _cast(bodies, falls=falls)))
-        order = np.concatenate([group.own for group in groups])
+            rows = np.flatnonzero(which == k)
+            bodies = AgentBodies(source(), agents.sizes[rows], ground)
+            groups.append(CastGroup(rows, bodies, _cast(bodies, falls=falls)))
+        order = np.concatenate([group.agents for group in groups])
         return Casting(groups, order)
 
-    def first(self, going: Going, chances: FloatArray) -> BodyState:
-        """Return the bodies of agents at the beginning."""
+    def first(self, going: AgentMotion, chances: FloatArray) -> BodyState:
+        """Return the initial bodies of all agents."""
         return self._joined(
-            [g.bodies.first(part(going, g.own), chances[g.own]) for g in self.groups]
+            [
+                g.bodies.first(part(going, g.agents), chances[g.agents])
+                for g in self.groups
+            ]
         )
 
     def next(
-        self, state: BodyState, before: Going, after: Going, dt: float, hit: BoolArray
+        self,
+        state: BodyState,
+        before: AgentMotion,
+        after: AgentMotion,
+        dt: float,
+        hit: BoolArray,
     ) -> BodyState:
-        """Return the bodies of agents a step [s] later; some were hit ``(N,)``."""
+        """Return the bodies after a step [s]; some were hit ``(N,)``."""
         return self._joined(
             [
                 g.bodies.next(
-                    part(state, g.own),
-                    part(before, g.own),
-                    part(after, g.own),
+                    part(state, g.agents),
+                    part(before, g.agents),
+                    part(after, g.agents),
                     dt,
-                    hit[g.own],
+                    hit[g.agents],
                 )
                 for g in self.groups
             ]
         )
 
     def _joined(self, states: Sequence[BodyState]) -> BodyState:
-        """Return states of all rigs as one, in the order of the agents."""
+        """Return the states of all rigs joined, in agent order."""
         back = np.argsort(self.order)
         return BodyState(
             *(
@@ -98,48 +106,53 @@ class Casting:
 
     @property
     def rigs(self) -> list[Rig]:
-        """Return the rig of each agent."""
-        made = [self.groups[0].cast.rig] * len(self.order)
+        """Return each agent's rig."""
+        rigs = [self.groups[0].cast.rig] * len(self.order)
         for group in self.groups:
-            for i in group.own.tolist():
-                made[i] = group.cast.rig
-        return made
+            for i in group.agents.tolist():
+                rigs[i] = group.cast.rig
+        return rigs
 
     def world(
-        self, state: BodyState, going: Going, frame: Frame, ground: Heights, i: int
+        self,
+        state: BodyState,
+        going: AgentMotion,
+        frame: Frame,
+        ground: Heights,
+        i: int,
     ) -> WorldTransforms:
-        """Return where the joints of an agent are in the world, one frame."""
-        group = next(one for one in self.groups if i in one.own)
+        """Return an agent's joints in the world, one frame."""
+        group = next(one for one in self.groups if i in one.agents)
         row, rig = np.array([i]), group.cast.rig
         bodies = replace(
-            group.bodies, scales=group.bodies.scales[np.searchsorted(group.own, row)]
+            group.bodies, scales=group.bodies.scales[np.searchsorted(group.agents, row)]
         )
-        made = poses_of(bodies, part(state, row), part(going, row))
-        places = np.repeat(rig.rest_translations[None], 1, axis=0)
-        places[:, 0] = made.roots
-        world = forward(rig, places, made.turns)
+        poses = poses_of(bodies, part(state, row), part(going, row))
+        positions = np.repeat(rig.rest_translations[None], 1, axis=0)
+        positions[:, 0] = poses.roots
+        world = forward(rig, positions, poses.rotations)
         heading = about_up(going.headings[row])
-        turn = so3.multiply(frame.rotation, heading)
+        rotation = so3.multiply(frame.rotation, heading)
         heights = np.nan_to_num(ground(going.points[row])[0])
         origin = np.insert(going.points[row], 1, heights, axis=1)
-        matrix = so3.to_matrix(turn)
-        places = so3.rotate(turn, bodies.scales[:, None, None] * world.positions)
+        matrix = so3.to_matrix(rotation)
+        positions = so3.rotate(rotation, bodies.scales[:, None, None] * world.positions)
         return WorldTransforms(
-            places + frame.to_world(origin)[:, None],
+            positions + frame.to_world(origin)[:, None],
             matrix[:, None] @ world.linear,
         )
 
     def frame(
         self,
         state: BodyState,
-        going: Going,
+        going: AgentMotion,
         heights: FloatArray,
         placed: tuple[Frame, FloatArray],
         visible: BoolArray,
         primvars: Mapping[str, Any],
         fallen: Mapping[int, tuple[FloatArray, FloatArray]],
     ) -> CharactersFrame:
-        """Return what agents show.
+        """Return the characters at a time.
 
         Args:
             state: Of their bodies.
@@ -147,32 +160,32 @@ class Casting:
             heights: Of the ground below them ``(N,)`` [m].
             placed: Where the ground is, and the velocities of agents in the world
                 ``(N, 3)`` [m/s].
-            visible: Who is to be seen ``(N,)``.
-            primvars: Of each.
-            fallen: Of who fell, by number, local places and turns of joints, those of
-                the first in the world.
+            visible: Which agents are visible ``(N,)``.
+            primvars: Values per agent.
+            fallen: Local translations and rotations of fallen agents, by number; the
+                root's are in the world.
         """
         frame, velocities = placed
-        turns, roots = [], []
+        rotations, roots = [], []
         points = np.column_stack([going.points[:, 0], heights, going.points[:, 1]])
         for group in self.groups:
-            some = part(state, group.own), part(going, group.own)
-            made = poses_of(group.bodies, *some)
-            for i, (places, own) in fallen.items():
-                for row in np.flatnonzero(group.own == i).tolist():
-                    turn = so3.multiply(frame.rotation, about_up(going.headings[i]))
-                    back = so3.conjugate(turn)
-                    made.turns[row] = own
-                    made.turns[row, 0] = so3.multiply(back, own[0])
-                    off = places[0] - frame.to_world(points[i])
-                    made.roots[row] = so3.rotate(back, off) / group.bodies.scales[row]
-            turns.append(made.turns[:, group.cast.moves])
-            roots.append(made.roots)
+            some = part(state, group.agents), part(going, group.agents)
+            poses = poses_of(group.bodies, *some)
+            for i, (positions, fallen_rotations) in fallen.items():
+                for row in np.flatnonzero(group.agents == i).tolist():
+                    rotation = so3.multiply(frame.rotation, about_up(going.headings[i]))
+                    back = so3.conjugate(rotation)
+                    poses.rotations[row] = fallen_rotations
+                    poses.rotations[row, 0] = so3.multiply(back, fallen_rotations[0])
+                    off = positions[0] - frame.to_world(points[i])
+                    poses.roots[row] = so3.rotate(back, off) / group.bodies.scales[row]
+            rotations.append(poses.rotations[:, group.cast.moves])
+            roots.append(poses.roots)
         order = self.order
         only = (state.still >= 1) & ~going.velocities.any(axis=1) & (state.reacts < 0)
         only &= state.shoulders == 0
         only[list(fallen)] = False
-        # Feet that are about to land, or just lifted, are as near the ground.
+        # Feet about to land, or just lifted, are as close to the ground.
         near = (state.swings < LIFTED) | (state.swings > LANDING)
         near[list(fallen)] = False
         stands = near & (state.swings < 0)
@@ -184,8 +197,8 @@ class Casting:
             going.headings[order],
             np.concatenate([group.bodies.scales for group in self.groups]),
             tuple(group.cast for group in self.groups),
-            np.array([len(group.own) for group in self.groups]),
-            tuple(turns),
+            np.array([len(group.agents) for group in self.groups]),
+            tuple(rotations),
             np.concatenate(roots),
             stands[order],
             near[order],
@@ -201,16 +214,16 @@ def part(record: Any, rows: IntArray) -> Any:
     return replace(record, **changes)
 
 
-def _cast(bodies: Bodies, *, falls: bool) -> Cast:
-    """Return the rig of bodies, and what those do alike who stand on level ground."""
+def _cast(bodies: AgentBodies, *, falls: bool) -> Cast:
+    """Return the character of a group, with the pose that idle agents share."""
     gaits = bodies.gaits
-    period = 2 * gaits.idle.period if len(gaits.idle.turns) > 1 else 0.0
+    period = 2 * gaits.idle.period if len(gaits.idle.rotations) > 1 else 0.0
     count = max(round(period * STANDING_RATE), 1)
     clocks: FloatArray = np.arange(count, dtype=np.float64) * (period / count)
-    here = Going(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
+    here = AgentMotion(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
     level = replace(bodies, scales=np.ones(count), ground=_level)
     first = level.first(here, np.zeros(count))
-    made = poses_of(level, replace(first, clocks=clocks), here)
+    poses = poses_of(level, replace(first, clocks=clocks), here)
     moves = bodies.moves
     if falls:
         moves = np.union1d(moves, Capsules.of(gaits.walker.rig).joints)
@@ -219,12 +232,12 @@ def _cast(bodies: Bodies, *, falls: bool) -> Cast:
         gaits.walker.rig,
         moves,
         (left, right),
-        made.turns[:, moves],
-        made.roots,
+        poses.rotations[:, moves],
+        poses.roots,
         period,
     )
 
 
 def _level(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return level ground."""
+    """Return flat ground."""
     return np.zeros(len(points)), np.tile([0.0, 1.0, 0.0], (len(points), 1))

@@ -1,4 +1,4 @@
-"""Takes on a rig as gaits: a cycle that goes somewhere is cut into its steps."""
+"""Gaits from takes: walk cycles are cut into steps."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from animtool.systems.crowds.gaits import (
 )
 from animtool.systems.crowds.ground import about_up, turned, wrapped
 
-# A clip whose hips go slower stands, over the length of a leg [1/s].
+# Slower clips stand, in leg lengths per second [1/s].
 STANDS = 0.2
-# Cycles of a gait [s]: two steps.
+# Period of a gait [s]: two steps.
 SHORTEST, LONGEST = 0.4, 2.5
-# Ends of a cycle that differ by more than this part of what it moves are none.
+# Cycles with a larger seam, relative to their motion, are rejected.
 SEAM = 0.35
-# A cycle is repeated so often to find its steps: the middle one has both neighbours.
+# Repeats of a cycle for step detection: the middle one has both neighbours.
 REPEATS = 3
 
 
 def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
-    """Return takes on a rig, by name, as gaits.
+    """Return takes on a rig as gaits, by name.
 
     Raises:
         OptionError: The rig has no legs, or none of the takes goes anywhere (SIM149).
@@ -69,47 +69,53 @@ def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
             f"no clip stands still: agents stand as in {slowest.name!r} at foot contact"
         )
         notices.append(warning("SIM150", message, "add a clip that stands still"))
-        idle.append(replace(slowest, turns=slowest.turns[:1], hips=slowest.hips[:1]))
+        idle.append(
+            replace(slowest, rotations=slowest.rotations[:1], hips=slowest.hips[:1])
+        )
     return Gaits(walker, tuple(moving), idle[0], tuple(reactions), tuple(notices))
 
 
-# Above this Froude number's root people run.
+# Froude number (square root) above which people run.
 RUNS = 0.7
 
 
-def heading_of(turns: FloatArray) -> FloatArray:
-    """Return how far turns ``(…, 4)`` go about y [rad]."""
-    return np.asarray(2 * np.arctan2(turns[..., 1], turns[..., 3]))
+def heading_of(rotations: FloatArray) -> FloatArray:
+    """Return headings of rotations ``(…, 4)``: yaw about y [rad]."""
+    return np.asarray(2 * np.arctan2(rotations[..., 1], rotations[..., 3]))
 
 
 def _gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
-    """Return whether a take moves, stands or reacts, and it as a gait."""
+    """Return the kind of a take (moves, stands, reacts), and its gait."""
     world = take.motion.world(walker.rig)
     hips = middle_of_hips(walker.person, world.positions)
     fps = float(take.clock.rate)
-    way = np.linalg.norm((hips[-1] - hips[0])[[0, 2]])
+    travelled = np.linalg.norm((hips[-1] - hips[0])[[0, 2]])
     seconds = max(len(hips) - 1, 1) / fps
     try:
-        found = find_cycle(take, shortest=SHORTEST, longest=LONGEST)
+        cycle_frames = find_cycle(take, shortest=SHORTEST, longest=LONGEST)
     except OptionError:
-        found = None
+        cycle_frames = None
     ranged = float(np.ptp(hips[:, [0, 2]], axis=0).max())
     if ranged < STANDS * walker.leg * min(seconds, 1.0):
-        return "stands", _whole(walker, name, take, world)
-    if found is None or found.share > SEAM or way < STANDS * walker.leg * seconds:
-        return "reacts", _whole(walker, name, take, world)
-    cycle = loop(take, found.first, found.last, repeats=REPEATS)
+        return "stands", _uncut(walker, name, take, world)
+    if (
+        cycle_frames is None
+        or cycle_frames.share > SEAM
+        or travelled < STANDS * walker.leg * seconds
+    ):
+        return "reacts", _uncut(walker, name, take, world)
+    cycle = loop(take, cycle_frames.first, cycle_frames.last, repeats=REPEATS)
     gait = _cycle(walker, name, cycle)
     return (
-        ("reacts", _whole(walker, name, take, world))
+        ("reacts", _uncut(walker, name, take, world))
         if gait is None
         else ("moves", gait)
     )
 
 
 @dataclass(frozen=True)
-class _Body:
-    """How a body goes: evenly along an arc, in the frames of a cycle.
+class CyclePath:
+    """The path of a body over a cycle: an arc at constant speed.
 
     Attributes:
         begin: Frame of the begin.
@@ -128,10 +134,10 @@ class _Body:
     turning: float
 
     def headings(self, frames: FloatArray) -> FloatArray:
-        """Return where it looks ``(K,)`` [rad]."""
+        """Return headings ``(K,)`` [rad]."""
         return self.heading + self.turning * (frames - self.begin)
 
-    def places(self, frames: FloatArray) -> FloatArray:
+    def positions(self, frames: FloatArray) -> FloatArray:
         """Return x and z ``(K, 2)`` [m]."""
         return (
             self.origin
@@ -139,21 +145,21 @@ class _Body:
         )
 
     @staticmethod
-    def of(hips: FloatArray, headings: FloatArray, length: int) -> _Body:
-        """Return that of the second cycle of three ``(3 L, …)``."""
+    def of(hips: FloatArray, headings: FloatArray, length: int) -> CyclePath:
+        """Return the path of the second of three cycles ``(3 L, …)``."""
         within = np.arange(length, 2 * length)
         turning = float(headings[2 * length] - headings[length]) / length
         heading = float((headings[within] - turning * (within - length)).mean())
         flat = hips[:, [0, 2]]
-        whole = _arc(heading, turning, np.array([float(length)]))[0]
-        velocity = np.linalg.solve(whole, flat[2 * length] - flat[length])
-        body = _Body(length, length, np.zeros(2), heading, velocity, turning)
-        off = flat[within] - body.places(within.astype(float))
+        cycle = _arc(heading, turning, np.array([float(length)]))[0]
+        velocity = np.linalg.solve(cycle, flat[2 * length] - flat[length])
+        body = CyclePath(length, length, np.zeros(2), heading, velocity, turning)
+        off = flat[within] - body.positions(within.astype(float))
         return replace(body, origin=off.mean(axis=0))
 
 
 def _arc(heading: float, turning: float, t: FloatArray) -> FloatArray:
-    """Return how velocities in a frame that turns add up ``(K, 2, 2)``, of x and z."""
+    """Return integrals of velocity in a rotating frame, as matrices ``(K, 2, 2)``."""
     end = heading + turning * t
     if abs(turning) < 1e-9:
         cosine, sine = np.cos(heading) * t, np.sin(heading) * t
@@ -166,12 +172,12 @@ def _arc(heading: float, turning: float, t: FloatArray) -> FloatArray:
 
 
 def _cycle(walker: Walker, name: str, take: Take) -> Gait | None:
-    """Return the second of three cycles of a take; None where it is not two steps."""
-    translations, turns, _ = take.motion.dense()
-    world = forward(walker.rig, translations, turns)
+    """Return the second of three cycles as a gait; None without exactly two steps."""
+    translations, rotations, _ = take.motion.dense()
+    world = forward(walker.rig, translations, rotations)
     length, fps = take.clock.count // REPEATS, float(take.clock.rate)
     hips = middle_of_hips(walker.person, world.positions)
-    body = _Body.of(hips, _headings(walker, world), length)
+    body = CyclePath.of(hips, _headings(walker, world), length)
     if body.velocity[1] <= abs(body.velocity[0]):
         return None
     ground = _ground(walker, world)
@@ -187,8 +193,8 @@ def _cycle(walker: Walker, name: str, take: Take) -> Gait | None:
     frames = left.lands + shares * length
     frames = np.where(frames >= 2 * length, frames - length, frames)
     back = about_up(-body.headings(frames))
-    origins = np.insert(body.places(frames), 1, ground, axis=1)
-    local = _between(turns, frames)
+    origins = np.insert(body.positions(frames), 1, ground, axis=1)
+    local = _between(rotations, frames)
     local[:, 0] = so3.multiply(back, local[:, 0])
     root = so3.rotate(back, rows(world.positions[:, 0], frames) - origins)
     steps = [
@@ -208,36 +214,38 @@ def _cycle(walker: Walker, name: str, take: Take) -> Gait | None:
 
 
 @dataclass(frozen=True)
-class _Stance:
-    """From when to when a foot stands [frames], and where it is flat."""
+class FootStance:
+    """The frames in which a foot is planted, and is flat."""
 
     lands: int
     lifts: int
-    flat: BoolArray  # of all frames
+    flat: BoolArray  # by frame
 
 
 def _stance(
     walker: Walker, world: WorldTransforms, k: int, length: int, fps: float
-) -> _Stance | None:
-    """Return the stance of a foot that begins in the second cycle, if it is one."""
+) -> FootStance | None:
+    """Return a foot's single stance that begins in the second cycle, or None."""
     _, _, foot, toe = walker.legs[k]
     tip = None if toe < 0 else world.positions[:, toe]
-    found: FootContacts = find_contacts(world.positions[:, foot], tip, fps, walker.leg)
-    begun = [one for one in runs(found.any) if length <= one[0] < 2 * length]
+    contacts: FootContacts = find_contacts(
+        world.positions[:, foot], tip, fps, walker.leg
+    )
+    begun = [one for one in runs(contacts.any) if length <= one[0] < 2 * length]
     if len(begun) != 1 or not 0 < begun[0][1] - begun[0][0] < length:
         return None
-    return _Stance(*begun[0], found.ankle & found.toe)
+    return FootStance(*begun[0], contacts.ankle & contacts.toe)
 
 
 def _step(
     walker: Walker,
     world: WorldTransforms,
-    body: _Body,
+    body: CyclePath,
     ground: float,
     k: int,
-    stance: _Stance,
+    stance: FootStance,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return where a foot lands, its pitches, and its turns and lifts as it swings."""
+    """Return a step's landing, pitches, and swing rotations and lifts."""
     _, _, foot, toe = walker.legs[k]
     level, ball = walker.level[k], walker.ball[k]
     within = np.arange(stance.lands, stance.lifts)
@@ -245,14 +253,14 @@ def _step(
     soles = so3.multiply(world.rotations[:, foot], so3.conjugate(level))
     yaw = float(np.unwrap(heading_of(soles[flat])).mean())
     ends = world.positions[:, toe if toe >= 0 else foot]
-    place = ends[within].mean(axis=0) - so3.rotate(about_up(np.array(yaw)), ball)
-    place = place[[0, 2]]
-    # As the body sees it: there it lands, and a cycle later again.
+    foothold = ends[within].mean(axis=0) - so3.rotate(about_up(np.array(yaw)), ball)
+    foothold = foothold[[0, 2]]
+    # In the frame of the body: it lands there, and again a cycle later.
     land = np.array([float(stance.lands)])
-    (here,), (look,) = body.places(land), body.headings(land)
-    step = np.append(turned(place - here, -look), wrapped(yaw - look))
+    (here,), (look,) = body.positions(land), body.headings(land)
+    step = np.append(turned(foothold - here, -look), wrapped(yaw - look))
     (there,), (then,) = (
-        body.places(land + body.length),
+        body.positions(land + body.length),
         body.headings(land + body.length),
     )
     later = np.append(there + turned(step[:2], then), yaw + then - look)
@@ -263,15 +271,15 @@ def _step(
     pitches = wrapped(pitches)
     frames = stance.lifts + shares * (stance.lands + body.length - stance.lifts)
     moved = eased(shares)
-    places = place + moved[:, None] * (later[:2] - place)
+    positions = foothold + moved[:, None] * (later[:2] - foothold)
     yaws = yaw + moved * (later[2] - yaw)
     back = about_up(-yaws)
     swings = so3.multiply(back, _between(soles, frames))
     ankles = rows(world.positions[:, foot], frames) - np.insert(
-        places, 1, ground, axis=1
+        positions, 1, ground, axis=1
     )
     lifts = so3.rotate(back, ankles)
-    # The ends of the swing are those of the stance.
+    # The swing ends with the pitches of the stance.
     for end, fade in ((-1, 1 - shares), (0, shares)):
         at = 0 if end else -1
         stood = about_side(pitches[end : end + 1 or None])
@@ -283,36 +291,36 @@ def _step(
     return step, pitches, swings, lifts
 
 
-def _between(turns: FloatArray, frames: FloatArray) -> FloatArray:
-    """Return turns ``(F, …, 4)`` between frames ``(K,)``."""
-    made = rows(turns, frames)
-    return np.asarray(made / np.linalg.norm(made, axis=-1, keepdims=True))
+def _between(rotations: FloatArray, frames: FloatArray) -> FloatArray:
+    """Return rotations ``(F, …, 4)`` interpolated at frames ``(K,)``."""
+    blended = rows(rotations, frames)
+    return np.asarray(blended / np.linalg.norm(blended, axis=-1, keepdims=True))
 
 
-def _whole(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:
-    """Return a take that is played as it is, about where its hips begin."""
-    _, turns, _ = take.motion.dense()
+def _uncut(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:
+    """Return an uncut take as a gait, relative to its first hip position."""
+    _, rotations, _ = take.motion.dense()
     heading = _headings(walker, world)[0]
     back = about_up(np.array(-heading))
     hips = middle_of_hips(walker.person, world.positions)
     origin = np.array([hips[0, 0], _ground(walker, world), hips[0, 2]])
     root = so3.rotate(back, world.positions[:, 0] - origin)
-    made = turns.copy()
-    made[:, 0] = so3.multiply(back, turns[:, 0])
+    local = rotations.copy()
+    local[:, 0] = so3.multiply(back, rotations[:, 0])
     seconds = max(take.clock.count - 1, 1) / float(take.clock.rate)
-    return Gait(name, made, root, seconds, np.zeros(2), 0.0)
+    return Gait(name, local, root, seconds, np.zeros(2), 0.0)
 
 
 def _headings(walker: Walker, world: WorldTransforms) -> FloatArray:
-    """Return where the hips look over time ``(F,)`` [rad]."""
+    """Return the heading of the hips over time ``(F,)`` [rad]."""
     hips = max(walker.person.first("hips"), 0)
-    rest = walker.person.turns[hips]
+    rest = walker.person.rotations[hips]
     turned = so3.multiply(world.rotations[:, hips], so3.conjugate(rest))
-    return np.unwrap(heading_of(turned)) + walker.ahead
+    return np.unwrap(heading_of(turned)) + walker.heading
 
 
 def _ground(walker: Walker, world: WorldTransforms) -> float:
-    """Return how high the ground is: below feet that stand [m]."""
+    """Return the height of the ground below planted feet [m]."""
     feet = [leg[2] for leg in walker.legs]
     heights = world.positions[:, feet, 1] - walker.ankle
     return float(np.quantile(heights.min(axis=1), 0.1))

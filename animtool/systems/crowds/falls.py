@@ -1,4 +1,4 @@
-"""Agents that are knocked down: from then on their rigs are rigid bodies on joints."""
+"""Falling agents: rigs that become ragdolls when hit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
 from animtool.sim.colliders.on_joints import Capsules
-from animtool.systems.crowds.ground import Frame, Ground
+from animtool.systems.crowds.ground import Frame, Terrain
 from animtool.systems.crowds.limits import kept, open_to
 from animtool.systems.framework.simulation import growing
 from animtool.systems.rigid.ragdoll import (
@@ -32,18 +32,18 @@ from animtool.systems.rigid.ragdoll_motion import (
 )
 from animtool.systems.rigid.simulation import RigidSimulation
 
-# Small steps of the bodies of who falls [s].
+# Substep of falling bodies [s].
 SMALL_STEP = 0.0025
-# Who moves less than this for so long has come to rest [m/s], [s].
+# Slower than this for this long is at rest [m/s], [s].
 REST_SPEED, REST_TIME = 0.15, 0.3
-# Nobody falls faster [m/s]; who would takes the step in so many parts.
+# Largest speed of a fall [m/s]; faster bodies divide the step into this many.
 FASTEST, PARTS = 60.0, 8
 GRAVITY = 9.81  # [m/s²]
 
 
 @dataclass(frozen=True, slots=True)
 class Falls:
-    """K agents that fell, in the order in which they did.
+    """K fallen agents, in the order of their falls.
 
     Attributes:
         agents: Which ``(K,)``.
@@ -61,7 +61,7 @@ class Falls:
 
     @staticmethod
     def none(joints: int, bodies: int) -> Falls:
-        """Return that nobody fell, of rigs with so many joints and bodies at most."""
+        """Return an empty record, for rigs with up to so many joints and bodies."""
         return Falls(
             np.zeros(0, np.int64),
             np.zeros((0, joints, 3)),
@@ -75,16 +75,16 @@ _Pose = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
-class _Falling:
-    """The bodies of one who falls."""
+class FallingRagdoll:
+    """The ragdoll of a falling agent."""
 
-    rig: Rig  # of that one's size, with limits that hold the pose he fell in
+    rig: Rig  # of the agent's size, with limits widened to its pose at the fall
     ragdoll: Ragdoll
     simulation: RigidSimulation
 
 
-class Falling:
-    """What moves those who fall, among colliders and on the ground.
+class FallSimulator:
+    """Steps the ragdolls of falling agents, among colliders and on the ground.
 
     Args:
         rigs: Of each agent.
@@ -100,7 +100,7 @@ class Falling:
         rigs: Sequence[Rig],
         sizes: FloatArray,
         frame: Frame,
-        ground: Ground,
+        ground: Terrain,
         colliders: Colliders,
         step: float,
     ) -> None:
@@ -108,11 +108,11 @@ class Falling:
         self._up = frame.turned(np.array([0.0, 1.0, 0.0]))
         shape: Plane | Mesh = Plane()
         if not ground.flat:
-            seen = ground.triangles
-            a, b, c = seen.swapaxes(0, 1)
+            facing_up = ground.triangles
+            a, b, c = facing_up.swapaxes(0, 1)
             over = np.cross(b - a, c - a)[:, 1] < 0
-            seen = np.where(over[:, None, None], seen[:, ::-1], seen)
-            corners = seen.reshape(-1, 3)
+            facing_up = np.where(over[:, None, None], facing_up[:, ::-1], facing_up)
+            corners = facing_up.reshape(-1, 3)
             faces = np.arange(len(corners)).reshape(-1, 3)
             shape = Mesh(corners, faces, closed=True)
         poses = Poses.fixed(frame.origin, frame.rotation)
@@ -120,16 +120,16 @@ class Falling:
         self._colliders = Colliders([*colliders, floor], (), colliders.bodies)
         self._gravity = (-GRAVITY * self._up).tolist()
         self._step = step
-        self._known: dict[tuple[int, bytes], _Falling] = {}
+        self._known: dict[tuple[int, bytes], FallingRagdoll] = {}
         self._posed: dict[int, tuple[tuple[bytes, ...], _Pose]] = {}
 
     @staticmethod
     def possible(rig: Rig) -> bool:
-        """Return whether a rig has bodies to fall with."""
+        """Return whether a rig has bodies for a ragdoll."""
         return bool(len(Capsules.of(rig)))
 
     def none(self) -> Falls:
-        """Return that nobody fell."""
+        """Return an empty record of falls."""
         rigs = {id(rig): rig for rig in self._rigs}.values()
         joints = max(len(rig.joints) for rig in rigs)
         return Falls.none(
@@ -144,15 +144,15 @@ class Falling:
         soon: Sequence[WorldTransforms],
         dt: float,
     ) -> Falls:
-        """Return falls with more agents, who would be there `soon`, a step [s] on."""
+        """Return falls with more agents; ``soon`` is their pose after a step [s]."""
         for agent, first, last in zip(agents.tolist(), now, soon, strict=True):
             rig = self._rigs[agent]
             positions = np.zeros((1, *falls.positions.shape[1:]))
-            turns = np.tile(so3.IDENTITY, (1, falls.turns.shape[1], 1))
+            rotations = np.tile(so3.IDENTITY, (1, falls.turns.shape[1], 1))
             positions[0, : len(rig.joints)] = first.positions[0]
-            turns[0, : len(rig.joints)] = first.rotations[0]
-            falling = self._falling(agent, positions[0], turns[0])
-            # The speeds of a pose are those of the later one of two.
+            rotations[0, : len(rig.joints)] = first.rotations[0]
+            falling = self._falling(agent, positions[0], rotations[0])
+            # Velocities of a pose pair belong to the later one.
             pair = WorldTransforms(
                 np.concatenate([last.positions, first.positions]),
                 np.concatenate([last.linear, first.linear]),
@@ -161,44 +161,44 @@ class Falling:
             motion[:, 7:13] = ragdoll_speeds(
                 falling.ragdoll, pair, np.array([dt, 0.0]), 1
             )
-            whole = np.zeros((1, *falls.motion.shape[1:]))
-            whole[0, : len(motion)] = motion
+            padded = np.zeros((1, *falls.motion.shape[1:]))
+            padded[0, : len(motion)] = motion
             falls = Falls(
                 np.append(falls.agents, agent),
                 np.concatenate([falls.positions, positions]),
-                np.concatenate([falls.turns, turns]),
-                np.concatenate([falls.motion, whole]),
+                np.concatenate([falls.turns, rotations]),
+                np.concatenate([falls.motion, padded]),
                 np.append(falls.slow, 0.0),
             )
         return falls
 
     def step(self, falls: Falls, t: float, dt: float) -> Falls:
-        """Return falls a step [s] later; who rests stays."""
+        """Return falls after a step [s]; resting bodies stay."""
         motion, slow = falls.motion.copy(), falls.slow.copy()
         for k, agent in enumerate(falls.agents.tolist()):
             if slow[k] >= REST_TIME:
                 continue
             falling = self._falling(agent, falls.positions[k], falls.turns[k])
             count = len(falling.simulation.initial().motion)
-            made = _moved(falling.simulation, motion[k, :count], t, dt)
-            speeds = np.linalg.norm(made[:, 7:10], axis=1)
-            motion[k, :count] = made
+            moved = _moved(falling.simulation, motion[k, :count], t, dt)
+            speeds = np.linalg.norm(moved[:, 7:10], axis=1)
+            motion[k, :count] = moved
             slow[k] = slow[k] + dt if speeds.max() < REST_SPEED else 0.0
         return replace(falls, motion=motion, slow=slow)
 
     def poses(self, falls: Falls, k: int) -> _Pose:
-        """Return local places ``(J, 3)`` [m] and turns ``(J, 4)`` of one who fell.
+        """Return a fallen agent's local translations and rotations (cached).
 
         Those of the first joint are in the world. Who rests has the pose before.
         """
         agent = int(falls.agents[k])
-        seen = falls.positions[k].tobytes(), falls.motion[k].tobytes()
-        if agent not in self._posed or self._posed[agent][0] != seen:
-            self._posed[agent] = seen, self._pose(falls, k)
+        key = falls.positions[k].tobytes(), falls.motion[k].tobytes()
+        if agent not in self._posed or self._posed[agent][0] != key:
+            self._posed[agent] = key, self._pose(falls, k)
         return self._posed[agent][1]
 
     def _pose(self, falls: Falls, k: int) -> _Pose:
-        """Return what `poses` does, from the bodies that fall."""
+        """Compute `poses` from the ragdoll."""
         agent = int(falls.agents[k])
         falling = self._falling(agent, falls.positions[k], falls.turns[k])
         rig, bodies = falling.rig, falling.ragdoll.bodies
@@ -212,29 +212,29 @@ class Falling:
         count = len(rig.joints)
         local = _local(rig, falls.turns[k, :count])
         below = rig.parents >= 0
-        places = rig.rest_translations.copy()
-        places[~below] = falls.positions[k, :count][~below]
+        translations = rig.rest_translations.copy()
+        translations[~below] = falls.positions[k, :count][~below]
         moved, turned = ragdoll_transforms(
             falling.ragdoll,
             frame.points[None],
             frame.rotations[None],
-            places[None],
+            translations[None],
             local[None],
         )
         return moved[0], kept(rig, turned[0])
 
     def _falling(
-        self, agent: int, positions: FloatArray, turns: FloatArray
-    ) -> _Falling:
-        """Return the bodies of one who fell in a pose."""
+        self, agent: int, positions: FloatArray, rotations: FloatArray
+    ) -> FallingRagdoll:
+        """Return the ragdoll of a fallen agent in a pose."""
         key = agent, positions.tobytes()
         if key not in self._known:
             size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], self._sizes[[agent]])
             rig = placed_rig(self._rigs[agent], size)
             count = len(rig.joints)
-            rig = open_to(rig, _local(rig, turns[:count]))
+            rig = open_to(rig, _local(rig, rotations[:count]))
             pose = WorldTransforms(
-                positions[None, :count], so3.to_matrix(turns[None, :count])
+                positions[None, :count], so3.to_matrix(rotations[None, :count])
             )
             options = RagdollOptions(mass=None, damping=2.0, tone=0.0, fingers=False)
             ragdoll = bodies_of_rig(rig, pose, options)
@@ -249,39 +249,39 @@ class Falling:
                 substeps=max(1, round(self._step / SMALL_STEP)),
                 iterations=10,
             )
-            self._known[key] = _Falling(rig, ragdoll, simulation)
+            self._known[key] = FallingRagdoll(rig, ragdoll, simulation)
         return self._known[key]
 
 
 def _moved(
     simulation: RigidSimulation, motion: FloatArray, t: float, dt: float
 ) -> FloatArray:
-    """Return the motion of bodies ``(B, 14)`` a step [s] later, in parts if it must."""
+    """Return body states ``(B, 14)`` after a step [s], in substeps if needed."""
     begun = simulation.initial()
     for parts in (1, PARTS):
-        made, each = motion, dt / parts
+        moved, each = motion, dt / parts
         for part in range(parts):
-            state = replace(begun, motion=np.ascontiguousarray(made))
-            made = simulation.step(state, t + part * each, each).motion
-            if not np.linalg.norm(made[:, 7:10], axis=1).max() < FASTEST:
+            state = replace(begun, motion=np.ascontiguousarray(moved))
+            moved = simulation.step(state, t + part * each, each).motion
+            if not np.linalg.norm(moved[:, 7:10], axis=1).max() < FASTEST:
                 break
         else:
-            return made
-    # Squeezed between others that give no way: it goes on from a stop.
-    made = motion.copy()
-    made[:, 7:13] = 0.0
-    return made
+            return moved
+    # Squeezed between immovable bodies: it continues from rest.
+    moved = motion.copy()
+    moved[:, 7:13] = 0.0
+    return moved
 
 
-def _local(rig: Rig, turns: FloatArray) -> FloatArray:
-    """Return local rotations ``(J, 4)`` of joints that are turned so in the world."""
-    local: FloatArray = turns.copy()
+def _local(rig: Rig, rotations: FloatArray) -> FloatArray:
+    """Return local rotations ``(J, 4)`` from world rotations."""
+    local: FloatArray = rotations.copy()
     below = rig.parents >= 0
-    above = turns[rig.parents[below]]
-    local[below] = so3.multiply(so3.conjugate(above), turns[below])
+    above = rotations[rig.parents[below]]
+    local[below] = so3.multiply(so3.conjugate(above), rotations[below])
     return local
 
 
 def resting(falls: Falls) -> BoolArray:
-    """Return who has come to rest ``(K,)``."""
+    """Return which falls have come to rest ``(K,)``."""
     return np.asarray(falls.slow >= REST_TIME)

@@ -1,4 +1,4 @@
-"""Gaits of a rig that walks: one cycle each, by phase, with its steps."""
+"""Gaits of a biped: one cycle each by phase, with its steps."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.retarget.anatomy import anatomy
-from animtool.retarget.person import Person
+from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.skeleton import Rig
 from animtool.systems.crowds.ground import about_up
 
-# Phases at which a cycle is known; between two it goes straight.
+# Phases at which a cycle is sampled; linear in between.
 PHASES = 64
 SIDES = "lr"
 UP = np.array([0.0, 1.0, 0.0])
@@ -23,22 +23,22 @@ UP = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class Walker:
-    """A rig that walks.
+    """A biped rig with its leg measures.
 
     Attributes:
         rig: With y up.
         legs: Thigh, shin, foot and toe (-1 for none) of the left and the right leg.
-        ahead: Heading of its rest pose [rad].
-        level: How each foot is turned in the world where it stands ``(2, 4)``.
-        ankle: How high ankles are where feet stand ``(2,)`` [m].
-        ball: From each ankle to the toe's joint, or to the ground where there is none,
-            level and heading along z ``(2, 3)`` [m].
+        heading: Heading of its rest pose [rad].
+        level: World rotation of each planted foot ``(2, 4)``.
+        ankle: Height of the ankles of planted feet ``(2,)`` [m].
+        ball: From each ankle to the toe joint, or to the ground without one; level,
+            heading along z ``(2, 3)`` [m].
         leg: Length of thigh and shin [m].
     """
 
-    person: Person
+    person: RoledSkeleton
     legs: tuple[tuple[int, int, int, int], tuple[int, int, int, int]]
-    ahead: float
+    heading: float
     level: FloatArray
     ankle: FloatArray
     ball: FloatArray
@@ -51,14 +51,14 @@ class Walker:
 
     @staticmethod
     def of(rig: Rig) -> Walker:
-        """Return a rig that stands at rest (SIM149 where it has no two legs)."""
-        person = Person.of(rig, anatomy(rig).roles)
+        """Return a biped from its rest pose (SIM149 if it lacks two legs)."""
+        person = RoledSkeleton.of(rig, anatomy(rig).roles)
         left, right, facing = person.leg("l"), person.leg("r"), person.facing
         if left is None or right is None or facing is None:
             message = f"{rig.name!r} does not have two legs with thigh, shin and foot"
             raise OptionError(Fault("SIM149", message, where="gaits"))
-        ahead = float(np.arctan2(facing[2, 0], facing[2, 2]))
-        back = about_up(np.array([-ahead]))[0]
+        heading = float(np.arctan2(facing[2, 0], facing[2, 2]))
+        back = about_up(np.array([-heading]))[0]
         ground = _ground(person)
         feet = [left[2], right[2]]
         balls = []
@@ -70,23 +70,23 @@ class Walker:
         return Walker(
             person,
             (left, right),
-            ahead,
-            so3.multiply(back, person.turns[feet]),
+            heading,
+            so3.multiply(back, person.rotations[feet]),
             person.positions[feet, 1] - ground,
             np.array(balls),
             person.leg_length("l"),
         )
 
 
-def _ground(person: Person) -> float:
-    """Return how high the ground is that a rig stands on at rest [m].
+def _ground(person: RoledSkeleton) -> float:
+    """Return the height of the ground below a rig at rest [m].
 
     Below its lowest joint, or where the bone of one ends, such as that of a toe.
     """
     ends = [
-        person.positions[joint] + so3.rotate(person.turns[joint], np.array(tip))
-        for joint, own in enumerate(person.rig.joints)
-        for tip in own.tips
+        person.positions[joint] + so3.rotate(person.rotations[joint], np.array(tip))
+        for joint, config in enumerate(person.rig.joints)
+        for tip in config.tips
     ]
     return float(np.vstack([person.positions, *ends])[:, 1].min())
 
@@ -95,27 +95,27 @@ def _ground(person: Person) -> float:
 class Gait:
     """One cycle of a clip: the left foot lands first, the right in the middle.
 
-    Of the frame of the body: on the ground below the hips, which go evenly along z and
-    turn evenly about y.
+    In the frame of the body: on the ground below the hips, at constant speed along z
+    and constant yaw rate.
 
     Attributes:
-        turns: Local rotations of joints ``(P, J, 4)``.
+        rotations: Local rotations of joints ``(P, J, 4)``.
         hips: Of the first joint ``(P, 3)`` [m].
         period: Of the cycle [s].
         velocity: x and z of the body in its frame ``(2,)`` [m/s].
         turning: Of the body [rad/s].
-        stands: For which share of the cycle each foot stands ``(2,)``.
-        steps: Where each foot lands in the frame of the body: x, z and how far it is
-            turned ``(2, 3)`` [m], [rad].
-        pitches: How far each foot is turned about its own x over its stance, at even
-            shares ``(2, P)``; more than 0 has the heel up [rad].
-        swings: How it is turned over its swing, as seen from a place that goes from one
-            to the next by `eased` shares ``(2, P, 4)``.
-        lifts: Where its ankle is then, over the ground of that place ``(2, P, 3)`` [m].
+        stands: Fraction of the cycle that each foot is planted ``(2,)``.
+        steps: Landing of each foot in the frame of the body: x, z and yaw ``(2, 3)``
+            [m], [rad].
+        pitches: Pitch of each foot about its local x over its stance, at equal
+            intervals ``(2, P)``; positive is heel up [rad].
+        swings: Rotation over its swing, relative to a point that moves from one
+            foothold to the next by `eased` progress ``(2, P, 4)``.
+        lifts: Its ankle then, above that point ``(2, P, 3)`` [m].
     """
 
     name: str
-    turns: FloatArray
+    rotations: FloatArray
     hips: FloatArray
     period: float
     velocity: FloatArray
@@ -128,19 +128,19 @@ class Gait:
 
     @property
     def speed(self) -> float:
-        """Return how fast it goes ahead [m/s]."""
+        """Return its forward speed [m/s]."""
         return float(self.velocity[1])
 
 
 @dataclass(frozen=True)
 class Gaits:
-    """What agents of a rig play.
+    """The clips of a rig's agents: moving, idle, reactions.
 
     Attributes:
-        moving: Cycles that go somewhere, the slowest first; never none.
-        idle: What they do as they stand.
-        reactions: What they do once, as they are hit.
-        notices: What is missing, and what is done instead.
+        moving: Locomotion cycles, the slowest first; at least one.
+        idle: Clip of standing agents.
+        reactions: Clips played once when hit.
+        notices: Warnings about missing clips, and the fallback.
     """
 
     walker: Walker
@@ -150,20 +150,20 @@ class Gaits:
     notices: tuple[Fault, ...]
 
 
-def eased(share: FloatArray) -> FloatArray:
-    """Return how far a foot is on its way to its next place, of its swing."""
-    return share**3 * (10 - 15 * share + 6 * share * share)
+def eased(fraction: FloatArray) -> FloatArray:
+    """Return the eased progress of a foot over its swing."""
+    return fraction**3 * (10 - 15 * fraction + 6 * fraction * fraction)
 
 
 def about_side(angles: FloatArray) -> FloatArray:
-    """Return turns about x ``(…, 4)`` by angles [rad]."""
-    made = np.zeros((*angles.shape, 4))
-    made[..., 0], made[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
-    return made
+    """Return rotations about x ``(…, 4)`` by angles [rad]."""
+    rotations = np.zeros((*angles.shape, 4))
+    rotations[..., 0], rotations[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
+    return rotations
 
 
 def standing_ankle(walker: Walker, k: int, pitched: FloatArray) -> FloatArray:
-    """Return ankles over the places of feet that stand ``(K, 3)`` [m].
+    """Return ankles above planted feet ``(K, 3)`` [m].
 
     They turn by ``pitched`` ``(K, 4)`` about the ball where the heel is up, else about
     the heel.
@@ -175,13 +175,13 @@ def standing_ankle(walker: Walker, k: int, pitched: FloatArray) -> FloatArray:
 
 
 def rows(table: FloatArray, at: FloatArray, *, again: bool = False) -> FloatArray:
-    """Return rows of a table ``(P, …)``; `again`: its first is behind its last."""
+    """Sample a table ``(P, …)`` at fractional rows; ``again`` wraps around."""
     count = len(table)
     low = np.clip(at.astype(np.int64), 0, count - 1)
     high = (low + 1) % count if again else np.minimum(low + 1, count - 1)
-    share = (at - low).reshape(-1, *[1] * (table.ndim - 1))
+    fraction = (at - low).reshape(-1, *[1] * (table.ndim - 1))
     first, last = table[low], table[high]
     if table.shape[-1] == 4:
         flipped = (first * last).sum(axis=-1, keepdims=True) < 0
         last = np.where(flipped, -last, last)
-    return np.asarray(first + share * (last - first))
+    return np.asarray(first + fraction * (last - first))

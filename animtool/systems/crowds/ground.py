@@ -1,4 +1,4 @@
-"""What agents walk on: a plane, or the highest faces of a mesh."""
+"""Terrain of a crowd: a plane, or the topmost faces of a mesh."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 
-# Cells of the grid of triangles are so many at most along an axis.
+# Largest number of grid cells along an axis.
 MAX_CELLS = 2048
-# Corners that are outside of a triangle by less are on its edge [1].
+# Points outside a triangle by less lie on its edge [1].
 EDGE = 1e-9
 
 
 def about_up(angles: FloatArray) -> FloatArray:
-    """Return turns about y ``(…, 4)`` by angles [rad]."""
-    made = np.zeros((*angles.shape, 4))
-    made[..., 1], made[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
-    return made
+    """Return rotations about y ``(…, 4)`` by angles [rad]."""
+    rotations = np.zeros((*angles.shape, 4))
+    rotations[..., 1], rotations[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
+    return rotations
 
 
 def turned(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
-    """Return x and z ``(…, 2)`` turned about y by an angle [rad]."""
+    """Return x and z ``(…, 2)`` rotated about y by an angle [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, z = vectors[..., 0], vectors[..., 1]
     return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=-1)
 
 
 def wrapped(angles: FloatArray) -> FloatArray:
-    """Return angles from -π to π [rad]."""
+    """Return angles wrapped to [-π, π] [rad]."""
     return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Where the ground is: agents know its x and z, and its y is up.
+    """The frame of the ground: agents use its x and z; y is up.
 
     Attributes:
         origin: In the world ``(3,)`` [m].
@@ -49,24 +49,24 @@ class Frame:
     rotation: FloatArray
 
     def to_local(self, points: FloatArray) -> FloatArray:
-        """Return points of the world ``(…, 3)`` as the ground sees them."""
+        """Transform world points ``(…, 3)`` to the ground's frame."""
         return self.turned_back(points - self.origin)
 
     def to_world(self, points: FloatArray) -> FloatArray:
-        """Return points of the ground ``(…, 3)`` in the world."""
+        """Transform ground points ``(…, 3)`` to the world."""
         return self.turned(points) + self.origin
 
     def turned(self, vectors: FloatArray) -> FloatArray:
-        """Return vectors of the ground ``(…, 3)`` in the world."""
+        """Rotate ground vectors ``(…, 3)`` to the world."""
         return so3.rotate(self.rotation, vectors)
 
     def turned_back(self, vectors: FloatArray) -> FloatArray:
-        """Return vectors of the world ``(…, 3)`` as the ground sees them."""
+        """Rotate world vectors ``(…, 3)`` to the ground's frame."""
         return so3.rotate(so3.conjugate(self.rotation), vectors)
 
 
 @dataclass(frozen=True)
-class Ground:
+class Terrain:
     """Triangles seen from above, or none for a plane at height 0.
 
     Attributes:
@@ -91,44 +91,44 @@ class Ground:
             return np.zeros(count), normals
         heights = np.full(count, -np.inf)
         rows, which = self._candidates(points)
-        (a, to_b, to_c), over, ways = self._planes
+        (a, to_b, to_c), over, normal_table = self._planes
         off = points[rows] - a[which][:, [0, 2]]
         b, c = to_b[which], to_c[which]
-        share_b = (off[:, 0] * c[:, 2] - off[:, 1] * c[:, 0]) * over[which]
-        share_c = (b[:, 0] * off[:, 1] - b[:, 2] * off[:, 0]) * over[which]
-        least = np.minimum(np.minimum(share_b, share_c), 1 - share_b - share_c)
+        weight_b = (off[:, 0] * c[:, 2] - off[:, 1] * c[:, 0]) * over[which]
+        weight_c = (b[:, 0] * off[:, 1] - b[:, 2] * off[:, 0]) * over[which]
+        least = np.minimum(np.minimum(weight_b, weight_c), 1 - weight_b - weight_c)
         inside = least >= -EDGE
         rows, which = rows[inside], which[inside]
         at = (
             a[which, 1]
-            + share_b[inside] * b[inside, 1]
-            + share_c[inside] * c[inside, 1]
+            + weight_b[inside] * b[inside, 1]
+            + weight_c[inside] * c[inside, 1]
         )
         np.maximum.at(heights, rows, at)
         highest = at == heights[rows]
-        # Of two that share an edge, the last in their order.
-        normals[rows[highest]] = ways[which[highest]]
+        # Of two faces with a common edge, the last one.
+        normals[rows[highest]] = normal_table[which[highest]]
         return np.where(np.isfinite(heights), heights, np.nan), normals
 
     @cached_property
     def bounds(self) -> FloatArray:
-        """Return least and largest x and z ``(2, 2)`` [m]."""
+        """Return lower and upper x and z ``(2, 2)`` [m]."""
         flat = self.triangles[..., [0, 2]].reshape(-1, 2)
         return np.stack([flat.min(axis=0), flat.max(axis=0)])
 
     @cached_property
     def _planes(self) -> tuple[tuple[FloatArray, ...], FloatArray, FloatArray]:
-        """Return first corners and both edges from them, 1 / area, and normals."""
-        a, b, c = self._seen.swapaxes(0, 1)
+        """Return first corners, both edges from them, 1 / area, and normals."""
+        a, b, c = self._upward.swapaxes(0, 1)
         to_b, to_c = b - a, c - a
         area = to_b[:, 0] * to_c[:, 2] - to_b[:, 2] * to_c[:, 0]
-        ways = np.cross(to_c, to_b)
-        ways = ways / np.linalg.norm(ways, axis=1)[:, None]
-        return (a, to_b, to_c), 1 / area, ways * np.sign(ways[:, 1:2])
+        face_normals = np.cross(to_c, to_b)
+        face_normals = face_normals / np.linalg.norm(face_normals, axis=1)[:, None]
+        return (a, to_b, to_c), 1 / area, face_normals * np.sign(face_normals[:, 1:2])
 
     @cached_property
-    def _seen(self) -> FloatArray:
-        """Return triangles that are not seen from the side alone ``(S, 3, 3)``."""
+    def _upward(self) -> FloatArray:
+        """Return triangles that are not vertical ``(S, 3, 3)``."""
         a, b, c = self.triangles[..., [0, 2]].swapaxes(0, 1)
         to_b, to_c = b - a, c - a
         area = np.abs(to_b[:, 0] * to_c[:, 1] - to_b[:, 1] * to_c[:, 0])
@@ -137,8 +137,8 @@ class Ground:
 
     @cached_property
     def _grid(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
-        """Return low corner, cell sizes and counts, and triangles cell by cell."""
-        flat = self._seen[..., [0, 2]]
+        """Return the low corner, cell sizes and counts, and triangles by cell."""
+        flat = self._upward[..., [0, 2]]
         low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
         side = max(1, min(MAX_CELLS, int(np.sqrt(len(flat)))))
         counts = np.array([side, side])
@@ -160,7 +160,7 @@ class Ground:
         return low, size, counts, which[order], starts
 
     def _candidates(self, points: FloatArray) -> tuple[IntArray, IntArray]:
-        """Return pairs of points and triangles that may be over each other."""
+        """Return pairs of points and triangles that may lie above each other."""
         low, size, counts, which, starts = self._grid
         at = (points - low) / size
         within = np.all((at >= -EDGE) & (at <= counts + EDGE), axis=1)
@@ -175,9 +175,13 @@ class Ground:
 
 
 def walkable(
-    ground: Ground, nodes: FloatArray, shape: tuple[int, int], cell: float, slope: float
+    ground: Terrain,
+    nodes: FloatArray,
+    shape: tuple[int, int],
+    cell: float,
+    slope: float,
 ) -> tuple[FloatArray, BoolArray]:
-    """Return heights of nodes of a grid, and where agents may walk ``(R, C)``.
+    """Return heights at grid nodes, and which are walkable ``(R, C)``.
 
     Not where there is no ground, or it rises more than a slope [rad] to a neighbour.
     """
@@ -185,8 +189,8 @@ def walkable(
     heights = heights.reshape(shape)
     free = np.array(np.isfinite(heights))
     most = np.tan(slope) * cell
-    for seen, rows in ((free, heights), (free.T, heights.T)):
+    for walkable_rows, rows in ((free, heights), (free.T, heights.T)):
         steep = np.abs(np.diff(rows, axis=0)) > most
-        seen[:-1] &= ~steep
-        seen[1:] &= ~steep
+        walkable_rows[:-1] &= ~steep
+        walkable_rows[1:] &= ~steep
     return heights, free

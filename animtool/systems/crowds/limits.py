@@ -1,4 +1,4 @@
-"""Limits of the joints of who falls: open to how he stood, and kept as he is shown."""
+"""Joint limits of falling agents: widened to the start pose, kept in shown poses."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from animtool.rig.limits import SMALLEST_CONE, BallLimit, RangeLimit, swing_twis
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 
-def open_to(rig: Rig, turns: FloatArray) -> Rig:
-    """Return a rig whose limits hold local rotations ``(J, 4)``.
+def open_to(rig: Rig, rotations: FloatArray) -> Rig:
+    """Return a rig with limits widened to contain local rotations ``(J, 4)``.
 
-    Who walks may be beyond limits of his rig, which would pull him back at once.
+    A walking pose may exceed its rig's limits, which would snap it back at once.
     """
-    joints = zip(rig.joints, _motions(rig, turns), strict=True)
+    joints = zip(rig.joints, _motions(rig, rotations), strict=True)
     return replace(rig, joints=tuple(_open_to(*one) for one in joints))
 
 
-def kept(rig: Rig, turns: FloatArray) -> FloatArray:
-    """Return local rotations ``(J, 4)`` that joints of a rig can have.
+def kept(rig: Rig, rotations: FloatArray) -> FloatArray:
+    """Return local rotations ``(J, 4)`` clamped to a rig's limits.
 
     Bodies that are crushed are torn apart for a moment, and turned any way.
     """
-    motions = _motions(rig, turns)
+    motions = _motions(rig, rotations)
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.PIN:
             angle = _angle(joint, motions[j])
@@ -38,13 +38,13 @@ def kept(rig: Rig, turns: FloatArray) -> FloatArray:
     return so3.multiply(rig.rest_rotations, motions)
 
 
-def _motions(rig: Rig, turns: FloatArray) -> FloatArray:
-    """Return how joints are turned from rest ``(J, 4)``."""
-    return so3.multiply(so3.conjugate(rig.rest_rotations), turns)
+def _motions(rig: Rig, rotations: FloatArray) -> FloatArray:
+    """Return joint rotations relative to rest ``(J, 4)``."""
+    return so3.multiply(so3.conjugate(rig.rest_rotations), rotations)
 
 
 def _angle(joint: Joint, motion: FloatArray) -> float:
-    """Return how far a pin is turned about its axis, near its limits [rad]."""
+    """Return a pin's angle about its axis, unwrapped near its limits [rad]."""
     angle = 2 * float(np.arctan2(motion[:3] @ np.array(joint.axis), motion[3]))
     limits = joint.limits
     middle = (limits.low + limits.high) / 2 if isinstance(limits, RangeLimit) else 0.0
@@ -52,7 +52,7 @@ def _angle(joint: Joint, motion: FloatArray) -> float:
 
 
 def _open_to(joint: Joint, motion: FloatArray) -> Joint:
-    """Return a joint whose limits hold how it is turned from rest ``(4,)``."""
+    """Return a joint with limits widened to a rotation from rest ``(4,)``."""
     limits = joint.limits
     if joint.type is JointType.PIN and isinstance(limits, RangeLimit):
         angle = _angle(joint, motion)

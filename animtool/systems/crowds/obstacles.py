@@ -1,4 +1,4 @@
-"""What agents may not walk into: colliders, shut doors and the edge of the ground."""
+"""Obstacles of agents: colliders, closed doors and the edge of the ground."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Plane
 from animtool.sim.colliders.shapes import bounds
 from animtool.systems.crowds.agents import Agents
-from animtool.systems.crowds.ground import Frame, Ground, walkable
-from animtool.systems.crowds.routes import MAX_NODES, Grid
+from animtool.systems.crowds.ground import Frame, Terrain, walkable
+from animtool.systems.crowds.routes import MAX_NODES, NavGrid
 from animtool.systems.crowds.spec import CrowdsModel, DoorModel
 
-# What faces up or down more than this is a floor or a ceiling: the least part of its
-# normal along the ground.
+# Steeper normals are walls: the least horizontal part of a normal; others are floors or
+# ceilings.
 UPRIGHT = 0.3
-# The grid of routes reaches beyond all starts and goals: by a share of their extent,
-# and by some of the largest radius.
+# Margin of the navigation grid beyond starts and goals: a fraction of their extent, and
+# largest radii.
 BEYOND, RADII_BEYOND = 0.5, 40.0
-# Nodes of the grid that are looked at together: more take gigabytes.
+# Grid nodes sampled at once: more take gigabytes.
 AT_ONCE = 2**18
-# Share of the fastest at which who is inside an obstacle leaves it.
+# Fraction of the top speed at which an agent leaves an obstacle.
 LEAVING = 0.8
 
 
 @dataclass(frozen=True)
 class Walls:
-    """What is near N agents, agent by agent.
+    """Obstacles near N agents, sorted by agent.
 
     Attributes:
-        starts: Where those of each agent begin ``(N + 1,)``.
-        rows: Unit normal (x, z), least velocity along it [m/s], least place along it
-            [m] ``(M, 4)``.
-        whose: The agent of each ``(M,)``.
-        gaps: From its surface to the agent's ``(M,)`` [m].
-        closing: How fast it comes towards the agent ``(M,)`` [m/s].
+        starts: Index of each agent's first wall ``(N + 1,)``.
+        rows: Unit normal (x, z), least velocity along it [m/s], least position along
+            it [m] ``(M, 4)``.
+        whose: Agent of each wall ``(M,)``.
+        gaps: Distance from its surface to the agent's ``(M,)`` [m].
+        closing: Closing speed towards the agent ``(M,)`` [m/s].
     """
 
     starts: npt.NDArray[np.int32]
@@ -52,26 +52,26 @@ class Walls:
 
 @dataclass(frozen=True)
 class Obstacles:
-    """All that is in the way of agents.
+    """All obstacles of a crowd.
 
     Attributes:
-        edge: The grid whose nodes are on the ground; None where that has no end.
+        edge: Grid of nodes on the ground; None for infinite ground.
     """
 
     agents: Agents
     frame: Frame
-    ground: Ground
+    ground: Terrain
     colliders: Colliders
     doors: Sequence[DoorModel] = ()
-    edge: Grid | None = None
-    horizon: float = 0.5  # how far ahead agents avoid them [s]
+    edge: NavGrid | None = None
+    horizon: float = 0.5  # look-ahead of avoidance [s]
     ends: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # of doors
 
     def walls(self, t: float, dt: float, x: FloatArray) -> Walls:
-        """Return what is near agents at x and z ``(N, 2)`` from a time on [s]."""
-        found = [*self._colliders(t, dt, x), *self._doors(t, x), *self._edges(x)]
+        """Return obstacles near agents at x and z ``(N, 2)``, from a time on [s]."""
+        obstacles = [*self._colliders(t, dt, x), *self._doors(t, x), *self._edges(x)]
         count = len(x)
-        if not found:
+        if not obstacles:
             nothing = np.zeros(0)
             starts = np.zeros(count + 1, np.int32)
             return Walls(
@@ -79,38 +79,38 @@ class Obstacles:
             )
         agents, most = self.agents, self.agents.most
         parts = []
-        for gaps, ways, closing in found:
+        for gaps, directions, closing in obstacles:
             reach = (most + np.abs(closing)) * self.horizon
             near = np.flatnonzero(gaps < np.maximum(reach, agents.radii))
-            parts.append((near, gaps[near], ways[near], closing[near]))
-        whose, gaps, ways, closing = (
+            parts.append((near, gaps[near], directions[near], closing[near]))
+        whose, gaps, directions, closing = (
             np.concatenate(each) for each in zip(*parts, strict=True)
         )
         order = np.argsort(whose, kind="stable")
-        whose, gaps, ways, closing = (
+        whose, gaps, directions, closing = (
             whose[order],
             gaps[order],
-            ways[order],
+            directions[order],
             closing[order],
         )
         least = np.minimum(closing - gaps / self.horizon, LEAVING * most[whose])
-        place = (ways * x[whose]).sum(axis=1) - gaps + closing * dt
-        rows = np.column_stack([ways, least, place])
+        offsets = (directions * x[whose]).sum(axis=1) - gaps + closing * dt
+        rows = np.column_stack([directions, least, offsets])
         starts = np.searchsorted(whose, np.arange(count + 1)).astype(np.int32)
         return Walls(starts, rows, whose, gaps, closing)
 
     def _colliders(
         self, t: float, dt: float, x: FloatArray
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return gaps, ways off and how fast each collider comes, of all agents."""
+        """Return gaps, directions away and closing speeds of each collider."""
         if not self.colliders.rigid:
             return []
         radii, tall = self.agents.radii, self.agents.heights
         heights, _ = self.ground(x)
         base = np.where(np.isfinite(heights), heights, 0.0)
         return [
-            (distances - radii, ways, speeds)
-            for distances, ways, speeds in upright(
+            (distances - radii, directions, speeds)
+            for distances, directions, speeds in upright(
                 self.colliders, self.frame, x, base, radii, tall, t, dt
             )
         ]
@@ -118,25 +118,25 @@ class Obstacles:
     def _doors(
         self, t: float, x: FloatArray
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return the same of doors that are shut at a time [s]."""
-        found = []
+        """Return the same for doors that are closed at a time [s]."""
+        doors = []
         for door, (a, b) in zip(self.doors, self.ends, strict=True):
             if any(first <= t < last for first, last in door.opens):
                 continue
             along = b - a
-            share = np.clip(((x - a) @ along) / (along @ along), 0.0, 1.0)
-            off = x - a - share[:, None] * along
+            fraction = np.clip(((x - a) @ along) / (along @ along), 0.0, 1.0)
+            off = x - a - fraction[:, None] * along
             far = np.linalg.norm(off, axis=1)
-            ways = off / np.where(far > 0, far, 1.0)[:, None]
-            found.append((far - self.agents.radii, ways, np.zeros(len(x))))
-        return found
+            directions = off / np.where(far > 0, far, 1.0)[:, None]
+            doors.append((far - self.agents.radii, directions, np.zeros(len(x))))
+        return doors
 
     def _edges(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return the same of where the ground ends."""
+        """Return the same for the edge of the ground."""
         if self.edge is None:
             return []
-        gaps, ways = self.edge.edges(x)
-        return [(gaps - self.agents.radii, ways, np.zeros(len(x)))]
+        gaps, directions = self.edge.edges(x)
+        return [(gaps - self.agents.radii, directions, np.zeros(len(x)))]
 
 
 def upright(
@@ -149,21 +149,21 @@ def upright(
     t: float,
     dt: float,
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Return how far colliders are from upright capsules, along the ground.
+    """Return horizontal distances of colliders from upright capsules.
 
-    Of each collider distances ``(K,)`` from the axes [m], infinite where it is a floor,
-    unit vectors off ``(K, 2)`` and speeds along them ``(K,)`` [m/s]. Capsules of some
-    radii ``(K,)`` stand at x and z ``(K, 2)`` on heights ``(K,)`` and are so tall
-    ``(K,)`` [m].
+    Per collider: distances ``(K,)`` from the axes [m], infinite for floors, unit
+    vectors away from it ``(K, 2)`` and speeds along them ``(K,)`` [m/s]. The capsules
+    have positions x and z ``(K, 2)``, base heights ``(K,)``, radii ``(K,)`` and total
+    heights ``(K,)`` [m].
     """
     count = len(x)
     lows, highs = base + radii, base + np.maximum(tall - radii, radii)
     levels = [lows, (lows + highs) / 2, highs]
     points = np.concatenate([np.column_stack([x[:, 0], y, x[:, 1]]) for y in levels])
-    found = colliders.sample(frame.to_world(points), t, t + dt)
-    made = []
+    samples = colliders.sample(frame.to_world(points), t, t + dt)
+    capsule_gaps = []
     for distances, outwards, velocities in zip(
-        found.distances, found.normals, found.velocities, strict=True
+        samples.distances, samples.normals, samples.velocities, strict=True
     ):
         normals = frame.turned_back(outwards)[:, [0, 2]]
         speeds = frame.turned_back(velocities)[:, [0, 2]]
@@ -172,28 +172,28 @@ def upright(
         far = np.where(side, distances / np.where(side, size, 1.0), np.inf)
         far = far.reshape(len(levels), count)
         nearest = np.argmin(far, axis=0) * count + np.arange(count)
-        ways = normals[nearest] / np.where(side, size, 1.0)[nearest, None]
-        closing = (speeds[nearest] * ways).sum(axis=1)
-        made.append((far.ravel()[nearest], ways, closing))
-    return made
+        directions = normals[nearest] / np.where(side, size, 1.0)[nearest, None]
+        closing = (speeds[nearest] * directions).sum(axis=1)
+        capsule_gaps.append((far.ravel()[nearest], directions, closing))
+    return capsule_gaps
 
 
 def grids(
     spec: CrowdsModel,
     agents: Agents,
     frame: Frame,
-    ground: Ground,
+    ground: Terrain,
     colliders: Colliders,
     goals: FloatArray,
     t: float,
-) -> tuple[Grid | None, Grid | None]:
-    """Return grids of where agents may walk and of where ground is.
+) -> tuple[NavGrid | None, NavGrid | None]:
+    """Return navigation grids of walkable nodes and of the ground.
 
     None where nothing is in the way, and where the ground has no end. Where agents are
     too far apart for one grid, it is what is near obstacles.
     """
-    still = [one for one in colliders if len(one.poses.moments) == 1]
-    if ground.flat and not still:
+    static = [one for one in colliders if len(one.poses.sample_times) == 1]
+    if ground.flat and not static:
         return None, None
     radius = float(agents.radii.max(initial=0.0)) or 1.0
     corners = np.concatenate([agents.starts, goals])
@@ -208,21 +208,21 @@ def grids(
             np.minimum(high, ground.bounds[1]),
         )
         high = np.maximum(high, low)
-    wanted = spec.cell or radius
-    if ground.flat and np.prod((high - low) / wanted) > MAX_NODES:
-        low, high = _about(still, frame, low, high, RADII_BEYOND * radius)
+    cell_size = spec.cell or radius
+    if ground.flat and np.prod((high - low) / cell_size) > MAX_NODES:
+        low, high = _about(static, frame, low, high, RADII_BEYOND * radius)
         if not (low < high).all():
             return None, None
-    cell = max(wanted, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
+    cell = max(cell_size, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
     rows, columns = (np.floor((high - low) / cell).astype(int) + 1).tolist()
     shape = rows, columns
-    nodes = Grid.nodes(low, cell, shape)
+    nodes = NavGrid.nodes(low, cell, shape)
     base, on_ground = walkable(
         ground, nodes, shape, cell, np.radians(spec.ground.slope)
     )
     free = on_ground.ravel().copy()
-    if still:
-        met, heights = Colliders(still), base.ravel()
+    if static:
+        met, heights = Colliders(static), base.ravel()
         within = np.flatnonzero(free)
         tall = float(agents.heights.max(initial=radius))
         for first in range(0, len(within), AT_ONCE):
@@ -232,44 +232,44 @@ def grids(
                 met, frame, nodes[some], heights[some],
                 radius * ones, tall * ones, t, 0.0,
             ):  # fmt: skip
-                # Whoever is wider than a gap looks is kept out of it by walls.
+                # Gaps narrower than an agent are closed by walls.
                 clear &= far >= radius - cell / 2
             free[some] = clear
-    edge = None if on_ground.all() and ground.flat else Grid(low, cell, on_ground)
-    return Grid(low, cell, free.reshape(shape)), edge
+    edge = None if on_ground.all() and ground.flat else NavGrid(low, cell, on_ground)
+    return NavGrid(low, cell, free.reshape(shape)), edge
 
 
 def _about(
-    still: Sequence[Collider],
+    static: Sequence[Collider],
     frame: Frame,
     low: FloatArray,
     high: FloatArray,
     margin: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what is near obstacles of least and largest x and z ``(2,)`` [m].
+    """Return the area around obstacles within x and z bounds ``(2,)`` [m].
 
     Elsewhere nothing is in the way. Walls without an end are near everything; floors
     are in nobody's way.
     """
     first, last = np.full(2, np.inf), np.full(2, -np.inf)
-    for one in still:
+    for one in static:
         if isinstance(one.shape, Plane):
             normal = so3.rotate(
                 one.poses.rows[0, 3:], np.array(one.shape.normal, float)
             )
-            way = frame.turned_back(normal)[[0, 2]]
-            if np.linalg.norm(way) > UPRIGHT * np.linalg.norm(normal):
+            flat = frame.turned_back(normal)[[0, 2]]
+            if np.linalg.norm(flat) > UPRIGHT * np.linalg.norm(normal):
                 return low, high
             continue
         ends = bounds(one.shape)
         box = np.array([ends[list(of), range(3)] for of in np.ndindex(2, 2, 2)])
-        seen = frame.to_local(one.poses.to_world(box)[0])[:, [0, 2]]
-        first = np.minimum(first, seen.min(axis=0))
-        last = np.maximum(last, seen.max(axis=0))
+        corners = frame.to_local(one.poses.to_world(box)[0])[:, [0, 2]]
+        first = np.minimum(first, corners.min(axis=0))
+        last = np.maximum(last, corners.max(axis=0))
     return np.maximum(low, first - margin), np.minimum(high, last + margin)
 
 
-def lost(grid: Grid, x: FloatArray) -> BoolArray:
-    """Return which of x and z ``(K, 2)`` are not where agents may walk."""
+def lost(grid: NavGrid, x: FloatArray) -> BoolArray:
+    """Return which of x and z ``(K, 2)`` are not walkable."""
     row, column = grid.at(x).T
     return np.asarray(~grid.free[row, column])

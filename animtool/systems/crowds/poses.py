@@ -1,4 +1,4 @@
-"""Poses of bodies: what their gaits play, with legs that reach where feet stand."""
+"""Poses of bodies: blended gaits, with leg IK to planted feet."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.retarget.legs import put_ankle
+from animtool.retarget.legs import ankle_rotations
 from animtool.rig.kinematics import forward
-from animtool.systems.crowds.agents import Going
-from animtool.systems.crowds.bodies import Bodies
+from animtool.systems.crowds.agents import AgentMotion
+from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.footing import Blend, BodyState
 from animtool.systems.crowds.gaits import (
     PHASES,
@@ -27,66 +27,66 @@ from animtool.systems.crowds.gaits import (
 from animtool.systems.crowds.ground import about_up
 from animtool.systems.crowds.reach import AIRBORNE, MOST_LOWERED, STRAIGHT
 
-# How long bodies take to begin and to end a reaction [s].
+# Blend time at both ends of a reaction [s].
 RAMP = 0.2
-# Feet follow ground that is steeper no farther [rad].
+# Largest slope that feet follow [rad].
 TILT = 0.45
-# In this first and last part of a swing hips are lowered for its foot.
+# Hips are lowered in these parts of a swing, for its foot.
 NEARING = 0.4
-# Over this first part of a swing a foot comes from how it stood to how its gait has it.
+# A foot blends from its last stance to its gait in this part of a swing.
 LEAVING = 0.7
-# From here on it turns to how it lands.
+# From here on it rotates towards its landing.
 LANDING = 0.6
-# Of how high ankles are lifted, who lifts a flat foot.
+# Fraction of the ankle lift that a flat foot uses.
 LOW_STEP = 0.35
-# Soles come down as steep as this, from over so much [m].
+# Slope of descending soles, and the height it starts at [m].
 STEEP, CLEAR = 2.0, 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Poses:
-    """N bodies, each in the frame of its own."""
+class BodyPoses:
+    """Poses of N bodies, each in its own frame."""
 
-    turns: FloatArray  # local rotations of joints (N, J, 4)
-    roots: FloatArray  # of the first joint (N, 3) [m]
-    lowered: FloatArray  # hips, so that legs reach (N,) [m]
-    missed: FloatArray  # how far ankles are from where they should be (N, 2) [m]
+    rotations: FloatArray  # local rotations of joints (N, J, 4)
+    roots: FloatArray  # of the root joint (N, 3) [m]
+    lowered: FloatArray  # lowering of the hips (N,) [m]
+    missed: FloatArray  # distance of ankles from their targets (N, 2) [m]
 
 
-def poses_of(bodies: Bodies, state: BodyState, going: Going) -> Poses:
+def poses_of(bodies: AgentBodies, state: BodyState, going: AgentMotion) -> BodyPoses:
     """Return the poses of bodies."""
     rig = bodies.gaits.walker.rig
     blend = bodies.blend(state.paces)
     played, roots = _played(bodies, state, blend)
-    turns = np.repeat(rig.rest_rotations[None], len(played), axis=0)
-    turns[:, bodies.moves] = played
-    bodies.trunk.turn(rig.parents, turns, state.shoulders)
+    rotations = np.repeat(rig.rest_rotations[None], len(played), axis=0)
+    rotations[:, bodies.moves] = played
+    bodies.trunk.rotate(rig.parents, rotations, state.shoulders)
     feet, normals, away = bodies.feet(state, going)
     goals, soles = _ankles(bodies, state, blend, feet, normals, away)
-    # Hips are over the middle of both feet's ground.
+    # Hips stay above the mean ground of both feet.
     roots[:, 1] += feet[:, :, 1].mean(axis=1)
-    lowered, missed = _reach(bodies.gaits.walker, turns, roots, goals, soles, state)
+    lowered, missed = _reach(bodies.gaits.walker, rotations, roots, goals, soles, state)
     roots[:, 1] -= lowered
-    return Poses(turns, roots, lowered, missed)
+    return BodyPoses(rotations, roots, lowered, missed)
 
 
 def _reach(
     walker: Walker,
-    turns: FloatArray,
+    rotations: FloatArray,
     roots: FloatArray,
     goals: FloatArray,
     soles: FloatArray,
     state: BodyState,
 ) -> tuple[FloatArray, FloatArray]:
-    """Turn legs so that ankles are at goals ``(N, 2, 3)``, and feet as soles, in place.
+    """Solve leg IK for ankle goals ``(N, 2, 3)`` and sole rotations, in place.
 
     Returns how far hips are lowered for it ``(N,)``, and by how much ankles miss their
     goals all the same ``(N, 2)`` [m].
     """
     rig = walker.rig
-    translations = np.repeat(rig.rest_translations[None], len(turns), axis=0)
+    translations = np.repeat(rig.rest_translations[None], len(rotations), axis=0)
     translations[:, 0] = roots
-    world = forward(rig, translations, turns)
+    world = forward(rig, translations, rotations)
     joints = world.positions
     spins = {
         joint: so3.from_matrix(world.linear[:, joint])
@@ -97,10 +97,10 @@ def _reach(
     lowered = _lowered(walker, joints, goals, state)
     joints = joints - lowered[:, None, None] * UP
     goals = _reached(walker, joints, goals, state.swings >= 0)
-    missed = np.zeros((len(turns), 2))
+    missed = np.zeros((len(rotations), 2))
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         above = int(rig.parents[thigh])
-        upper, lower = put_ankle(
+        upper, lower = ankle_rotations(
             walker.person,
             SIDES[k],
             joints[:, [thigh, shin, foot]],
@@ -111,12 +111,12 @@ def _reach(
         over = (
             spins[above] if above >= 0 else np.broadcast_to(so3.IDENTITY, upper.shape)
         )
-        for joint, parent, own in (
+        for joint, parent, posed in (
             (thigh, over, upper),
             (shin, upper, lower),
             (foot, lower, sole),
         ):
-            turns[:, joint] = so3.multiply(so3.conjugate(parent), own)
+            rotations[:, joint] = so3.multiply(so3.conjugate(parent), posed)
         knee = joints[:, thigh] + so3.rotate(upper, rig.rest_translations[shin])
         ankle = knee + so3.rotate(lower, rig.rest_translations[foot])
         missed[:, k] = np.linalg.norm(ankle - goals[:, k], axis=1)
@@ -126,7 +126,7 @@ def _reach(
 def _lowered(
     walker: Walker, joints: FloatArray, goals: FloatArray, state: BodyState
 ) -> FloatArray:
-    """Return how far hips are lowered so that legs reach their goals ``(N,)`` [m].
+    """Return how far hips are lowered for the legs to reach ``(N,)`` [m].
 
     Halfway of a swing they need not.
     """
@@ -134,11 +134,11 @@ def _lowered(
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         bones = joints[:, [thigh, shin, foot]]
         length = np.linalg.norm(np.diff(bones, axis=1), axis=2).sum(axis=1)
-        way = joints[:, thigh] - goals[:, k]
-        across = (way[:, [0, 2]] ** 2).sum(axis=1)
+        leg = joints[:, thigh] - goals[:, k]
+        across = (leg[:, [0, 2]] ** 2).sum(axis=1)
         high = np.sqrt(np.maximum((STRAIGHT * length) ** 2 - across, 0.0))
         ends = (np.abs(2 * state.swings[:, k] - 1) - 1 + 2 * NEARING) / (2 * NEARING)
-        need = way[:, 1] - high
+        need = leg[:, 1] - high
         air = eased(np.clip(ends, 0.0, 1.0)) * need
         air = np.minimum(air, state.lowered + AIRBORNE * walker.leg)
         lowered = np.maximum(lowered, np.where(state.swings[:, k] < 0, need, air))
@@ -148,36 +148,36 @@ def _lowered(
 def _reached(
     walker: Walker, joints: FloatArray, goals: FloatArray, up: BoolArray
 ) -> FloatArray:
-    """Return goals ``(N, 2, 3)``; feet in the air stay as near as their legs have it.
+    """Return goals ``(N, 2, 3)``, with airborne feet moved into reach.
 
     As they go along below the hips, they are over the ground.
     """
-    made = goals.copy()
+    reached = goals.copy()
     for k, (thigh, *_) in enumerate(walker.legs):
-        way = goals[:, k] - joints[:, thigh]
-        across = np.linalg.norm(way[:, [0, 2]], axis=1)
-        far = (STRAIGHT * walker.leg) ** 2 - way[:, 1] ** 2
+        leg = goals[:, k] - joints[:, thigh]
+        across = np.linalg.norm(leg[:, [0, 2]], axis=1)
+        far = (STRAIGHT * walker.leg) ** 2 - leg[:, 1] ** 2
         over = np.maximum(across - np.sqrt(np.maximum(far, 0.0)), 0.0) * up[:, k]
-        share = over / np.maximum(across, 1e-9)
-        made[:, k, [0, 2]] -= share[:, None] * way[:, [0, 2]]
-        made[:, k, 1] += cleared(over)
-    return made
+        excess = over / np.maximum(across, 1e-9)
+        reached[:, k, [0, 2]] -= excess[:, None] * leg[:, [0, 2]]
+        reached[:, k, 1] += cleared(over)
+    return reached
 
 
 def cleared(away: FloatArray) -> FloatArray:
-    """Return how high soles are at least that are so far from where they stand [m]."""
+    """Return the minimum sole height at a distance from its foothold [m]."""
     return np.minimum(STEEP * away, CLEAR)
 
 
 def _ankles(
-    bodies: Bodies,
+    bodies: AgentBodies,
     state: BodyState,
     blend: Blend,
     feet: FloatArray,
     normals: FloatArray,
     away: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where ankles are to be ``(N, 2, 3)``, and how feet are turned."""
+    """Return ankle targets ``(N, 2, 3)``, and foot rotations."""
     gaits = bodies.gaits
     goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
     for k in range(2):
@@ -198,9 +198,9 @@ def _ankles(
 def _low(
     walker: Walker, k: int, pitched: FloatArray, lifts: FloatArray, away: FloatArray
 ) -> FloatArray:
-    """Return by how much soles in the air are too low ``(K,)`` [m].
+    """Return how far airborne soles are below their clearance ``(K,)`` [m].
 
-    ``away``: how far their places are from where they stand ``(K,)`` [m].
+    ``away``: distance to their nearest foothold ``(K,)`` [m].
     """
     heel = lifts - so3.rotate(pitched, walker.ankle[k] * UP)
     ball = lifts + so3.rotate(pitched, walker.ball[k])
@@ -214,14 +214,14 @@ def _low(
 def _swung(
     gaits: Gaits, state: BodyState, blend: Blend, k: int, up: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns and ankles of feet that swing ``(K, 4)``, ``(K, 3)``, as on the way.
+    """Return rotations ``(K, 4)`` and ankles ``(K, 3)`` of swinging feet.
 
     They begin as their feet were, which may lift sooner than the gait has it.
     ``up``: of which bodies foot ``k`` does ``(N,)``.
     """
     swings = np.clip(state.swings[up, k], 0.0, 1.0)
-    pitched, lifts = _on_way(gaits, state, blend, k, up, swings)
-    first, begins = _on_way(gaits, state, blend, k, up, np.zeros_like(swings))
+    pitched, lifts = _in_swing(gaits, state, blend, k, up, swings)
+    first, begins = _in_swing(gaits, state, blend, k, up, np.zeros_like(swings))
     stood = about_side(state.heels[up, k])
     left = (1 - eased(np.minimum(swings / LEAVING, 1.0)))[:, None]
     off = so3.multiply(stood, so3.conjugate(first))
@@ -230,7 +230,7 @@ def _swung(
     return turned, lifts + left * (standing_ankle(gaits.walker, k, stood) - begins)
 
 
-def _on_way(
+def _in_swing(
     gaits: Gaits,
     state: BodyState,
     blend: Blend,
@@ -238,7 +238,7 @@ def _on_way(
     up: BoolArray,
     swings: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns and ankles of feet on their swings as their gaits have them."""
+    """Return rotations and ankles of swinging feet from their gaits."""
     moving = gaits.moving
     at = swings * (PHASES - 1)
     weights = blend.weights[up]
@@ -249,7 +249,7 @@ def _on_way(
             for weight, one in zip(weights.T, moving, strict=True)
         )
     )
-    # Before and behind its place it goes as far as its step is long.
+    # Its distance before and after the body scales with the step length.
     ends = [
         sum(
             weight * one.lifts[k, end, 2]
@@ -257,17 +257,17 @@ def _on_way(
         )
         for end in (0, -1)
     ]
-    share = at / (PHASES - 1)
-    even = ends[0] + share * (ends[1] - ends[0])
+    fraction = at / (PHASES - 1)
+    even = ends[0] + fraction * (ends[1] - ends[0])
     long = np.minimum(blend.stride[up], 1.0)
     lifts[:, 2] = even + long * (lifts[:, 2] - even)
-    # Who just stood lifts a flat foot, and so does who steps fast, less high.
-    still = state.still[up]
+    # Bodies that just stood lift a flat foot; quick steps lift less.
+    standing = state.still[up]
     long = state.spans[up, k] / state.rates[up]
-    usual = (1 - blend.stands[up, k]) / blend.free[up]
-    quick = 1 - np.minimum(long / usual, 1.0)
+    typical = (1 - blend.stands[up, k]) / blend.free[up]
+    quick = 1 - np.minimum(long / typical, 1.0)
     lands = eased(np.clip((swings - LANDING) / (1 - LANDING), 0.0, 1.0))
-    level = np.maximum(still, quick * (1 - lands))[:, None]
+    level = np.maximum(standing, quick * (1 - lands))[:, None]
     flat = np.broadcast_to(so3.IDENTITY, swung.shape)
     pitched = _mixed([swung, flat], np.hstack([1 - level, level]))
     low = standing_ankle(gaits.walker, k, flat)
@@ -277,9 +277,9 @@ def _on_way(
 
 
 def _played(
-    bodies: Bodies, state: BodyState, blend: Blend
+    bodies: AgentBodies, state: BodyState, blend: Blend
 ) -> tuple[FloatArray, FloatArray]:
-    """Return local rotations of `moves` ``(N, M, 4)``, and places of the root."""
+    """Return local rotations of `moves` ``(N, M, 4)``, and root translations."""
     gaits, at = bodies.gaits, state.phases * PHASES
     tables, standing = bodies.tables
     walked = _mixed([rows(one, at, again=True) for one in tables], blend.weights)
@@ -290,47 +290,47 @@ def _played(
         )
     )
     at = idle_rows(gaits.idle, state.clocks)
-    still = state.still[:, None]
+    idling = state.still[:, None]
     stood = rows(standing, at)
-    turns = _mixed([walked, stood], np.concatenate([1 - still, still], axis=1))
-    hips = hips + still * (rows(gaits.idle.hips, at) - hips)
+    rotations = _mixed([walked, stood], np.concatenate([1 - idling, idling], axis=1))
+    hips = hips + idling * (rows(gaits.idle.hips, at) - hips)
     if gaits.reactions and (state.reacts >= 0).any():
         reaction = gaits.reactions[0]
         since = np.maximum(state.reacts, 0.0)
-        share = np.minimum(since, reaction.period - since) / RAMP
-        weight = eased(np.clip(share, 0.0, 1.0)) * (state.reacts >= 0)
-        at = since / reaction.period * (len(reaction.turns) - 1)
-        played = rows(reaction.turns[:, bodies.moves], at)
+        fraction = np.minimum(since, reaction.period - since) / RAMP
+        weight = eased(np.clip(fraction, 0.0, 1.0)) * (state.reacts >= 0)
+        at = since / reaction.period * (len(reaction.rotations) - 1)
+        played = rows(reaction.rotations[:, bodies.moves], at)
         both = np.stack([1 - weight, weight], axis=1)
-        turns = _mixed([turns, played], both)
-        # How high the hips are then; where, is where the agent is.
+        rotations = _mixed([rotations, played], both)
+        # Height of the hips; their ground position is the agent's.
         high = rows(reaction.hips, at)[:, 1] - hips[:, 1]
         hips[:, 1] += weight * high
-    return turns, hips
+    return rotations, hips
 
 
 def idle_rows(idle: Gait, clocks: FloatArray) -> FloatArray:
-    """Return where in what agents do as they stand they are: there and back again."""
-    last = len(idle.turns) - 1
+    """Return fractional rows of the idle, played back and forth."""
+    last = len(idle.rotations) - 1
     if not last:
         return np.zeros(len(clocks))
-    share = (clocks / idle.period) % 2.0
-    return np.asarray(np.minimum(share, 2 - share) * last)
+    cycle = (clocks / idle.period) % 2.0
+    return np.asarray(np.minimum(cycle, 2 - cycle) * last)
 
 
-def _mixed(turns: list[FloatArray], weights: FloatArray) -> FloatArray:
-    """Return turns ``(N, …, 4)`` mixed by weights ``(N, K)``, of length 1."""
-    first = turns[0]
+def _mixed(rotations: list[FloatArray], weights: FloatArray) -> FloatArray:
+    """Return rotations ``(N, …, 4)`` blended by weights ``(N, K)``, normalised."""
+    first = rotations[0]
     wide = (-1, *[1] * (first.ndim - 1))
-    made = first * weights[:, 0].reshape(wide)
-    for k, one in enumerate(turns[1:], start=1):
+    mixed = first * weights[:, 0].reshape(wide)
+    for k, one in enumerate(rotations[1:], start=1):
         flipped = (first * one).sum(axis=-1, keepdims=True) < 0
-        made = made + np.where(flipped, -one, one) * weights[:, k].reshape(wide)
-    return np.asarray(made / np.linalg.norm(made, axis=-1, keepdims=True))
+        mixed = mixed + np.where(flipped, -one, one) * weights[:, k].reshape(wide)
+    return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))
 
 
 def _tilts(normals: FloatArray) -> FloatArray:
-    """Return turns from upright to normals ``(N, 3)``, no farther than `TILT`."""
+    """Return rotations from upright to normals ``(N, 3)``, up to `TILT`."""
     axis = np.cross(UP, normals)
     size = np.linalg.norm(axis, axis=1)
     angle = np.minimum(np.arctan2(size, normals[:, 1]), TILT)

@@ -1,4 +1,4 @@
-"""How far legs reach: where a foot's lock ends, and how fast who is pushed must step.
+"""Reach of legs: when a planted foot must lift, and when a pushed body must step.
 
 All is in the frame of bodies, in lengths of the rig.
 """
@@ -21,30 +21,29 @@ from animtool.systems.crowds.gaits import (
 )
 from animtool.systems.crowds.ground import about_up
 
-# A leg that is straighter than this part of its length is not reached for.
+# Largest leg extension, as a fraction of its length.
 STRAIGHT = 0.998
-# Hips are lowered so far at most for a foot that stands, over the length of a leg, and
-# so far in poses, as thighs are not quite where they were looked for.
+# Largest lowering of hips for a planted foot, over the leg length, and in poses, as
+# thighs are approximate.
 LOWERED, MOST_LOWERED = 0.09, 0.11
-# A foot that stands is turned in or out no farther [rad].
+# Largest yaw of a planted foot against the body [rad].
 TURNED_IN, TURNED_OUT = 0.4, 0.6
-# What is left of either counts as so much at least [m], [rad]: who goes slowly does not
-# hurry.
-LEAST_ROOM, LEAST_TURN = 0.05, 0.3
-# So much more they are for a foot in the air.
+# Least margin of either [m], [rad]: slow agents do not hurry.
+LEAST_ROOM, LEAST_YAW = 0.05, 0.3
+# Additional margin of airborne feet.
 AIRBORNE = 0.045
-# Legs step no more often [cycles/s].
+# Largest cadence [cycles/s].
 MAX_RATE = 2.5
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Where the legs of a rig begin as it walks and stands.
+    """Thigh positions of a rig as it walks and stands.
 
     Attributes:
         gaits: Of the rig.
         walking: Thighs of both legs by gait and phase ``(P, 2, 3)`` [m].
-        standing: In the mean of who stands ``(2, 3)`` [m].
+        standing: Mean thighs of the idle ``(2, 3)`` [m].
     """
 
     gaits: Gaits
@@ -53,24 +52,24 @@ class Reach:
 
     @staticmethod
     def of(gaits: Gaits) -> Reach:
-        """Return that of gaits."""
+        """Return the reach of a rig with some gaits."""
         walking = tuple(_thighs(gaits, one) for one in gaits.moving)
         return Reach(gaits, walking, _thighs(gaits, gaits.idle).mean(axis=0))
 
     def thighs(
-        self, phases: FloatArray, weights: FloatArray, still: FloatArray
+        self, phases: FloatArray, weights: FloatArray, standing: FloatArray
     ) -> FloatArray:
-        """Return where the thighs of bodies are over level ground ``(N, 2, 3)``."""
+        """Return thighs of bodies above level ground ``(N, 2, 3)``."""
         at = phases * PHASES
-        made = np.zeros((len(phases), 2, 3))
+        thighs = np.zeros((len(phases), 2, 3))
         for weight, table in zip(weights.T, self.walking, strict=True):
-            made += weight[:, None, None] * rows(table, at, again=True)
-        return np.asarray(made + still[:, None, None] * (self.standing - made))
+            thighs += weight[:, None, None] * rows(table, at, again=True)
+        return np.asarray(thighs + standing[:, None, None] * (self.standing - thighs))
 
     def room(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how much farther a foot that stands may be ``(N,)``, and which way.
+        """Return the remaining reach of a planted foot ``(N,)``, and the direction.
 
         Level, from the thigh to the ankle ``(N, 2)``.
 
@@ -81,27 +80,27 @@ class Reach:
             pitches: How far their heels are up ``(N,)`` [rad].
         """
         leg = self.gaits.walker.leg
-        way = self._ways(k, thighs, feet, pitches)
-        high = np.maximum(-way[:, 1] - LOWERED * leg, 0.0)
-        away = np.linalg.norm(way[:, [0, 2]], axis=1)
-        ways = way[:, [0, 2]] / np.maximum(away, 1e-9)[:, None]
+        to_ankle = self._legs(k, thighs, feet, pitches)
+        high = np.maximum(-to_ankle[:, 1] - LOWERED * leg, 0.0)
+        away = np.linalg.norm(to_ankle[:, [0, 2]], axis=1)
+        outwards = to_ankle[:, [0, 2]] / np.maximum(away, 1e-9)[:, None]
         far = np.maximum((STRAIGHT * leg) ** 2 - high**2, 0.0)
-        return np.asarray(np.sqrt(far) - away), ways
+        return np.asarray(np.sqrt(far) - away), outwards
 
     def lowered(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
-        """Return how far hips are lowered for a foot that stands ``(N,)``."""
+        """Return how far hips are lowered for a planted foot ``(N,)``."""
         leg = self.gaits.walker.leg
-        way = self._ways(k, thighs, feet, pitches)
-        across = (way[:, [0, 2]] ** 2).sum(axis=1)
+        to_ankle = self._legs(k, thighs, feet, pitches)
+        across = (to_ankle[:, [0, 2]] ** 2).sum(axis=1)
         high = np.sqrt(np.maximum((STRAIGHT * leg) ** 2 - across, 0.0))
-        return np.asarray(np.clip(-way[:, 1] - high, 0.0, MOST_LOWERED * leg))
+        return np.asarray(np.clip(-to_ankle[:, 1] - high, 0.0, MOST_LOWERED * leg))
 
-    def _ways(
+    def _legs(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
-        """Return ways from thighs to ankles of feet that stand ``(N, 3)``."""
+        """Return vectors from thighs to ankles of planted feet ``(N, 3)``."""
         lifts = standing_ankle(self.gaits.walker, k, about_side(pitches))
         ankles = feet[:, :3] + so3.rotate(about_up(feet[:, 3]), lifts)
         return np.asarray(ankles - thighs)
@@ -109,16 +108,16 @@ class Reach:
 
 @dataclass(frozen=True)
 class Stances:
-    """Feet of N bodies, as they are hurried.
+    """Planted feet of N bodies at two phases.
 
     Attributes:
-        begins: Phases of each foot since it landed ``(N, 2)``.
-        stands: For which share of a cycle each stands ``(N, 2)``.
+        begins: Phase of each foot since its landing ``(N, 2)``.
+        stands: Fraction of the cycle that each is planted ``(N, 2)``.
         swings: Which are in the air ``(N, 2)``.
         feet: x, y, z and heading of each ``(N, 2, 4)``.
-        thighs: Where their legs begin ``(N, 2, 3)``.
-        pitches: How far heels are up now, and as they lift ``(2, N, 2)`` [rad].
-        rate: Of cycles as nothing hurries them ``(N,)`` [1/s].
+        thighs: Thigh joints ``(N, 2, 3)``.
+        pitches: Heel pitches now, and at lift-off ``(2, N, 2)`` [rad].
+        rate: Undisturbed cycle rate ``(N,)`` [1/s].
     """
 
     begins: FloatArray
@@ -133,7 +132,7 @@ class Stances:
 def hurried(
     reach: Reach, stances: Stances, went: FloatArray, turning: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return rates of cycles ``(N,)`` [1/s], and which feet no leg reaches ``(N, 2)``.
+    """Return cycle rates ``(N,)`` [1/s], and which feet are out of reach ``(N, 2)``.
 
     A foot lifts before its leg ends: at how fast the hips go from it ``went``
     ``(N, 2)`` [1/s], and at how fast they turn over it ``(N,)`` [rad/s], its stance has
@@ -144,19 +143,19 @@ def hurried(
     for k in range(2):
         up = stances.swings[:, k]
         begin, stand = stances.begins[:, k], stances.stands[:, k]
-        seen = k, stances.thighs[:, k], stances.feet[:, k]
-        now, _ = reach.room(*seen, stances.pitches[0, :, k])
-        last, way = reach.room(*seen, stances.pitches[1, :, k])
-        leaves = -(way * went).sum(axis=1)
+        stance = k, stances.thighs[:, k], stances.feet[:, k]
+        now, _ = reach.room(*stance, stances.pitches[0, :, k])
+        last, outwards = reach.room(*stance, stances.pitches[1, :, k])
+        leaves = -(outwards * went).sum(axis=1)
         twist = stances.feet[:, k, 3]
         most = np.where(twist * (1 - 2 * k) < 0, TURNED_IN, TURNED_OUT)
         twists = -turning * np.sign(twist)
         need = np.maximum(
             _hurry(last, LEAST_ROOM, leaves),
-            _hurry(most - np.abs(twist), LEAST_TURN, twists),
+            _hurry(most - np.abs(twist), LEAST_YAW, twists),
         ) * np.maximum(stand - begin, 0.0)
         ends[:, k] = ~up & (np.maximum(now, last) < 0)
-        # A foot that lifted too soon is to land soon.
+        # A foot that lifted too early lands soon.
         early = (up & (begin < stand)) | ends[:, k]
         need = np.where(early, MAX_RATE, np.where(up, 0.0, need))
         rate = np.maximum(rate, np.minimum(need, MAX_RATE))
@@ -164,14 +163,14 @@ def hurried(
 
 
 def _hurry(room: FloatArray, least: float, speed: FloatArray) -> FloatArray:
-    """Return one over how long rooms last that shrink at speeds ``(N,)`` [1/s]."""
+    """Return 1 / (time until a margin is used up) at given speeds ``(N,)`` [1/s]."""
     return np.asarray(np.maximum(speed, 0.0) / np.maximum(room, least))
 
 
 def _thighs(gaits: Gaits, gait: Gait) -> FloatArray:
-    """Return where the legs of a gait begin ``(P, 2, 3)``."""
+    """Return the thighs over a gait ``(P, 2, 3)``."""
     rig = gaits.walker.rig
-    places = np.repeat(rig.rest_translations[None], len(gait.turns), axis=0)
-    places[:, 0] = gait.hips
+    translations = np.repeat(rig.rest_translations[None], len(gait.rotations), axis=0)
+    translations[:, 0] = gait.hips
     legs = [leg[0] for leg in gaits.walker.legs]
-    return np.asarray(forward(rig, places, gait.turns).positions[:, legs])
+    return np.asarray(forward(rig, translations, gait.rotations).positions[:, legs])

@@ -1,4 +1,4 @@
-"""The keys of a crowd in a scene file, as models."""
+"""Keys of crowds in scene files."""
 
 from __future__ import annotations
 

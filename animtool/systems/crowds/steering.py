@@ -1,4 +1,4 @@
-"""How fast and which way agents would like to go."""
+"""Preferred velocities of agents."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import Agents
-from animtool.systems.crowds.routes import Grid, Route, routes_to
+from animtool.systems.crowds.routes import FlowField, NavGrid, routes_to
 from animtool.systems.crowds.spec import CrowdGoalModel
 
-# Time that agents take to stop at a goal, and to come back to their place in a group or
-# a queue [s].
+# Time constant of stopping at a goal, and of returning to a slot in a group or queue
+# [s].
 STOPPING = 0.5
-# How fast they go back to their place in a group, over the speed that they like.
+# Speed of returning to a group, over the preferred speed.
 CATCHING_UP = 0.5
-# Who is as near to the end of a queue joins it, over the room from one to the next.
+# Distance at which agents join a queue's end, over its spacing.
 JOINING = 2.0
-# Share of the ground that those who stay at a goal cover: it grows with them.
+# Packing fraction of agents at a goal, whose radius grows with them.
 PACKED = 0.5
-# Part of the radius of a goal that those who stay there come into.
+# Fraction of a goal's radius that staying agents enter.
 INNER = 0.5
 NO_TICKET = -1
 GONE = -1
@@ -31,11 +31,11 @@ GONE = -1
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far N agents are on their routes.
+    """The progress of N agents on their routes.
 
     Attributes:
-        stages: How many goals each has left behind; `GONE` for who left ``(N,)``.
-        waited: How long each has waited at its goal ``(N,)`` [s].
+        stages: Number of passed goals; `GONE` for agents that left ``(N,)``.
+        waited: Time waited at the goal ``(N,)`` [s].
         tickets: Order in the queue at its goal, `NO_TICKET` in none ``(N,)``.
     """
 
@@ -46,7 +46,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Steering:
-    """Goals of agents, and the ways there.
+    """Goals of agents, and their flow fields.
 
     Attributes:
         points: x and z of each goal ``(G, 2)`` [m].
@@ -57,17 +57,17 @@ class Steering:
     goals: Sequence[CrowdGoalModel]
     points: FloatArray
     lines: FloatArray
-    grid: Grid | None  # None where nothing is in the way
+    grid: NavGrid | None  # None without obstacles
 
     @cached_property
-    def routes(self) -> list[Route]:
-        """Return the ways to each goal; none where nothing is in the way."""
+    def routes(self) -> list[FlowField]:
+        """Return the flow fields to each goal; none without obstacles."""
         return [] if self.grid is None else routes_to(self.grid, self.points)
 
     @cached_property
     def _plans(self) -> tuple[IntArray, IntArray, BoolArray, BoolArray]:
-        """Return of each its route, its length, and if it repeats or leaves."""
-        populations = self.agents.populations
+        """Return each agent's route, its length, and whether it repeats or leaves."""
+        populations = self.agents.entries
         names = [goal.name for goal in self.goals]
         longest = max((len(one.route) for one in populations), default=0)
         table = np.full((len(populations), longest + 1), -1)
@@ -80,14 +80,14 @@ class Steering:
         return table[kinds], counts[kinds], again[kinds], leaves[kinds]
 
     def first(self) -> Progress:
-        """Return how far agents are at the beginning."""
+        """Return the initial progress."""
         count = len(self.agents)
         return Progress(
             np.zeros(count, np.int64), np.zeros(count), np.full(count, NO_TICKET)
         )
 
     def heading_for(self, progress: Progress) -> IntArray:
-        """Return the goal of each agent ``(N,)``, -1 for who has none."""
+        """Return the current goal of each agent ``(N,)``, -1 for none."""
         table, counts, again, _ = self._plans
         stages = progress.stages
         stage = np.where(
@@ -99,21 +99,21 @@ class Steering:
     def targets(
         self, progress: Progress, goal: IntArray, x: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Return where agents are to be in the end ``(N, 2)`` [m], and who queues."""
+        """Return each agent's final position ``(N, 2)`` [m], and who queues."""
         if not len(self.points):
             return x, np.zeros(len(x), np.bool_)
         at = self._middles(goal, x)
         radii = np.array([one.radius for one in self.goals])
-        apart = (
+        next_to_goal = (
             at + self.agents.offsets * np.where(goal >= 0, radii[goal], 0.0)[:, None]
         )
         if self.grid is None:
-            at = apart
+            at = next_to_goal
         else:
-            # Only where it can be reached from the middle.
-            nodes = self.grid.at(np.stack([at, apart]).reshape(-1, 2))
+            # Only if it is reachable from the centre.
+            nodes = self.grid.at(np.stack([at, next_to_goal]).reshape(-1, 2))
             parts = self.grid.parts[nodes[:, 0], nodes[:, 1]].reshape(2, -1)
-            at = np.where((parts[0] == parts[1])[:, None], apart, at)
+            at = np.where((parts[0] == parts[1])[:, None], next_to_goal, at)
         queued = progress.tickets != NO_TICKET
         for g in np.unique(goal[queued]).tolist():
             line = np.flatnonzero(queued & (goal == g))
@@ -122,68 +122,68 @@ class Steering:
         return at, queued
 
     def _middles(self, goal: IntArray, x: FloatArray) -> FloatArray:
-        """Return the goal of each that it can reach ``(N, 2)`` [m]; without one, x."""
+        """Return each agent's reachable goal ``(N, 2)`` [m]; without one, x."""
         at = np.where((goal >= 0)[:, None], self.points[goal], x)
         for g, route in enumerate(self.routes):
-            own = goal == g
-            at[own] = route.goal(x[own])
+            assigned = goal == g
+            at[assigned] = route.goal(x[assigned])
         return np.asarray(at)
 
     def preferred(
         self, t: float, begin: float, progress: Progress, x: FloatArray
     ) -> FloatArray:
-        """Return velocities that agents would like at a time [s] ``(N, 2)`` [m/s]."""
+        """Return preferred velocities at a time [s] ``(N, 2)`` [m/s]."""
         agents = self.agents
         goal = self.heading_for(progress)
         target, queued = self.targets(progress, goal, x)
         off = target - x
         far = np.linalg.norm(off, axis=1)
-        ways = off / np.maximum(far, np.finfo(float).tiny)[:, None]
+        directions = off / np.maximum(far, np.finfo(float).tiny)[:, None]
         for g, route in enumerate(self.routes):
-            own = (goal == g) & ~queued
-            if own.any():
-                ways[own] = route.directions(x[own], target[own])
+            assigned = (goal == g) & ~queued
+            if assigned.any():
+                directions[assigned] = route.directions(x[assigned], target[assigned])
         speeds = np.minimum(agents.speeds, far / STOPPING)
         speeds = np.where((goal >= 0) & (t - begin >= agents.delays), speeds, 0.0)
-        # Who waits where all are at once makes room for those behind, and stays.
+        # Waiting agents make room for those behind, and stay.
         waits = (progress.waited > 0) & ~queued
         if waits.any():
             radius = self._radius(goal, progress.waited > 0)
             inside = np.maximum(far - INNER * radius, 0.0) / STOPPING
             speeds = np.where(waits, np.minimum(speeds, inside), speeds)
-        wanted = ways * speeds[:, None]
-        return self._in_groups(wanted, queued | waits, x)
+        preferred = directions * speeds[:, None]
+        return self._in_groups(preferred, queued | waits, x)
 
     def _in_groups(
-        self, wanted: FloatArray, apart: BoolArray, x: FloatArray
+        self, preferred: FloatArray, alone: BoolArray, x: FloatArray
     ) -> FloatArray:
-        """Return velocities with which those of a group walk side by side."""
+        """Return velocities that keep groups side by side."""
         groups = self.agents.groups
-        own = np.flatnonzero((groups >= 0) & ~apart & wanted.any(axis=1))
-        if not len(own):
-            return wanted
-        number = groups[own]
+        members = np.flatnonzero((groups >= 0) & ~alone & preferred.any(axis=1))
+        if not len(members):
+            return preferred
+        number = groups[members]
         count = np.bincount(number)[number][:, None]
 
         def mean(values: FloatArray) -> FloatArray:
             sums = [np.bincount(number, column)[number] for column in values.T]
             return np.asarray(np.stack(sums, axis=1) / count)
 
-        ahead = mean(wanted[own])
-        size = np.linalg.norm(ahead, axis=1)[:, None]
-        ahead = ahead / np.where(size > 0, size, 1.0)
-        side = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
-        slot = mean(x[own]) + side * self.agents.sides[own, None]
-        back = (slot - x[own]) / STOPPING
+        forward = mean(preferred[members])
+        size = np.linalg.norm(forward, axis=1)[:, None]
+        forward = forward / np.where(size > 0, size, 1.0)
+        side = np.stack([forward[:, 1], -forward[:, 0]], axis=1)
+        slot = mean(x[members]) + side * self.agents.sides[members, None]
+        back = (slot - x[members]) / STOPPING
         sizes = np.linalg.norm(back, axis=1)[:, None]
-        most = CATCHING_UP * self.agents.speeds[own, None]
+        most = CATCHING_UP * self.agents.speeds[members, None]
         back = back * np.minimum(1.0, most / np.where(sizes > 0, sizes, 1.0))
-        made = wanted.copy()
-        made[own] = wanted[own] + back
-        return made
+        adjusted = preferred.copy()
+        adjusted[members] = preferred[members] + back
+        return adjusted
 
     def advanced(self, progress: Progress, x: FloatArray, dt: float) -> Progress:
-        """Return how far agents are a step [s] later, where they are at x and z."""
+        """Return progress after a step [s], with agents at x and z."""
         if not len(self.points):
             return progress
         _, counts, again, leaves = self._plans
@@ -206,7 +206,7 @@ class Steering:
         waited = np.where(there | ((progress.waited > 0) & has & ~queues),
                           progress.waited + dt, 0.0)  # fmt: skip
         last = ~again & ~leaves & (progress.stages + 1 >= counts)
-        # Who stays at its last goal never leaves it behind.
+        # Agents that stay at their last goal never leave it.
         done = there & (waited >= wait) & ~(last & ~queues)
         stages = progress.stages + done
         stages = np.where(done & leaves & (stages >= counts), GONE, stages)
@@ -215,26 +215,28 @@ class Steering:
         )
 
     def _radius(self, goal: IntArray, there: BoolArray) -> FloatArray:
-        """Return how near its goal each must come ``(N,)`` [m], as others are there."""
-        own = np.array([one.radius for one in self.goals])[goal]
+        """Return each goal's arrival radius ``(N,)`` [m], larger when crowded."""
+        radii = np.array([one.radius for one in self.goals])[goal]
         count = np.bincount(goal[there & (goal >= 0)], minlength=len(self.goals))[goal]
-        return np.asarray(np.maximum(own, self.agents.radii * np.sqrt(count / PACKED)))
+        return np.asarray(
+            np.maximum(radii, self.agents.radii * np.sqrt(count / PACKED))
+        )
 
     def _joined(
         self, tickets: IntArray, goal: IntArray, queues: BoolArray, x: FloatArray
     ) -> IntArray:
-        """Return tickets with those of who comes to the end of a queue."""
-        made = tickets
+        """Return tickets, with new ones for agents who reach the end of a queue."""
+        joined = tickets
         for g in np.unique(goal[queues]).tolist():
-            own = queues & (goal == g)
-            waiting = own & (made != NO_TICKET)
+            queuing = queues & (goal == g)
+            waiting = queuing & (joined != NO_TICKET)
             end = self.points[g] + int(waiting.sum()) * self.lines[g]
             spacing = float(np.linalg.norm(self.lines[g]))
             far = np.linalg.norm(x - end, axis=1)
-            near = np.flatnonzero(own & ~waiting & (far < JOINING * spacing))
+            near = np.flatnonzero(queuing & ~waiting & (far < JOINING * spacing))
             if len(near):
-                made = made.copy()
-                # Who is nearer is first; of two as near, the first of them.
+                joined = joined.copy()
+                # The nearest comes first; equal ones in order.
                 order = near[np.argsort(far[near], kind="stable")]
-                made[order] = made.max() + 1 + np.arange(len(order))
-        return made
+                joined[order] = joined.max() + 1 + np.arange(len(order))
+        return joined

@@ -1,1 +1,1 @@
-"""Flocks: members that attract, align and repel those whom they see."""
+"""Flocks: members that attract, align with and repel those in sight."""

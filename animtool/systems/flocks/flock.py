@@ -1,4 +1,4 @@
-"""A flock as a simulation: steps by any integrator, looked at as points or meshes."""
+"""Flock simulation: integrated members, shown as points or meshes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.frames import MeshFrame, PointsFrame, TransformsFrame
@@ -18,13 +19,13 @@ from animtool.sim.equations import Equations
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import SecondOrder
 from animtool.systems.flocks.members import Members, check_species
-from animtool.systems.flocks.rules import Rule, flocking, rules_of
-from animtool.systems.flocks.spacing import FIRST, Spacing
+from animtool.systems.flocks.rules import FlockRule, flocking, rules_of
+from animtool.systems.flocks.spacing import FIRST_PASSES, Spacing
 from animtool.systems.flocks.spec import DomainModel, FlocksModel
 from animtool.systems.flocks.steering import (
     avoidance,
+    goal_accelerations,
     kept_speeds,
-    own_ways,
     steered,
 )
 from animtool.systems.framework.interacting import integrated
@@ -33,77 +34,79 @@ from animtool.systems.particles.emitter import uniforms
 from animtool.systems.particles.forces.base import Force
 
 GRAVITY = 9.81  # [m/s²]
-# How long a lean takes to follow what it should be [s].
+# Time constant of banking [s].
 LEANING = 0.15
 _UP = np.array([0.0, 1.0, 0.0])
-_TINY = 1e-9  # what is shorter has no direction
+_TINY = 1e-9  # shorter vectors have no direction
 
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """How N members are turned: their z goes ahead, their y up."""
+    """Orientations of N members: z forward, y up."""
 
     rotations: FloatArray  # unit quaternions x, y, z, w (N, 4)
     spins: FloatArray  # angular velocities, in the world (N, 3) [rad/s]
-    phases: FloatArray  # cycles of what is shown since the beginning (N,)
+    phases: FloatArray  # cycles of the shown animation so far (N,)
 
 
 def first_heading(members: Members, v: FloatArray) -> Heading:
-    """Return how members are turned that begin with velocities ``(N, 3)`` [m/s]."""
+    """Return initial orientations for velocities ``(N, 3)`` [m/s]."""
     count = len(v)
-    still = np.broadcast_to(so3.IDENTITY, (count, 4))
+    identity = np.broadcast_to(so3.IDENTITY, (count, 4))
     phases = [
-        uniforms(species.seed, np.arange(own.stop - own.start), 1)[:, 0]
-        for species, own in zip(members.species, members.parted, strict=True)
+        uniforms(species.seed, np.arange(rows.stop - rows.start), 1)[:, 0]
+        for species, rows in zip(members.entries, members.parted, strict=True)
     ]
-    return Heading(_along(still, v, _UP), np.zeros((count, 3)), np.concatenate(phases))
+    return Heading(
+        _along(identity, v, _UP), np.zeros((count, 3)), np.concatenate(phases)
+    )
 
 
 def next_heading(
     members: Members, heading: Heading, v0: FloatArray, v1: FloatArray, dt: float
 ) -> Heading:
-    """Return how members are turned a step [s] later: ``v0`` and ``v1`` ``(N, 3)``.
+    """Return orientations after a step [s]: ``v0`` and ``v1`` ``(N, 3)``.
 
     What carries a wing is at right angles to the way, and makes up for gravity and for
     the turn: so is the up that they lean to.
     """
-    banking = members.each([one.banking for one in members.species])[:, None]
+    banking = members.each([one.banking for one in members.entries])[:, None]
     lift = banking * (v1 - v0) / dt + GRAVITY * _UP
     up = so3.rotate(heading.rotations, _UP)
-    # Across the way, else what is gained along it would count.
-    ways = v1 / np.maximum(np.linalg.norm(v1, axis=1), _TINY)[:, None]
-    lift = lift - (lift * ways).sum(axis=1)[:, None] * ways
+    # Across the velocity; along it is speed gain.
+    directions = v1 / np.maximum(np.linalg.norm(v1, axis=1), _TINY)[:, None]
+    lift = lift - (lift * directions).sum(axis=1)[:, None] * directions
     size = np.linalg.norm(lift, axis=1)[:, None]
     leaned = up + (lift / np.maximum(size, _TINY) - up) * -np.expm1(-dt / LEANING)
     turned = _along(heading.rotations, v1, np.where(size > _TINY, leaned, up))
     rotations = so3.align_signs(turned[None], heading.rotations)[0]
     change = so3.multiply(rotations, so3.conjugate(heading.rotations))
     spins = so3.log(change) / dt
-    beats = members.each([one.beat / one.speed.cruise for one in members.species])
+    beats = members.each([one.beat / one.speed.cruise for one in members.entries])
     speeds = (np.linalg.norm(v0, axis=1) + np.linalg.norm(v1, axis=1)) / 2
     return Heading(rotations, spins, heading.phases + beats * speeds * dt)
 
 
 def _along(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatArray:
-    """Return rotations ``(N, 4)`` whose z is along velocities, and y near an up.
+    """Return rotations ``(N, 4)`` with z along velocities, and y near an up vector.
 
-    Who stands stays as it was.
+    Members at rest keep their rotation.
     """
     speeds = np.linalg.norm(v, axis=1)[:, None]
-    ahead = v / np.maximum(speeds, _TINY)
-    side = so3.cross(np.broadcast_to(up, v.shape), ahead)
-    # Straight up or down, it keeps its side.
+    forward = v / np.maximum(speeds, _TINY)
+    side = so3.cross(np.broadcast_to(up, v.shape), forward)
+    # Straight up or down, it keeps its right side.
     size = np.linalg.norm(side, axis=1)[:, None]
-    held = so3.rotate(before, np.array([1.0, 0.0, 0.0]))
-    held = held - (held * ahead).sum(axis=1)[:, None] * ahead
-    side = np.where(size > 1e-6, side / np.maximum(size, _TINY), held)
+    right = so3.rotate(before, np.array([1.0, 0.0, 0.0]))
+    right = right - (right * forward).sum(axis=1)[:, None] * forward
+    side = np.where(size > 1e-6, side / np.maximum(size, _TINY), right)
     side = side / np.maximum(np.linalg.norm(side, axis=1)[:, None], _TINY)
-    axes = np.stack([side, so3.cross(ahead, side), ahead], axis=-1)
+    axes = np.stack([side, so3.cross(forward, side), forward], axis=-1)
     return np.where(speeds > _TINY, so3.from_matrix(axes), before)
 
 
 def shown(members: Members, meshes: IntArray, phases: FloatArray) -> IntArray:
-    """Return which mesh each member shows ``(N,)``: of its species, by its phase.
+    """Return the mesh index of each member ``(N,)``, by its species and phase.
 
     ``meshes``: first of each species, and how many it has ``(S, 2)``.
     """
@@ -115,52 +118,52 @@ def shown(members: Members, meshes: IntArray, phases: FloatArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class FlockState:
-    """Where members are, and how they are turned."""
+    """Positions, velocities and orientations of members."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
-    heading: Heading | None  # None where points are shown
+    heading: Heading | None  # None if points are shown
 
 
 @dataclass(frozen=True)
 class FlockForces(SecondOrder):
-    """N members under all that moves them."""
+    """N members as a second-order system."""
 
     members: Members
     domain: DomainModel | None
     colliders: Colliders
     forces: Sequence[Force]
-    rules: Sequence[Rule]
+    rules: Sequence[FlockRule]
     motion: FloatArray  # (2, N, 3)
     spacing: Spacing | None = None
     settles = True
 
     @property
     def state(self) -> FloatArray:
-        """Where they start."""
+        """The initial state."""
         return self.motion
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return accelerations ``(N, 3)`` [m/s²]."""
         members = self.members
-        made = flocking(self.rules, self.domain, x, v)
-        made += own_ways(members, t, x, v)
+        accelerations = flocking(self.rules, self.domain, x, v)
+        accelerations += goal_accelerations(members, t, x, v)
         if self.colliders.rigid:
-            made += avoidance(members, self.colliders, t, x, v)
-        made = steered(members, v, made)
+            accelerations += avoidance(members, self.colliders, t, x, v)
+        accelerations = steered(members, v, accelerations)
         if self.forces:
             particles = members.particles
             pushed = sum(force.force(t, x, v, particles) for force in self.forces)
-            made = made + pushed / particles.masses[:, None]
-        return made
+            accelerations = accelerations + pushed / particles.masses[:, None]
+        return accelerations
 
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return where speeds, other members and colliders let a step end."""
+        """Return the state within speed limits, spacing and colliders."""
         x, v = after[0], after[1]
         if self.spacing is not None:
             v = self._braked(h, before[1], x, v)
-            x, _ = self.spacing.moved_apart(x)
+            x, _ = self.spacing.separated(x)
         v = kept_speeds(self.members, v)
         if self.colliders.active:
             radii = self.members.radii
@@ -171,113 +174,113 @@ class FlockForces(SecondOrder):
     def _braked(
         self, h: float, before: FloatArray, x: FloatArray, v: FloatArray
     ) -> FloatArray:
-        """Return velocities of who brakes for others, as fast as it may ``(N, 3)``."""
+        """Return velocities after braking for others ``(N, 3)``."""
         assert self.spacing is not None
         brakes = self.spacing.braking(x, v)
-        whole = steered(self.members, before, (v - before) / h + brakes)
+        braking = steered(self.members, before, (v - before) / h + brakes)
         acts = (brakes != 0).any(axis=1, keepdims=True)
-        return np.where(acts, before + h * whole, v)
+        return np.where(acts, before + h * braking, v)
 
 
-class Flock:
-    """Members that see each other, in steps.
-
-    Attributes:
-        system: They and what moves them, as integrators see them at the beginning.
+def build(spec: FlocksModel, context: SimContext) -> Flock:
+    """Return the flock of a spec, its members apart and out of colliders.
 
     Raises:
         OptionError: Something of the spec makes no sense (SIM001, SIM005, SIM006,
             SIM060).
     """
-
-    def __init__(self, spec: FlocksModel, context: SimContext) -> None:
-        check_species(spec)
-        self._options = IntegrateOptions(spec.method, spec.step, spec.tolerance)
-        integrator = check_options(self._options)
-        colliders = context.colliders
-        if spec.domain is not None and not spec.domain.wrap:
-            walls = Collider(
-                Box(spec.domain.size),
-                Poses.fixed(spec.domain.at),
-                name="domain",
-                container=True,
-            )
-            colliders = Colliders(
-                [*colliders, walls], colliders.sheets, colliders.bodies
-            )
-        self._members = Members.of(spec, context.parts["species"], context.begin)
-        spacing = Spacing.of(self._members, spec.domain)
-        points, self._notices = self._members.outside(colliders)
-        if spacing is not None:
-            points, overlap = spacing.moved_apart(points, FIRST)
-            self._notices += self._members.spread(points, overlap)
-            points, _ = replace(self._members, points=points).outside(colliders)
-        forces = context.parts.get("forces", ())
-        start = np.stack([points, self._members.velocities])
-        self._domain = spec.domain
-        rules = rules_of(self._members)
-        self.system = FlockForces(
-            self._members,
-            spec.domain,
-            colliders,
-            forces,
-            rules,
-            self._within(start),
-            spacing,
+    check_species(spec)
+    options = IntegrateOptions(spec.method, spec.step, spec.tolerance)
+    integrator, colliders = check_options(options), context.colliders
+    if spec.domain is not None and not spec.domain.wrap:
+        walls = Collider(
+            Box(spec.domain.size),
+            Poses.fixed(spec.domain.at),
+            name="domain",
+            container=True,
         )
-        check_fit(Equations(self.system), integrator)
-        shows = [parts.get("shows") for parts in context.parts["species"]]
-        # Species that show the same share its meshes.
-        cycles = {show: show() for show in shows if show is not None}
-        self._meshes: tuple[MeshFrame, ...] = tuple(
-            m for c in cycles.values() for m in c
-        )
-        ends = dict(
-            zip(cycles, np.cumsum([len(c) for c in cycles.values()]), strict=True)
-        )
-        self._shown = np.array(
+        colliders = Colliders([*colliders, walls], colliders.sheets, colliders.bodies)
+    parts = context.parts["species"]
+    members = Members.of(spec, parts, context.begin)
+    spacing = Spacing.of(members, spec.domain)
+    points, notices = members.outside(colliders)
+    if spacing is not None:
+        points, overlap = spacing.separated(points, FIRST_PASSES)
+        notices += members.spread(points, overlap)
+        points, _ = replace(members, points=points).outside(colliders)
+    system = FlockForces(
+        members,
+        spec.domain,
+        colliders,
+        context.parts.get("forces", ()),
+        rules_of(members),
+        wrapped(np.stack([points, members.velocities]), spec.domain),
+        spacing,
+    )
+    check_fit(Equations(system), integrator)
+    shows = [part.get("shows") for part in parts]
+    # Species with the same meshes share them.
+    cycles = {show: show() for show in shows if show is not None}
+    ends = dict(zip(cycles, np.cumsum([len(c) for c in cycles.values()]), strict=True))
+    return Flock(
+        system,
+        options,
+        notices,
+        tuple(mesh for cycle in cycles.values() for mesh in cycle),
+        np.array(
             [(ends[s] - len(cycles[s]), len(cycles[s])) if s else (0, 0) for s in shows]
-        )
+        ),
+    )
+
+
+def wrapped(motion: FloatArray, domain: DomainModel | None) -> FloatArray:
+    """Return a motion ``(2, N, 3)`` with positions wrapped into a periodic domain."""
+    if domain is None or not domain.wrap:
+        return motion
+    size = np.array(domain.size)
+    low = np.array(domain.at) - size / 2
+    wraps = np.floor((motion[0] - low) / size)
+    return np.stack([motion[0] - wraps * size, motion[1]]) if wraps.any() else motion
+
+
+@dataclass(frozen=True, eq=False)
+class Flock:
+    """A flock, in steps."""
+
+    system: FlockForces  # members and their forces at the start
+    options: IntegrateOptions
+    notices: Sequence[Fault]
+    meshes: tuple[MeshFrame, ...]  # of all species
+    shown: IntArray  # first mesh and number of meshes of each species (S, 2)
 
     def initial(self) -> FlockState:
-        """Return where all begin."""
+        """Return the initial state."""
         motion = self.system.motion
-        if not self._meshes:
+        if not self.meshes:
             return FlockState(motion, None)
-        return FlockState(motion, first_heading(self._members, motion[1]))
+        return FlockState(motion, first_heading(self.system.members, motion[1]))
 
     def step(self, state: FlockState, t: float, dt: float) -> FlockState:
-        """Return where members are a step [s] later.
+        """Return the state after a step [s].
 
         Raises:
             StoppedError: The method could not go on (SIM102 to SIM105).
         """
         system = replace(self.system, motion=state.motion)
-        motion = integrated(system, replace(self._options, step=dt), t, dt)
+        motion = integrated(system, replace(self.options, step=dt), t, dt)
         heading = state.heading
         if heading is not None:
             heading = next_heading(
-                self._members, heading, state.motion[1], motion[1], dt
+                self.system.members, heading, state.motion[1], motion[1], dt
             )
-        return FlockState(self._within(motion), heading)
-
-    def _within(self, motion: FloatArray) -> FloatArray:
-        """Return members that left a domain that wraps where they come in again."""
-        if self._domain is None or not self._domain.wrap:
-            return motion
-        size = np.array(self._domain.size)
-        low = np.array(self._domain.at) - size / 2
-        turns = np.floor((motion[0] - low) / size)
-        return (
-            np.stack([motion[0] - turns * size, motion[1]]) if turns.any() else motion
-        )
+        return FlockState(wrapped(motion, system.domain), heading)
 
     def frame(self, state: FlockState, t: float) -> PointsFrame | TransformsFrame:  # noqa: ARG002
-        """Return what members show."""
-        members, heading = self._members, state.heading
+        """Return points and meshes at a time."""
+        members, heading = self.system.members, state.heading
         points, velocities = state.motion
         ids = np.arange(len(members))
-        several = len(members.species) > 1
+        several = len(members.entries) > 1
         primvars = {"species": members.kinds} if several else {}
         if heading is None:
             return PointsFrame(ids, points, velocities, members.radii, primvars)
@@ -288,19 +291,19 @@ class Flock:
             heading.rotations,
             heading.spins,
             np.ones((len(members), 3)),
-            shown(members, self._shown, heading.phases),
-            self._meshes,
+            shown(members, self.shown, heading.phases),
+            self.meshes,
             primvars,
         )
 
     def diagnostics(self, state: FlockState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return how fast members are, and how much they go one way."""
+        """Return speeds, and the order parameter (alignment) of members."""
         velocities = state.motion[1]
         speeds = np.linalg.norm(velocities, axis=1)
         moving = speeds > 0
         values = {"members": float(len(speeds))}
         if moving.any():
-            ways = velocities[moving] / speeds[moving, None]
+            directions = velocities[moving] / speeds[moving, None]
             values["speed"] = float(speeds.mean())
-            values["order"] = float(np.linalg.norm(ways.mean(axis=0)))
-        return Diagnostics(values=values, notices=self._notices)
+            values["order"] = float(np.linalg.norm(directions.mean(axis=0)))
+        return Diagnostics(values=values, notices=self.notices)

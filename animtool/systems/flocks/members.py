@@ -1,14 +1,14 @@
-"""Who is in a flock: species one after the other, and where each member begins."""
+"""Members of a flock, species by species, and their start positions."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import (
     Fault,
     Problem,
@@ -22,26 +22,26 @@ from animtool.core.errors import (
 from animtool.core.record import dataclass
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
+from animtool.systems.framework.groups import Groups, duplicate_names
 from animtool.systems.framework.matter import check_apart
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
 
-# Moves out of colliders that a member begins in: who needs more is held by several.
+# Passes that move members out of colliders at the start; more means several overlap.
 MOVES = 20
-# How far beyond the surface it is put then, over its radius [1].
+# Clearance beyond the surface, over the radius [1].
 CLEAR = 1e-6
-# What members are moved by, over their radius: less shows nowhere.
+# Least displacement, over the radius, that is reported.
 MOVED = 4e-3
 
 
 @dataclass(frozen=True)
-class Members:
-    """N members of some species, and where they begin."""
+class Members(Groups):
+    """N members of several species, and their start."""
 
-    species: Sequence[SpeciesModel]
-    parts: Sequence[Mapping[str, Any]]  # what keys of each are read as
-    ends: Sequence[int]  # where each species ends among all
-    begin: float  # when [s]
+    noun: ClassVar[str] = "member"
+    parts: Sequence[Mapping[str, Any]]  # resolved keys of each species
+    begin: float  # start time [s]
     points: FloatArray  # (N, 3) [m]
     velocities: FloatArray  # (N, 3) [m/s]
 
@@ -49,57 +49,27 @@ class Members:
     def of(
         spec: FlocksModel, parts: Sequence[Mapping[str, Any]], begin: float
     ) -> Members:
-        """Return the members of a spec: refused where two begin at one place."""
+        """Return the members of a spec; duplicate positions are refused."""
         drawn, refusals = [], Refusals()
-        for species, own in zip(spec.species, parts, strict=True):
+        for species, part in zip(spec.species, parts, strict=True):
             with refusals.collect():
-                drawn.append(_drawn(species, own, begin))
+                drawn.append(_drawn(species, part, begin))
         refusals.check()
         points, velocities = (np.concatenate(each) for each in zip(*drawn, strict=True))
         ends = np.cumsum([len(each[0]) for each in drawn]).tolist()
-        members = Members(spec.species, parts, ends, begin, points, velocities)
-        members.check_apart()
+        members = Members(spec.species, ends, parts, begin, points, velocities)
+        members.check_distinct()
         return members
-
-    def __len__(self) -> int:
-        """Return how many there are."""
-        return len(self.points)
-
-    @cached_property
-    def parted(self) -> list[slice]:
-        """Return the members of each species."""
-        starts = [0, *self.ends[:-1]]
-        return [slice(a, b) for a, b in zip(starts, self.ends, strict=True)]
-
-    @cached_property
-    def kinds(self) -> IntArray:
-        """Return the number of each member's species ``(N,)``."""
-        counts = np.diff([0, *self.ends])
-        return np.repeat(np.arange(len(self.species)), counts)
-
-    def each(self, values: Sequence[float]) -> FloatArray:
-        """Return a value of each member's species ``(N,)``."""
-        return np.asarray(values, np.float64)[self.kinds]
-
-    @cached_property
-    def radii(self) -> FloatArray:
-        """Return how near members come to colliders ``(N,)`` [m]."""
-        return self.each([one.radius for one in self.species])
 
     @cached_property
     def particles(self) -> ParticleState:
-        """Return members as the forces on particles see them."""
-        masses = self.each([one.mass for one in self.species])
+        """Return members as particles, for forces."""
+        masses = self.each([one.mass for one in self.entries])
         ids = np.arange(len(self))
         return ParticleState.lasting(ids, masses, self.radii, self.begin, self.points)
 
-    def named(self, i: int) -> str:
-        """Return a member, for messages."""
-        kind = int(self.kinds[i])
-        return f"member {i - self.parted[kind].start} of {self.species[kind].name!r}"
-
-    def check_apart(self) -> None:
-        """Refuse two at one place: nothing would ever tell them apart (SIM060)."""
+    def check_distinct(self) -> None:
+        """Refuse two members at the same position (SIM060)."""
         hint = "use place: {sphere: {radius: 2}}, or another region with a size"
         check_apart(
             self.points,
@@ -110,14 +80,14 @@ class Members:
         )
 
     def outside(self, colliders: Colliders) -> tuple[FloatArray, list[Fault]]:
-        """Return where members begin that no collider holds ``(N, 3)`` [m].
+        """Return start positions outside all colliders ``(N, 3)`` [m].
 
         Who would begin inside is moved out, which is a warning (SIM124).
         """
         points, moved = self.points, np.zeros(len(self), bool)
         for _ in range(MOVES if colliders.rigid else 0):
-            found = colliders.volumes.sample(points, self.begin)
-            depths = self.radii - found.distances
+            volumes = colliders.volumes.sample(points, self.begin)
+            depths = self.radii - volumes.distances
             worst = np.argmax(depths, axis=0)
             all_of_them = np.arange(len(self))
             depth = depths[worst, all_of_them]
@@ -125,8 +95,10 @@ class Members:
             if not within.any():
                 break
             moved |= within
-            way = found.normals[worst, all_of_them]
-            points = points + (way * ((depth + CLEAR * self.radii) * within)[:, None])
+            normal = volumes.normals[worst, all_of_them]
+            points = points + (
+                normal * ((depth + CLEAR * self.radii) * within)[:, None]
+            )
         else:
             if colliders.rigid:
                 name = self.named(int(np.argmax(within)))
@@ -143,18 +115,22 @@ class Members:
         return points, [warning("SIM124", message, hint)]
 
     def spread(self, points: FloatArray, overlap: float) -> list[Fault]:
-        """Return what there is to say of members moved apart to points ``(N, 3)``.
+        """Return warnings about members that were separated ``(N, 3)``.
 
-        Those whose places a file gives are named, and an overlap [m] that is left
+        Members with positions from a file are named, and so is a remaining overlap [m]
         (SIM147).
         """
         moved = np.linalg.norm(points - self.points, axis=1)
-        given = np.array([own.get("points") is not None for own in self.parts])
-        odd = (moved > MOVED * self.radii) & given[self.kinds]
+        from_points = np.array([part.get("points") is not None for part in self.parts])
+        moved_far = (moved > MOVED * self.radii) & from_points[self.kinds]
         faults = []
-        if odd.any():
-            message = f"{counted(int(odd.sum()), 'member')} would start closer to each "
-            message += f"other than allowed, {self.named(int(np.argmax(odd)))} first: "
+        if moved_far.any():
+            message = (
+                f"{counted(int(moved_far.sum()), 'member')} would start closer to each "
+            )
+            message += (
+                f"other than allowed, {self.named(int(np.argmax(moved_far)))} first: "
+            )
             message += f"moved apart by up to {moved.max():.3g} m"
             hint = "place them farther apart, or reduce repulsion.least"
             faults.append(warning("SIM147", message, hint))
@@ -169,7 +145,7 @@ class Members:
 def _drawn(
     species: SpeciesModel, parts: Mapping[str, Any], begin: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where members begin ``(N, 3)`` [m], and how fast [m/s]."""
+    """Return start positions [m] and velocities [m/s] ``(N, 3)``."""
     points, velocities = parts.get("points"), parts.get("velocities")
     if points is None and velocities is not None:
         message = "velocities need points"
@@ -184,28 +160,27 @@ def _drawn(
         seed=species.seed,
     )
     count = species.count if points is None else len(points)
-    own, ways = emitter.drawn_at(begin, count)
+    drawn, velocities_drawn = emitter.drawn_at(begin, count)
     if points is None:
-        return own, ways
+        return drawn, velocities_drawn
     for name, array in (("points", points), ("velocities", velocities)):
         shape = (len(points), 3)
         if array is not None and (array.shape != shape or not np.isfinite(array).all()):
             message = f"{name} of {species.name!r} have shape {array.shape} or are not "
             refuse("SIM060", f"{message}finite: they must be {shape}", name)
-    return points, ways if velocities is None else velocities
+    return points, velocities_drawn if velocities is None else velocities
 
 
 def check_species(spec: FlocksModel) -> None:
-    """Refuse species whose keys do not fit together (SIM060)."""
+    """Refuse invalid combinations of a species' keys (SIM060)."""
     refuse_all("SIM060", _problems(spec))
 
 
 def _problems(spec: FlocksModel) -> Iterator[Problem]:
     names = [species.name for species in spec.species]
+    yield from duplicate_names("species", names)
     for k, species in enumerate(spec.species):
         where = f"species[{k}]"
-        if species.name in names[:k]:
-            yield f"two species are named {excerpt(species.name)}", where, None
         others = [*species.joins, *(one.species for one in species.flees)]
         others += [one.species for one in species.chases]
         for name in others:
@@ -239,12 +214,12 @@ def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem
 
 
 def max_speed(species: SpeciesModel) -> float:
-    """Return how fast members may be [m/s]."""
+    """Return the maximum speed of members [m/s]."""
     speed = species.speed
     return 2 * speed.cruise if speed.most is None else speed.most
 
 
 def farthest(species: SpeciesModel) -> float:
-    """Return how far members heed others [m]."""
+    """Return the largest interaction distance of members [m]."""
     others = [*species.flees, *species.chases]
     return max(species.vision.radius, *(one.radius for one in others), 0.0)

@@ -1,4 +1,4 @@
-"""What members do by those that they see: one call of the kernel a rule."""
+"""Rules between members in sight: one kernel call each."""
 
 from __future__ import annotations
 
@@ -16,65 +16,67 @@ from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
 Indices: TypeAlias = npt.NDArray[np.int32]
-# Distances that are looked at for one member, on average, and in all: beyond both a
-# flock takes minutes a step, as where thousands see each other.
+# Neighbour pairs per member on average, and in total: beyond both a step takes minutes,
+# as if thousands see each other.
 MAX_PAIRS_EACH, MAX_PAIRS = 20_000, 2_000_000_000
 _NEVER = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
-    """What members of a species do by those of some: arguments of the kernel."""
+class FlockRule:
+    """A rule of one species towards others: arguments of the kernel."""
 
-    members: Indices | None  # (M,); None is all
+    members: Indices | None  # (M,); None for all
     others: Indices | None
     radius: float  # [m]
-    cosine: float  # of half the angle that is seen
-    nearest: int  # 0 is all
+    cosine: float  # of half the angle of view
+    nearest: int  # number of nearest neighbours; 0 for all
     attraction: tuple[float, float]  # [1/s²] and [m]
     alignment: tuple[float, float]  # [1/s] and [m]
     repulsion: tuple[float, float]  # [m²/s²] and [m]
     softening: float  # [m]
 
 
-def rules_of(members: Members) -> list[Rule]:
-    """Return the rules of all species, those without an effect left out."""
-    found = []
-    names = [species.name for species in members.species]
-    for number, species in enumerate(members.species):
-        own = _some(members, [number])
+def rules_of(members: Members) -> list[FlockRule]:
+    """Return the rules of all species, without those that have no effect."""
+    rules = []
+    names = [species.name for species in members.entries]
+    for number, species in enumerate(members.entries):
+        subjects = _some(members, [number])
         mates = [number, *(names.index(name) for name in species.joins)]
-        found.append(_flocking(species, own, _some(members, sorted({*mates}))))
+        rules.append(_flocking(species, subjects, _some(members, sorted({*mates}))))
         for flee in species.flees:
             those = _some(members, [names.index(flee.species)])
             push = (flee.weight, flee.radius)
-            found.append(
-                Rule(
-                    own, those, flee.radius, -1.0, 0, _NEVER, _NEVER, push,
+            rules.append(
+                FlockRule(
+                    subjects, those, flee.radius, -1.0, 0, _NEVER, _NEVER, push,
                     species.repulsion.softening,
                 )
             )  # fmt: skip
         for chase in species.chases:
             those = _some(members, [names.index(chase.species)])
             pull = (chase.weight, chase.radius)
-            found.append(
-                Rule(own, those, chase.radius, -1.0, 1, pull, _NEVER, _NEVER, 0.0)
+            rules.append(
+                FlockRule(
+                    subjects, those, chase.radius, -1.0, 1, pull, _NEVER, _NEVER, 0.0
+                )
             )
-    return [rule for rule in found if _acts(rule)]
+    return [rule for rule in rules if _acts(rule)]
 
 
 def _flocking(
     species: SpeciesModel,
-    own: Indices | None,
+    subjects: Indices | None,
     mates: Indices | None,
-) -> Rule:
+) -> FlockRule:
     vision, repulsion = species.vision, species.repulsion
 
     def within(radius: float | None) -> float:
         return vision.radius if radius is None else min(radius, vision.radius)
 
-    return Rule(
-        own,
+    return FlockRule(
+        subjects,
         mates,
         vision.radius,
         -1.0 if vision.angle == 360 else float(np.cos(np.radians(vision.angle / 2))),
@@ -86,22 +88,22 @@ def _flocking(
     )
 
 
-def _acts(rule: Rule) -> bool:
+def _acts(rule: FlockRule) -> bool:
     weights = (rule.attraction[0], rule.alignment[0], rule.repulsion[0])
     sizes = [len(some) for some in (rule.members, rule.others) if some is not None]
     return any(weights) and 0 not in sizes
 
 
 def _some(members: Members, numbers: Sequence[int]) -> Indices | None:
-    """Return the members of some species ``(M,)``; None of all."""
-    if len(numbers) == len(members.species):
+    """Return the members of some species ``(M,)``; None for all."""
+    if len(numbers) == len(members.entries):
         return None
     every = [np.arange(len(members))[members.parted[number]] for number in numbers]
     return np.concatenate(every).astype(np.int32)
 
 
 def wrapping(domain: DomainModel | None) -> FloatArray:
-    """Return where axes begin and how long they are ``(2, 3)`` [m]; 0 have no end."""
+    """Return the origin and period of each axis ``(2, 3)`` [m]; 0 is not periodic."""
     period = np.zeros((2, 3))
     if domain is not None and domain.wrap:
         period[1] = domain.size
@@ -110,19 +112,19 @@ def wrapping(domain: DomainModel | None) -> FloatArray:
 
 
 def max_pairs(count: int) -> float:
-    """Return how many pairs of so many members are looked at."""
+    """Return the maximum number of neighbour pairs for N members."""
     return float(max(MAX_PAIRS_EACH * count, MAX_PAIRS))
 
 
 def flocking(
-    rules: Sequence[Rule], domain: DomainModel | None, x: FloatArray, v: FloatArray
+    rules: Sequence[FlockRule], domain: DomainModel | None, x: FloatArray, v: FloatArray
 ) -> FloatArray:
-    """Return accelerations by those that members see ``(N, 3)`` [m/s²].
+    """Return accelerations from members in sight ``(N, 3)`` [m/s²].
 
     ``x`` ``(N, 3)`` [m], ``v`` ``(N, 3)`` [m/s].
 
     Raises:
-        ToleranceError: They are so many at one place that a step would take minutes
+        ToleranceError: Too many members are so close that a step would take minutes
             (SIM107).
     """
     period = wrapping(domain)
@@ -130,7 +132,7 @@ def flocking(
     for rule in rules:
         size = len(x) if rule.members is None else len(rule.members)
         most = max_pairs(size)
-        found, _, looked = _kernels.flock_accelerations(
+        accelerations, _, looked = _kernels.flock_accelerations(
             x, v, rule.members, rule.others, rule.radius, rule.cosine, rule.nearest,
             np.array(rule.attraction), np.array(rule.alignment),
             np.array(rule.repulsion), rule.softening, period, most,
@@ -141,5 +143,5 @@ def flocking(
             )
             hint = "reduce their range of sight, or strengthen the repulsion"
             raise ToleranceError(Fault("SIM107", message, hint=hint))
-        total[slice(None) if rule.members is None else rule.members] += found
+        total[slice(None) if rule.members is None else rule.members] += accelerations
     return total

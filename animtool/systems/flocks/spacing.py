@@ -1,4 +1,4 @@
-"""The least distance of members: who brakes for whom, and who is moved apart."""
+"""Minimum distances between members: braking and separation."""
 
 from __future__ import annotations
 
@@ -12,21 +12,20 @@ from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.rules import max_pairs, wrapping
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
-# Others are braked for within so many times the least distance.
-SEEN = 2.0
-# Share of the least distance below which the room to brake in is no smaller.
+# Members brake for others within this many minimum distances.
+SIGHT = 2.0
+# Least braking room, over the minimum distance.
 ROOM = 0.1
-# Rounds in which members are moved apart in a step, and at the beginning; each goes
-# this share of the way.
-ROUNDS, FIRST, SHARE = 24, 400, 0.6
-# They are moved farther apart than must be by this share of it.
+# Separation passes in a step, and at the start; each moves by this fraction.
+PASSES, FIRST_PASSES, RELAXATION = 24, 400, 0.6
+# Extra clearance, over the minimum distance.
 CLEAR = 1e-4
 
 
 def least_distance(species: SpeciesModel) -> float:
-    """Return how near members of a species come to each other [m]; 0 is any.
+    """Return the minimum distance of a species [m]; 0 for none.
 
-    Twice their radius: those that are given none and show no shape are points.
+    Twice the radius; members without a stated radius or shape are points.
     """
     repulsion = species.repulsion
     if repulsion.least is not None:
@@ -37,48 +36,48 @@ def least_distance(species: SpeciesModel) -> float:
 
 @dataclass(frozen=True)
 class Spacing:
-    """The least distances of N members: of two, the mean of both."""
+    """Minimum distances of N members; pairs use the mean of both."""
 
-    own: FloatArray  # (N,) [m]; 0 keeps none
-    period: FloatArray  # where axes begin and their lengths (2, 3) [m], 0 for none
+    distances: FloatArray  # minimum distances (N,) [m]; 0 for none
+    period: FloatArray  # origin and length of each axis (2, 3) [m], 0 if not periodic
 
     @staticmethod
     def of(members: Members, domain: DomainModel | None) -> Spacing | None:
-        """Return the spacing of members; None where nobody keeps any."""
-        own = members.each([least_distance(one) for one in members.species])
-        keeps = len(own) > 1 and own.max() > 0
-        return Spacing(own, wrapping(domain)) if keeps else None
+        """Return the spacing of members; None without minimum distances."""
+        distances = members.each([least_distance(one) for one in members.entries])
+        keeps = len(distances) > 1 and distances.max() > 0
+        return Spacing(distances, wrapping(domain)) if keeps else None
 
     def braking(self, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return what stops members before they are too near ``(N, 3)`` [m/s²].
+        """Return braking accelerations ahead of others ``(N, 3)`` [m/s²].
 
         Of two that close in each takes half: the square of their speed over twice the
         room that is left, the more the nearer they are.
 
         Raises:
-            ToleranceError: They are so many that a step would take minutes (SIM107).
+            ToleranceError: Too many close pairs: a step would take minutes (SIM107).
         """
         most = max_pairs(len(x))
-        made, looked = _kernels.flock_braking(
-            x, v, self.own, SEEN, ROOM, self.period, most
+        brakes, looked = _kernels.flock_braking(
+            x, v, self.distances, SIGHT, ROOM, self.period, most
         )
         self._check(len(x), looked, most)
-        return np.asarray(made)
+        return np.asarray(brakes)
 
-    def moved_apart(
-        self, x: FloatArray, rounds: int = ROUNDS
+    def separated(
+        self, x: FloatArray, rounds: int = PASSES
     ) -> tuple[FloatArray, float]:
-        """Return members moved apart ``(N, 3)`` [m], and the overlap left [m].
+        """Return separated positions ``(N, 3)`` [m], and the remaining overlap.
 
         Raises:
-            ToleranceError: They are so many that a step would take minutes (SIM107).
+            ToleranceError: Too many close pairs: a step would take minutes (SIM107).
         """
         most = max_pairs(len(x))
-        made, overlap, looked = _kernels.flock_apart(
-            x, self.own, rounds, SHARE, CLEAR, self.period, most
+        moved, overlap, looked = _kernels.flock_apart(
+            x, self.distances, rounds, RELAXATION, CLEAR, self.period, most
         )
         self._check(len(x), looked, most)
-        return made, overlap
+        return moved, overlap
 
     @staticmethod
     def _check(count: int, looked: float, most: float) -> None:

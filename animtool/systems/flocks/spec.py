@@ -1,4 +1,4 @@
-"""The keys of a flock in a scene file, as models."""
+"""Keys of flocks in scene files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 from annotated_types import Ge, Gt, Le, Len
-from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
@@ -19,21 +18,16 @@ from animtool.documents.fields import (
     key,
 )
 from animtool.systems.framework.fields import (
-    Characters,
-    Colliders,
-    Forces,
     Integrator,
-    Meshes,
     PlacedModel,
     PlaceEntry,
     Seed,
     Shows,
     StartPoints,
-    Surfaces,
     Tolerance,
     Velocities,
 )
-from animtool.systems.framework.spec import SystemSpec
+from animtool.systems.framework.spec import CollidingSpec
 
 
 class VisionModel(FileModel):
@@ -242,7 +236,7 @@ class DomainModel(FileModel):
     )
 
 
-class FlocksModel(SystemSpec):
+class FlocksModel(CollidingSpec):
     """Flocks: members see each other, and attract, align and repel."""
 
     methods: ClassVar[Sequence[str]] = ("symplectic_euler", "midpoint", "heun", "rk4")
@@ -251,11 +245,6 @@ class FlocksModel(SystemSpec):
     species: Annotated[list[SpeciesModel], Len(1, 100)] = key(
         "Who flies.", [{"name": "starling", "count": 200}]
     )
-    forces: Forces = Field([])
-    colliders: Colliders = Field([])
-    characters: Characters = Field([])
-    systems: Surfaces = Field([])
-    meshes: Meshes = Field([])
     domain: DomainModel | None = key(
         "Bounding box of the flock.", {"size": [40, 10, 40]}, default=None
     )

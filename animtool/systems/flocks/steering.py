@@ -1,4 +1,4 @@
-"""What members do by themselves: goals, ways, speed, what they avoid, and limits."""
+"""Steering of single members: goals, paths, speed, avoidance and limits."""
 
 from __future__ import annotations
 
@@ -9,38 +9,43 @@ from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.members import Members, max_speed
 from animtool.systems.flocks.spec import PathModel
 
-# Members whose ways are looked at together, so that their distances stay in the cache.
+# Members processed together, so that their distances fit the cache.
 BLOCK = 4096
 _TINY = 1e-12  # lengths and speeds below have no direction [m], [m/s]
 
 
-def own_ways(members: Members, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
-    """Return what goals, ways and speeds do ``(N, 3)`` [m/s²]."""
-    made = np.zeros_like(x)
-    for species, parts, own in zip(
-        members.species, members.parts, members.parted, strict=True
+def goal_accelerations(
+    members: Members, t: float, x: FloatArray, v: FloatArray
+) -> FloatArray:
+    """Return accelerations by goals, paths and speeds ``(N, 3)`` [m/s²]."""
+    accelerations = np.zeros_like(x)
+    for species, parts, members_rows in zip(
+        members.entries, members.parts, members.parted, strict=True
     ):
-        here, speed = x[own], species.speed
+        here, speed = x[members_rows], species.speed
         if speed.weight:
-            squares = (v[own] * v[own]).sum(axis=1)
+            squares = (v[members_rows] * v[members_rows]).sum(axis=1)
             lack = speed.weight * (speed.cruise**2 - squares)
-            made[own] += lack[:, None] * v[own]
+            accelerations[members_rows] += lack[:, None] * v[members_rows]
         for goal, placed in zip(species.goals, parts.get("goals", ()), strict=True):
             off = placed["poses"].at(t)[:3] - here
             pull = goal.weight * _beyond(off, goal.radius)
-            made[own] += pull if goal.limit is None else limited(pull, goal.limit)
+            accelerations[members_rows] += (
+                pull if goal.limit is None else limited(pull, goal.limit)
+            )
         for path in species.paths:
             for first in range(0, len(here), BLOCK):
                 rows = slice(
-                    own.start + first, own.start + min(first + BLOCK, len(here))
+                    members_rows.start + first,
+                    members_rows.start + min(first + BLOCK, len(here)),
                 )
                 off = _target(path, x[rows]) - x[rows]
-                made[rows] += path.weight * _beyond(off, path.radius)
-    return made
+                accelerations[rows] += path.weight * _beyond(off, path.radius)
+    return accelerations
 
 
 def _beyond(off: FloatArray, radius: float) -> FloatArray:
-    """Return what of ways ``(N, 3)`` is beyond a radius [m]."""
+    """Return the part of vectors ``(N, 3)`` that exceeds a radius [m]."""
     if not radius:
         return off
     far = np.linalg.norm(off, axis=1)[:, None]
@@ -48,15 +53,15 @@ def _beyond(off: FloatArray, radius: float) -> FloatArray:
 
 
 def _target(path: PathModel, x: FloatArray) -> FloatArray:
-    """Return where on a way those at points are to go ``(N, 3)`` [m]."""
+    """Return the target points on a path ``(N, 3)`` [m]."""
     points = np.array(path.points)
     if path.closed:
         points = np.concatenate([points, points[:1]])
-    ways = np.diff(points, axis=0)
-    lengths = np.linalg.norm(ways, axis=1)
-    shares = ((x[:, None] - points[:-1]) * ways).sum(axis=2)
+    segments = np.diff(points, axis=0)
+    lengths = np.linalg.norm(segments, axis=1)
+    shares = ((x[:, None] - points[:-1]) * segments).sum(axis=2)
     shares = np.clip(shares / np.maximum(lengths**2, _TINY), 0.0, 1.0)
-    off = points[:-1] + shares[..., None] * ways - x[:, None]
+    off = points[:-1] + shares[..., None] * segments - x[:, None]
     nearest = np.argmin((off * off).sum(axis=2), axis=1)
     marks = np.concatenate([[0.0], np.cumsum(lengths)])
     along = marks[nearest] + shares[np.arange(len(x)), nearest] * lengths[nearest]
@@ -65,25 +70,24 @@ def _target(path: PathModel, x: FloatArray) -> FloatArray:
     return np.stack([np.interp(along, marks, each) for each in points.T], axis=1)
 
 
-# Over which colliders' velocities are told [s]: frames are far longer.
+# Interval for measuring velocities of colliders [s]: frames are far longer.
 INSTANT = 2.0**-10
 
 
 def avoidance(
     members: Members, colliders: Colliders, t: float, x: FloatArray, v: FloatArray
 ) -> FloatArray:
-    """Return what keeps members clear of colliders ``(N, 3)`` [m/s²].
+    """Return accelerations away from colliders ``(N, 3)`` [m/s²].
 
-    Near a surface they are pushed off; who goes towards it is also braked as much as
-    stops it there: by the square of its speed against the collider's over twice the
-    distance.
+    Surfaces repel nearby members, and brake approaching ones to a stop: by the square
+    of the relative speed over twice the distance.
     """
-    made = np.zeros_like(x)
-    reach = members.each([one.avoidance.distance for one in members.species])
-    push = members.each([one.avoidance.weight for one in members.species])
-    found = colliders.sample(x, t, t + INSTANT)
+    accelerations = np.zeros_like(x)
+    reach = members.each([one.avoidance.distance for one in members.entries])
+    push = members.each([one.avoidance.weight for one in members.entries])
+    samples = colliders.sample(x, t, t + INSTANT)
     for distances, normals, speeds in zip(
-        found.distances, found.normals, found.velocities, strict=True
+        samples.distances, samples.normals, samples.velocities, strict=True
     ):
         gap = np.maximum(distances - members.radii, 0.0)
         near = np.maximum(1 - gap / reach, 0.0)
@@ -94,51 +98,51 @@ def avoidance(
         room = 2 * np.maximum(gap[rows], members.radii[rows])
         brake = np.minimum(closing, 0.0) ** 2 / room
         size = near[rows] * (push[rows] * near[rows] + brake)
-        made[rows] += size[:, None] * normals[rows]
-    return made
+        accelerations[rows] += size[:, None] * normals[rows]
+    return accelerations
 
 
-def steered(members: Members, v: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Return accelerations that members are capable of ``(N, 3)`` [m/s²]."""
-    made = wanted
-    for species, own in zip(members.species, members.parted, strict=True):
+def steered(members: Members, v: FloatArray, requested: FloatArray) -> FloatArray:
+    """Return accelerations within each species' limits ``(N, 3)`` [m/s²]."""
+    limits = requested
+    for species, rows in zip(members.entries, members.parted, strict=True):
         if species.turning is not None:
-            made = _turned_less(made, v, own, float(np.radians(species.turning)))
+            limits = _turned_less(limits, v, rows, float(np.radians(species.turning)))
         if species.acceleration is not None:
-            made = made.copy()
-            made[own] = limited(made[own], species.acceleration)
-    return made
+            limits = limits.copy()
+            limits[rows] = limited(limits[rows], species.acceleration)
+    return limits
 
 
 def _turned_less(
-    made: FloatArray, v: FloatArray, own: slice, most: float
+    requested: FloatArray, v: FloatArray, rows: slice, most: float
 ) -> FloatArray:
-    """Return accelerations that turn velocities less than a rate [rad/s]."""
-    speeds = np.linalg.norm(v[own], axis=1)[:, None]
-    ways = v[own] / np.maximum(speeds, _TINY)
-    along = (made[own] * ways).sum(axis=1)[:, None] * ways
-    made = made.copy()
-    across = made[own] - along
+    """Return accelerations limited to a turning rate [rad/s]."""
+    speeds = np.linalg.norm(v[rows], axis=1)[:, None]
+    directions = v[rows] / np.maximum(speeds, _TINY)
+    along = (requested[rows] * directions).sum(axis=1)[:, None] * directions
+    requested = requested.copy()
+    across = requested[rows] - along
     sizes = np.linalg.norm(across, axis=1)[:, None]
-    # Who stands turns at once.
-    share = np.minimum(most * speeds / np.maximum(sizes, _TINY), 1.0)
-    made[own] = along + across * np.where(speeds > _TINY, share, 1.0)
-    return made
+    # Members at rest turn at once.
+    fraction = np.minimum(most * speeds / np.maximum(sizes, _TINY), 1.0)
+    requested[rows] = along + across * np.where(speeds > _TINY, fraction, 1.0)
+    return requested
 
 
 def limited(values: FloatArray, most: float) -> FloatArray:
-    """Return vectors ``(N, 3)`` no longer than a length."""
+    """Return vectors ``(N, 3)`` clamped to a length."""
     sizes = np.linalg.norm(values, axis=1)[:, None]
     return np.asarray(values * np.minimum(most / np.maximum(sizes, _TINY), 1.0))
 
 
 def kept_speeds(members: Members, v: FloatArray) -> FloatArray:
-    """Return velocities within the speeds of each species ``(N, 3)`` [m/s]."""
-    least = members.each([one.speed.least for one in members.species])
-    most = members.each([max_speed(one) for one in members.species])
+    """Return velocities clamped to each species' speeds ``(N, 3)`` [m/s]."""
+    least = members.each([one.speed.least for one in members.entries])
+    most = members.each([max_speed(one) for one in members.entries])
     speeds = np.linalg.norm(v, axis=1)
-    odd = (speeds > most) | ((speeds < least) & (speeds > _TINY))
-    if not odd.any():
+    outside = (speeds > most) | ((speeds < least) & (speeds > _TINY))
+    if not outside.any():
         return v
     factors = np.clip(speeds, least, most) / np.maximum(speeds, _TINY)
-    return np.where(odd[:, None], v * factors[:, None], v)
+    return np.where(outside[:, None], v * factors[:, None], v)

@@ -1,1 +1,1 @@
-"""Fluids: particles that pressure keeps as dense as at rest."""
+"""Fluids: incompressible particles (position-based)."""

@@ -1,4 +1,4 @@
-"""Where fluid begins, and where it comes in."""
+"""Initial fluid, and inflow of emitters."""
 
 from __future__ import annotations
 
@@ -17,52 +17,52 @@ from animtool.sim.colliders import Capsule, Collider, Colliders, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
 from animtool.systems.fluid.spec import FillModel, FluidEmitterModel, FluidModel
 
-# Places of a lattice that are looked at for one that is kept.
+# Largest number of tried lattice points for each kept one.
 SPARSE = 8
-# Two that are nearer than this begin at one place, in spacings.
-APART = 0.25
-# Who comes in nearer than this to another has no room, in spacings.
+# Closer particles count as coincident, in spacings.
+MIN_SPACING = 0.25
+# Least distance of inflow to other particles, in spacings.
 ROOM = 0.6
-# Share of a radius, or of the time between layers, that may be lost to rounding.
+# Rounding tolerance of a radius, or of the time between layers.
 ROUNDING = 1e-6
-# Radii of drops whose tension is right within a tenth, in spacings.
+# Radius in spacings above which a drop's tension is right within 10 %.
 RESOLVED = 5.0
-# Radius of a jet's drops over its own (Rayleigh 1879).
+# Radius of a jet's drops over the jet's (Rayleigh 1879).
 JET = 1.89
-# Over which the motion of a nozzle is measured [s].
+# Interval for measuring the motion of a nozzle [s].
 BRIEF = 1e-4
 
 
 def filled(
     spec: FluidModel, parts: Sequence[Mapping[str, Any]], colliders: Colliders, t: float
 ) -> FloatArray:
-    """Return positions and velocities of all fluid at the beginning ``(2, N, 3)``.
+    """Return positions and velocities of the initial fluid ``(2, N, 3)``.
 
     Raises:
         OptionError: A fill is too large, has nothing, or begins where it cannot be
             (SIM064).
     """
-    made, refusals = [np.zeros((2, 0, 3))], Refusals()
-    for i, own in enumerate(parts):
+    fills, refusals = [np.zeros((2, 0, 3))], Refusals()
+    for i, part in enumerate(parts):
         with refusals.collect():
-            made.append(_filled(spec, i, own, colliders, t))
+            fills.append(_filled(spec, i, part, colliders, t))
     refusals.check()
-    state = np.concatenate(made, axis=1)
+    state = np.concatenate(fills, axis=1)
     _check_count(spec, state.shape[1], "fills")
-    _check_apart(spec, state[0], np.cumsum([one.shape[1] for one in made[1:]]))
+    _check_distinct(spec, state[0], np.cumsum([one.shape[1] for one in fills[1:]]))
     return state
 
 
 def coarse_drops(
     spec: FluidModel, parts: Sequence[Mapping[str, Any]]
 ) -> Iterator[Fault]:
-    """Yield which drops have too few particles for their surface tension (SIM175)."""
+    """Yield drops with too few particles for surface tension (SIM175)."""
     if not spec.tension:
         return
     radii = [
-        (_named(spec, i), float(np.diff(bounds(own["shape"]), axis=0).min()) / 2)
-        for i, own in enumerate(parts)
-        if isinstance(own.get("shape"), Sphere | Capsule)
+        (_named(spec, i), float(np.diff(bounds(part["shape"]), axis=0).min()) / 2)
+        for i, part in enumerate(parts)
+        if isinstance(part.get("shape"), Sphere | Capsule)
     ]
     nozzles = [one.radius for one in spec.emitters if one.radius is not None]
     radii += [(f"a drop of nozzle {i}", JET * r) for i, r in enumerate(nozzles)]
@@ -78,15 +78,15 @@ def coarse_drops(
 
 
 def _filled(
-    spec: FluidModel, i: int, own: Mapping[str, Any], colliders: Colliders, t: float
+    spec: FluidModel, i: int, part: Mapping[str, Any], colliders: Colliders, t: float
 ) -> FloatArray:
     """Return positions and velocities of one fill ``(2, N, 3)``."""
     name, fill = _named(spec, i), spec.fills[i]
-    if own.get("points") is not None:
-        given = _given_points(fill, own, name)
-        _check_outside(given[0], colliders, t, name)
-        return given
-    points = _lattice(spec, own["shape"], own["poses"], t)
+    if part.get("points") is not None:
+        state = _points_of_file(fill, part, name)
+        _check_outside(state[0], colliders, t, name)
+        return state
+    points = _lattice(spec, part["shape"], part["poses"], t)
     if colliders.rigid:
         gaps = colliders.volumes.sample(points, t).distances.min(axis=0)
         points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
@@ -102,9 +102,9 @@ def _named(spec: FluidModel, i: int) -> str:
     return repr(spec.fills[i].name) if spec.fills[i].name else f"fill {i}"
 
 
-def _given_points(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatArray:
-    """Return points and velocities of arrays ``(2, N, 3)``."""
-    points, velocities = own["points"], own.get("velocities")
+def _points_of_file(fill: FillModel, part: Mapping[str, Any], name: str) -> FloatArray:
+    """Return positions and velocities from arrays ``(2, N, 3)``."""
+    points, velocities = part["points"], part.get("velocities")
     if velocities is None:
         velocities = np.broadcast_to(np.array(fill.velocity), (len(points), 3))
     for what, array in (("points", points), ("velocities", velocities)):
@@ -122,7 +122,7 @@ def _given_points(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatAr
 def _check_outside(
     points: FloatArray, colliders: Colliders, t: float, name: str
 ) -> None:
-    """Refuse points that are within colliders, or beyond a container."""
+    """Refuse points inside colliders, or outside a container."""
     if not colliders.rigid or not len(points):
         return
     gaps = colliders.volumes.sample(points, t).distances
@@ -130,7 +130,7 @@ def _check_outside(
     if not within.any():
         return
     c, i = (int(k) for k in np.argwhere(within)[0])
-    bodies = [one for own in colliders.bodies for one in own.colliders]
+    bodies = [one for system in colliders.bodies for one in system.colliders]
     collider = [*colliders, *bodies][c]
     what = repr(collider.name) if collider.name else f"colliders[{c}]"
     where = "outside the container" if collider.container else "inside"
@@ -140,13 +140,15 @@ def _check_outside(
     refuse("SIM064", message, "fills", "move it, or remove it")
 
 
-def _check_apart(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
-    """Refuse two at one place: pressure has no way to part them."""
+def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
+    """Refuse particles closer than pressure can separate."""
     from scipy.spatial import cKDTree
 
     if len(points) < 2:
         return
-    pairs = cKDTree(points).query_pairs(APART * spec.spacing, output_type="ndarray")
+    pairs = cKDTree(points).query_pairs(
+        MIN_SPACING * spec.spacing, output_type="ndarray"
+    )
     if not len(pairs):
         return
     one, other = sorted(pairs[np.lexsort(pairs.T[::-1])[0]].tolist())
@@ -175,7 +177,7 @@ def _check_count(spec: FluidModel, count: float, key: str) -> None:
 
 
 def _lattice(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray:
-    """Return the places of a lattice that are in a shape ``(N, 3)`` [m]."""
+    """Return lattice points inside a shape ``(N, 3)`` [m]."""
     low, high = bounds(shape)
     sizes = np.maximum(np.round((high - low) / spec.spacing), 1.0)
     _check_count(spec, float(np.prod(sizes)) / SPARSE, "fills")
@@ -191,27 +193,29 @@ def _lattice(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Inflow:
-    """Fluid that comes in within a step."""
+    """Fluid that enters within a step."""
 
     state: FloatArray  # positions and velocities at its end (2, N, 3)
-    births: FloatArray  # when each came (N,) [s]
-    missed: int  # how many more would have come
+    births: FloatArray  # birth times (N,) [s]
+    missed: int  # number that found no room
 
 
 class Nozzle:
-    """An emitter: layers of a lattice that come out one after the other."""
+    """An emitter that releases lattice layers one after another."""
 
     def __init__(
         self, spec: FluidModel, emitter: FluidEmitterModel, poses: Poses, begin: float
     ) -> None:
         self._poses, self._speed = poses, emitter.speed
-        self._period = spec.spacing / emitter.speed  # of layers [s]
+        self._period = spec.spacing / emitter.speed  # time between layers [s]
         opens: Sequence[Sequence[float]] = emitter.opens or [(begin, math.inf)]
         self._spans = [(max(a, begin), b) for a, b in opens]
-        self._layer_points = self._places(spec, emitter)
+        self._layer_points = self._layer_positions(spec, emitter)
 
-    def _places(self, spec: FluidModel, emitter: FluidEmitterModel) -> FloatArray:
-        """Return the places of a layer ``(M, 3)`` [m]."""
+    def _layer_positions(
+        self, spec: FluidModel, emitter: FluidEmitterModel
+    ) -> FloatArray:
+        """Return the positions in a layer ``(M, 3)`` [m]."""
         radius = emitter.radius
         wide, deep = emitter.size or (2 * (radius or 0.0), 2 * (radius or 0.0))
         counts = [max(round(side / spec.spacing), 1) for side in (wide, deep)]
@@ -223,12 +227,12 @@ class Nozzle:
         return np.asarray(grid[np.linalg.norm(grid, axis=1) < radius])
 
     def _layer_count(self, span: Sequence[float], t: float) -> int:
-        """Return how many layers a span has made before a time."""
+        """Return the number of layers released before a time."""
         lasts = min(t, span[1]) - span[0]
         return max(math.ceil(lasts / self._period - ROUNDING), 0)
 
     def inflow(self, after: float, until: float, pull: FloatArray, room: int) -> Inflow:
-        """Return what comes in between two times [s], as gravity ``(3,)`` takes it."""
+        """Return fluid released between two times [s], under gravity ``(3,)``."""
         states, births = [np.zeros((2, 0, 3))], [np.zeros(0)]
         size, missed = len(self._layer_points), 0
         for span in self._spans:
@@ -245,14 +249,20 @@ class Nozzle:
         return Inflow(np.concatenate(states, axis=1), np.concatenate(births), missed)
 
     def _layers(self, times: FloatArray, until: float, pull: FloatArray) -> FloatArray:
-        """Return layers that came out at times, at a later one ``(2, K M, 3)``."""
+        """Return layers released at given times, at a later one ``(2, K M, 3)``."""
         now, before = self._poses.over(times), self._poses.over(times - BRIEF)
-        size, own = len(self._layer_points), (now[:, :3] - before[:, :3]) / BRIEF
-        turns, own = np.repeat(now[:, 3:], size, axis=0), np.repeat(own, size, axis=0)
-        places = np.tile(self._layer_points, (len(times), 1))
-        ways = np.broadcast_to([0.0, self._speed, 0.0], places.shape)
-        x = so3.rotate(turns, places) + np.repeat(now[:, :3], size, axis=0)
-        v = so3.rotate(turns, ways) + own
+        size, emitter_velocity = (
+            len(self._layer_points),
+            (now[:, :3] - before[:, :3]) / BRIEF,
+        )
+        rotations, emitter_velocity = (
+            np.repeat(now[:, 3:], size, axis=0),
+            np.repeat(emitter_velocity, size, axis=0),
+        )
+        positions = np.tile(self._layer_points, (len(times), 1))
+        outflow = np.broadcast_to([0.0, self._speed, 0.0], positions.shape)
+        x = so3.rotate(rotations, positions) + np.repeat(now[:, :3], size, axis=0)
+        v = so3.rotate(rotations, outflow) + emitter_velocity
         since = np.repeat(until - times, size)[:, None]
         return np.stack([x + since * (v + since / 2 * pull), v + since * pull])
 
@@ -260,7 +270,7 @@ class Nozzle:
 def has_room(
     points: FloatArray, others: FloatArray, colliders: Colliders, t: float, space: float
 ) -> Any:
-    """Return which of points ``(M, 3)`` have room among others ``(N, 3)`` ``(M,)``."""
+    """Return which points ``(M, 3)`` keep a distance from others ``(N, 3)``."""
     from scipy.spatial import cKDTree
 
     kept = np.ones(len(points), bool)

@@ -1,4 +1,4 @@
-"""A fluid as a simulation: steps that pressure keeps from being dense."""
+"""Fluid simulation: steps with a pressure solve."""
 
 from __future__ import annotations
 
@@ -33,18 +33,19 @@ from animtool.systems.framework.simulation import (
     StoppedError,
     growing,
 )
+from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.state import ParticleState
 
-# Denser than this in the mean it has collapsed, and so it has beyond so many times what
-# is asked for.
+# Mean compression above which a fluid has collapsed, and likewise over the requested
+# compression.
 COLLAPSED, TIMES = 0.1, 5
-# Share of the energy in play that may come from nowhere.
+# Fraction of the energy in play that may appear without a source.
 GROWTH = 0.05
-# Parts are doubled as long as this much less dense results.
+# Substeps are doubled as long as compression falls below this fraction.
 HELPS = 0.8
-# A step that must be this many times shorter is not the cause.
+# If a step must be this many times shorter, the step is not the cause.
 MAX_SHORTENING = 1000
-# How many times shorter still steps are that are tried, and how many of each.
+# Step divisors that are tried for a hint, and trial steps of each.
 ROOM, TRIED = (2.0, 4.0, 8.0, 16.0), 4
 LESS = "use weaker forces, a larger spacing, or slower colliders"
 _NONE = np.zeros((2, 0, 3))
@@ -56,53 +57,72 @@ class FluidState:
 
     ids: IntArray = field(metadata=growing())  # ascending (N,)
     motion: FloatArray = field(metadata=growing(1))  # [m], then [m/s] (2, N, 3)
-    births: FloatArray = field(metadata=growing())  # when each came (N,) [s]
-    pressures: FloatArray = field(metadata=growing())  # means of the step (N,) [Pa]
-    made: int = 0  # how many came so far
-    held: int = 0  # how many did not, for want of room
-    sound: float = 0.0  # how fast pressure went [m/s]
-    energy: float = 0.0  # most that there may be, kinetic and potential [J]
-    compression: float = 0.0  # how much denser than at rest in the mean [1]
-    densest: float = 0.0  # the most that it ever was [1]
-    parts: int = 0  # into how many the last step was parted
+    births: FloatArray = field(metadata=growing())  # birth times (N,) [s]
+    pressures: FloatArray = field(metadata=growing())  # means over the step (N,) [Pa]
+    made: int = 0  # number born so far
+    held: int = 0  # number held back so far, for lack of room
+    sound: float = 0.0  # speed of sound [m/s]
+    energy: float = 0.0  # upper bound of kinetic and potential energy [J]
+    compression: float = 0.0  # mean compression [1]
+    densest: float = 0.0  # largest compression so far [1]
+    parts: int = 0  # substeps of the last step
 
 
-class Fluid:
-    """Particles that pressure keeps as dense as at rest, in steps.
+def build(spec: FluidModel, context: SimContext) -> Fluid:
+    """Return the fluid of a spec, its fills made.
 
     Raises:
         OptionError: Something of the spec makes no sense (SIM064).
     """
+    parts, colliders, begin = context.parts, context.colliders, context.begin
+    start = filled(spec, parts.get("fills", ()), colliders, begin)
+    emitters = zip(spec.emitters, parts.get("emitters", ()), strict=True)
+    nozzles = [Nozzle(spec, one, part["poses"], begin) for one, part in emitters]
+    notices = colliders.notices()
+    notices += coarse_drops(spec, parts.get("fills", ()))
+    if spec.surface is not None:
+        from animtool.systems.fluid.surface import check_surface
 
-    def __init__(self, spec: FluidModel, context: SimContext) -> None:
-        self._spec, self._begin = spec, context.begin
-        self._colliders, parts = context.colliders, context.parts
-        self._forces = parts.get("forces", ())
+        check_surface()
+    return Fluid(
+        spec,
+        begin,
+        colliders,
+        parts.get("forces", ()),
+        start,
+        nozzles,
+        [Colliders([drain.volume()]) for drain in parts.get("drains", ())],
+        notices,
+    )
+
+
+class Fluid:
+    """An incompressible fluid of particles, in steps."""
+
+    def __init__(
+        self,
+        spec: FluidModel,
+        begin: float,
+        colliders: Colliders,
+        forces: Sequence[Force],
+        start: FloatArray,
+        nozzles: Sequence[Nozzle],
+        drains: Sequence[Colliders],
+        notices: list[Fault],
+    ) -> None:
+        """``start``: positions and velocities at ``begin`` [s] ``(2, N, 3)``."""
+        self._spec, self._begin, self._start = spec, begin, start
+        self._colliders, self._forces = colliders, forces
+        self._nozzles, self._drains, self._notices = nozzles, drains, notices
         self._mass = spec.density * spec.spacing**3
-        self._start = filled(spec, parts.get("fills", ()), self._colliders, self._begin)
-        self._nozzles = [
-            Nozzle(spec, emitter, own["poses"], self._begin)
-            for emitter, own in zip(
-                spec.emitters, parts.get("emitters", ()), strict=True
-            )
-        ]
-        self._drains = [
-            Colliders([drain.volume()]) for drain in parts.get("drains", ())
-        ]
         self._substeps = Substeps(spec)
-        self._notices: list[Fault] = self._colliders.notices()
-        self._notices += coarse_drops(spec, parts.get("fills", ()))
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
-        # Nothing brings energy in, so that there is none but what there was.
-        still = not self._colliders.bodies and not self._colliders.sheets
-        self._closed = still and all(len(c.poses.moments) == 1 for c in self._colliders)
-        if spec.surface is not None:
-            from animtool.systems.fluid.surface import check_surface
-
-            check_surface()
+        # No energy can enter: the initial energy is an upper bound.
+        static = not colliders.bodies and not colliders.sheets
+        self._closed = static and all(len(c.poses.sample_times) == 1 for c in colliders)
 
     def initial(self) -> FluidState:
-        """Return the fluid as it begins."""
+        """Return the initial state."""
         count = self._start.shape[1]
         state = FluidState(
             np.arange(count, dtype=np.int64),
@@ -116,12 +136,12 @@ class Fluid:
         return replace(state, sound=sound, energy=self._energy(state)[0])
 
     def misfit(self, state: FluidState, t: float) -> str:
-        """Return why a state of a file cannot be resumed from; empty where it can."""
+        """Return why a saved state cannot be resumed; empty if it can."""
         del t
         return "" if state.sound >= 0 else "the speed of sound is below 0"
 
     def step(self, state: FluidState, t: float, dt: float) -> Stepped[FluidState]:
-        """Return the fluid a step [s] later, and what it pushed bodies by.
+        """Return the state after a step [s], and impulses on bodies.
 
         Raises:
             StoppedError: It collapsed, or the step is too long (SIM102, SIM108).
@@ -131,7 +151,7 @@ class Fluid:
         if not np.isfinite(pull).all():
             self._stop("SIM102", until, "a force is not finite", "weaker forces")
         wrenches: Sequence[Wrenches] = [
-            Wrenches.none(own.count) for own in self._colliders.bodies
+            Wrenches.none(system.count) for system in self._colliders.bodies
         ]
         if len(state.ids):
             state, wrenches = self._pressed(state, t, dt, pull, notices)
@@ -140,27 +160,27 @@ class Fluid:
         return Stepped(state, wrenches, notices)
 
     def _particles(self, state: FluidState) -> ParticleState:
-        """Return the fluid as the forces on particles see it."""
+        """Return the fluid as particles, for forces."""
         half, points = self._spec.spacing / 2, state.motion[0]
         return ParticleState.lasting(state.ids, self._mass, half, state.births, points)
 
     def _pull(self, state: FluidState, t: float) -> FloatArray:
-        """Return what forces do ``(N, 3)`` [m/s²]."""
-        made: FloatArray = np.zeros_like(state.motion[0])
-        particles = self._particles(state)
+        """Return accelerations of forces ``(N, 3)`` [m/s²]."""
+        (x, v), particles = state.motion, self._particles(state)
+        accelerations: FloatArray = np.zeros_like(x)
         with np.errstate(all="ignore"):
             for force in self._forces:
-                made += force.force(t, *state.motion, particles) / self._mass
-        return made
+                accelerations += force.force(t, x, v, particles) / self._mass
+        return accelerations
 
     def _energy(self, state: FluidState) -> tuple[float, float, bool]:
-        """Return energy, kinetic energy [J], and whether forces have potentials."""
+        """Return total and kinetic energy [J], and whether potentials are known."""
         kinetic = 0.5 * self._mass * float((state.motion[1] ** 2).sum())
         particles, total, known = self._particles(state), kinetic, True
         for force in self._forces:
-            found = force.potential(state.motion[0], particles)
-            known &= found is not None
-            total += 0.0 if found is None else float(found.sum())
+            potentials = force.potential(state.motion[0], particles)
+            known &= potentials is not None
+            total += 0.0 if potentials is None else float(potentials.sum())
         if self._spec.tension:
             points = np.ascontiguousarray(state.motion[0])
             area = _kernels.fluid_area(points, self._spec.spacing)
@@ -175,7 +195,7 @@ class Fluid:
         pull: FloatArray,
         notices: list[Fault] | None = None,
     ) -> tuple[FluidState, Sequence[Wrenches]]:
-        """Return the end of a step, in as many parts as keep it from being dense.
+        """Return the state after a step, in as many substeps as density needs.
 
         Without a list of notices it is a trial, which looks for no shorter step.
         """
@@ -183,22 +203,22 @@ class Fluid:
         max_pull = float(np.linalg.norm(pull, axis=1).max())
         fastest = float(speeds.max()) + max_pull * dt
         sound = self._substeps.sound(state.sound, state.pressures, speeds, max_pull, dt)
-        wanted = self._substeps.parts(dt, fastest, sound)
-        if wanted > self._substeps.most:
+        needed = self._substeps.parts(dt, fastest, sound)
+        if needed > self._substeps.most:
             most, spacing = self._substeps.most, self._spec.spacing
             message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m, a step of "
             message += f"{dt:g} s needs more than {most} substeps"
-            self._stop_long(state, t, dt, message, wanted / most, notices)
-        parts, allowed = int(wanted), self._spec.compression
-        found = self._kernel(state, t, dt, pull, sound, parts)
-        while found.compression > allowed and 2 * parts <= self._substeps.most:
+            self._stop_long(state, t, dt, message, needed / most, notices)
+        parts, allowed = int(needed), self._spec.compression
+        pressed = self._kernel(state, t, dt, pull, sound, parts)
+        while pressed.compression > allowed and 2 * parts <= self._substeps.most:
             again = self._kernel(state, t, dt, pull, 2 * sound, 2 * parts)
-            if again.compression > HELPS * found.compression:
+            if again.compression > HELPS * pressed.compression:
                 break
-            found, sound, parts = again, 2 * sound, 2 * parts
-        if not np.isfinite(found.motion).all():
+            pressed, sound, parts = again, 2 * sound, 2 * parts
+        if not np.isfinite(pressed.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "use shorter steps")
-        dense = found.compression
+        dense = pressed.compression
         if dense > max(COLLAPSED, TIMES * allowed):
             message = f"it is {dense:.1%} denser than at rest: there is too little room"
             hint = "enlarge its container, open a drain, or close an emitter earlier"
@@ -211,8 +231,8 @@ class Fluid:
             )
         after = replace(
             state,
-            motion=found.motion,
-            pressures=found.pressures,
+            motion=pressed.motion,
+            pressures=pressed.pressures,
             sound=sound,
             compression=dense,
             densest=max(state.densest, dense),
@@ -222,7 +242,7 @@ class Fluid:
             message = f"its energy changed to {self._energy(after)[0]:.3g} J, from "
             message += f"{state.energy:.3g} J"
             self._stop_long(state, t, dt, message, 1.0, notices)
-        return after, found.wrenches
+        return after, pressed.wrenches
 
     def _kernel(
         self,
@@ -233,11 +253,11 @@ class Fluid:
         sound: float,
         parts: int,
     ) -> Pressed:
-        """Return the end of a step in some parts; sheets are met between pieces."""
+        """Return the state after some substeps; sheets collide between pieces."""
         around, motion = self._colliders, state.motion
         pieces = self._substeps.pieces(around, parts, dt)
         each, pressures, compression = dt / pieces, np.zeros(len(state.ids)), 0.0
-        wrenches = [Wrenches.none(own.count) for own in around.bodies]
+        wrenches = [Wrenches.none(system.count) for system in around.bodies]
         for k in range(pieces):
             t0 = t + k * each
             before = motion
@@ -265,15 +285,15 @@ class Fluid:
                 met = collide(x, v, before, sheets, t0, t0 + each, radius)
                 motion = np.stack([met.points, met.velocities])
             wrenches = [
-                Wrenches.sum([one.after(each), Wrenches(*own)])
-                for one, own in zip(
+                Wrenches.sum([one.after(each), Wrenches(*system)])
+                for one, system in zip(
                     wrenches, by_system(around.bodies, pushes), strict=True
                 )
             ]
         return Pressed(motion, pressures, compression, wrenches)
 
     def _solid(self, t: float) -> Colliders:
-        """Return what pressure acts on: what is rigid, and skins as they are now."""
+        """Return the colliders of the pressure solve: rigid ones, and current skins."""
         around = self._colliders
         skins = [
             sheet.collider(sheet.motion.points(t), sheet.motion.triangles(t))
@@ -283,12 +303,12 @@ class Fluid:
         return Colliders([*around, *skins], (), around.bodies) if skins else around
 
     def _gains(self, state: FluidState) -> bool:
-        """Return whether there is energy that nothing brought."""
+        """Return whether energy grew without a source."""
         total, kinetic, known = self._energy(state)
         if not known or not self._closed:
             return False
         gain = total - state.energy
-        # What has not fallen yet is in play as well.
+        # Potential energy is in play as well.
         in_play = max(kinetic, state.energy - (total - kinetic))
         in_play += self._mass * len(state.ids) * state.sound**2 * self._spec.compression
         return gain > GROWTH * in_play
@@ -302,7 +322,7 @@ class Fluid:
         shorter: float,
         notices: list[Fault] | None,
     ) -> None:
-        """Stop where a step is too long, so many times; no trial looks for another."""
+        """Stop because a step is too long; suggest one, except in trials."""
         step = None
         if notices is not None and shorter < MAX_SHORTENING:
             step = self._working_step(state, t, dt, shorter)
@@ -312,15 +332,15 @@ class Fluid:
     def _working_step(
         self, state: FluidState, t: float, dt: float, shorter: float
     ) -> float | None:
-        """Return a step that goes on from a state, tried; None where none is found.
+        """Return a shorter step that works from a state; None if none does.
 
-        At least so many times ``shorter``, with as much room again.
+        At least ``shorter`` times shorter, with a margin.
         """
         steps = (floored(dt / (shorter * room)) for room in ROOM)
         return next((step for step in steps if self._goes_on(state, t, step)), None)
 
     def _goes_on(self, state: FluidState, t: float, step: float) -> bool:
-        """Return whether the first steps of a length [s] from a state do."""
+        """Return whether the first steps of a length [s] succeed from a state."""
         try:
             for k in range(TRIED):
                 now = t + k * step
@@ -335,7 +355,7 @@ class Fluid:
         raise StoppedError([Fault(code, message, hint=hint)])
 
     def _drained(self, state: FluidState, t: float) -> FluidState:
-        """Return a state without those in drains."""
+        """Return a state without the particles in drains."""
         kept = np.ones(len(state.ids), bool)
         for drain in self._drains:
             kept &= drain.sample(state.motion[0], t).distances[0] >= 0
@@ -360,7 +380,7 @@ class Fluid:
         pull: FloatArray,
         notices: list[Fault],
     ) -> FluidState:
-        """Return a state with those who come in within a step, at its end."""
+        """Return a state with the inflow of a step, at its end."""
         for nozzle in self._nozzles:
             room = max(self._spec.max_particles - len(state.ids), 0)
             mean = pull.mean(axis=0) if len(pull) else np.zeros(3)
@@ -406,7 +426,7 @@ class Fluid:
         }
 
     def frame(self, state: FluidState, t: float) -> PointsFrame | MeshFrame:
-        """Return the particles, or the surface about them."""
+        """Return the particles, or their surface mesh."""
         spec, (points, velocities) = self._spec, state.motion
         quantities = self._quantities(state, t)
         primvars: dict[str, Any] = {one: quantities[one]() for one in spec.primvars}
@@ -420,7 +440,7 @@ class Fluid:
         return PointsFrame(state.ids, points, velocities, radii, primvars)
 
     def diagnostics(self, state: FluidState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return how much there is of it, how dense, fast and deep it is."""
+        """Return particle count, density, speed and depth."""
         total, kinetic, known = self._energy(state)
         speeds = np.linalg.norm(state.motion[1], axis=1)
         values: Mapping[str, float] = {
@@ -442,7 +462,7 @@ class Fluid:
 
 @dataclass(frozen=True, slots=True)
 class Pressed:
-    """The end of a step, and what led there."""
+    """The result of a pressure step."""
 
     motion: FloatArray  # (2, N, 3)
     pressures: FloatArray  # (N,) [Pa]

@@ -1,4 +1,4 @@
-"""The keys of a fluid in a scene file, as models."""
+"""Keys of fluids in scene files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 from annotated_types import Gt, Le, Len
 from pydantic import Field
 
-from animtool.core.errors import Fault, Problem, counted
+from animtool.core.errors import Fault, Problem
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Integer,
@@ -22,19 +22,15 @@ from animtool.documents.fields import (
 from animtool.systems.framework.colours import ColourModel
 from animtool.systems.framework.fields import (
     ArrayEntry,
-    Characters,
-    Colliders,
     Forces,
     MaxParticles,
-    Meshes,
     PlacedModel,
     ShapeEntry,
-    Surfaces,
     SystemColliderModel,
 )
-from animtool.systems.framework.spec import SystemSpec
+from animtool.systems.framework.spec import CollidingSpec
 
-# What particles can be written with and coloured by.
+# Quantities that can be written and used as colours.
 Quantity = Literal["age", "density", "pressure", "speed"]
 
 
@@ -95,9 +91,10 @@ class FluidSurfaceModel(FileModel):
     )
 
 
-class FluidModel(SystemSpec):
+class FluidModel(CollidingSpec):
     """A fluid: particles that pressure keeps as dense as at rest."""
 
+    acted_on: ClassVar[Sequence[str]] = ("fills", "emitters", "drains", "forces")
     code: ClassVar[str] = "SIM064"
     quantities: ClassVar[Sequence[str]] = get_args(Quantity)
 
@@ -134,10 +131,6 @@ class FluidModel(SystemSpec):
         default=0.01,
     )
     forces: Forces = Field([{"gravity": None}])
-    colliders: Colliders = Field([])
-    characters: Characters = Field([])
-    systems: Surfaces = Field([])
-    meshes: Meshes = Field([])
     primvars: list[Quantity] = key(
         "Attributes to write: `age`, `density` (over that at rest), `pressure` [Pa], "
         "`speed` [m/s].",
@@ -155,14 +148,6 @@ class FluidModel(SystemSpec):
         default=None,
     )
     max_particles: MaxParticles = 1_000_000
-
-    @property
-    def reads(self) -> list[str]:
-        """What acts on it, in words."""
-        kinds = ("fill", "emitter", "drain")
-        numbers = (len(self.fills), len(self.emitters), len(self.drains))
-        parts = zip(numbers, kinds, strict=True)
-        return [*(counted(n, what) for n, what in parts if n), *super().reads]
 
     @property
     def counts(self) -> dict[str, int]:
@@ -199,11 +184,11 @@ class FluidModel(SystemSpec):
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
         """Return which keys make no sense together, colours without a range too."""
-        found = list(super().faults(parts))
+        faults = list(super().faults(parts))
         if self.colour is not None and self.colour.range is None:
             why, hint = "colours need a range", "range: [0, 4]"
-            found.append(Fault(self.code, why, where="colour", hint=hint))
-        return found
+            faults.append(Fault(self.code, why, where="colour", hint=hint))
+        return faults
 
 
 ENDLESS = ("plane", "height_field")

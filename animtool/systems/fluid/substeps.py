@@ -1,4 +1,4 @@
-"""Into how many parts a step of a fluid is parted."""
+"""The number of substeps of a fluid step."""
 
 from __future__ import annotations
 
@@ -10,45 +10,44 @@ from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Colliders
 from animtool.systems.fluid.spec import FluidModel
 
-# One round of pressure in each part makes the fluid as stiff as sound that goes one
-# spacing in a part would. Density then rises by pressure over the square of that speed.
-# Of the most of all particles the mean is less than half, which leaves room.
+# One pressure iteration per substep acts like sound that travels one spacing per
+# substep; compression is pressure over that speed squared. The mean of particles is
+# less than half the maximum, which leaves a margin.
 MEAN = 1.1
-# Share of the spacing that anything may move in a part.
+# Largest motion in a substep, in spacings.
 TRAVEL = 0.25
-# Of squares of spacings over the viscosity that a part may last: its diffusion grows
-# beyond 0.23.
+# Largest substep over squared spacing / viscosity: diffusion is unstable above 0.23.
 DIFFUSION = 0.1
-# Of the period of the shortest ripples.
+# Largest substep over the period of the shortest ripples.
 RIPPLE = 0.4
-# Within which it slows down where it need not be as fast any more, and within which it
-# gets faster [s]: where that is sudden, what is pressed then gains energy.
+# Time constants of the speed of sound, falling and rising [s]: sudden changes release
+# elastic energy.
 FORGET, GAIN = 1.0, 0.05
-# It stays as long as it is within this many times what is needed: a fluid that
-# is now more, now less stiff with its pressure swells and sinks as if it were pumped.
+# The speed of sound stays within this factor of the needed one: stiffness that varies
+# with pressure would pump the fluid.
 SLACK = 1.2
-# Particles that may have more speed and pressure than parts are made as stiff for.
+# Quantile of speed and pressure that substeps must resolve.
 FEW = 0.005
-# Moves of sheets between looks, in spacings, and looks in a step.
+# Motion of sheets between collisions, in spacings, and the most collisions in a step.
 PIECE, MAX_PIECES = 0.5, 32
 MAX_PARTS = 4096
-# Pressure of this many layers is always reckoned with.
+# Hydrostatic layers whose pressure is always assumed.
 LAYERS = 2.0
-# Radius of the smallest drop whose pressure is always reckoned with, in spacings.
+# Radius of the smallest drop whose pressure is always assumed, in spacings.
 SMALLEST = 5.0
 
 
 class Substeps:
-    """Parts of steps, from speed, pressure and what the fluid is."""
+    """Substeps from speed, pressure and the fluid's properties."""
 
     def __init__(self, spec: FluidModel) -> None:
-        self.most = MAX_PARTS  # parts that a step may have
+        self.most = MAX_PARTS  # largest number of substeps
         self._spec = spec
-        # Laplace's pressure of a drop, over the density [m²/s²].
+        # Laplace pressure of a drop, over the density [m²/s²].
         self._pulled = 2 * spec.tension / (spec.density * SMALLEST * spec.spacing)
 
     def first_sound(self, points: FloatArray, pull: FloatArray) -> float:
-        """Return how fast pressure goes in a fluid that begins [m/s]."""
+        """Return the initial speed of sound [m/s]."""
         if not len(points):
             return 0.0
         along = points @ pull.mean(axis=0)
@@ -56,7 +55,7 @@ class Substeps:
         return self._sound(head) if math.isfinite(head) else 0.0
 
     def _sound(self, head: float) -> float:
-        """Return what bears a pressure over the density [m²/s²]."""
+        """Return the squared speed of sound that bears a pressure [m²/s²]."""
         return math.sqrt(head * MEAN / self._spec.compression)
 
     def sound(
@@ -67,7 +66,7 @@ class Substeps:
         pull: float,
         dt: float,
     ) -> float:
-        """Return how fast pressure is to go in a step [m/s].
+        """Return the speed of sound for a step [m/s].
 
         ``before`` it was as fast, with pressures ``(N,)`` [Pa]; particles approach
         what they meet by ``speeds`` ``(N,)`` [m/s], and ``pull`` [m/s²] adds to them.
@@ -82,24 +81,24 @@ class Substeps:
             return before
         slower, faster = before * math.exp(-dt / FORGET), before * math.exp(dt / GAIN)
         sound = max(slower, min(needed, faster) if before else needed)
-        # Where nothing presses, one part is as stiff as it can be.
+        # Without pressure, one substep is as stiff as possible.
         return sound or self._spec.spacing / dt
 
     def parts(self, dt: float, fastest: float, sound: float) -> float:
-        """Return how many parts a step is to have; infinite beyond all numbers."""
+        """Return the number of substeps; infinite if it overflows."""
         spec = self._spec
         rates = [sound / spec.spacing, fastest / (TRAVEL * spec.spacing)]
         rates.append(spec.viscosity / (DIFFUSION * spec.spacing**2))
         if spec.tension:
             ripple = 2 * math.pi * spec.tension / (spec.density * spec.spacing**3)
             rates.append(math.sqrt(ripple) / RIPPLE)
-        whole = dt * max(rates)
-        return max(math.ceil(whole), 1) if whole < 2**31 else math.inf
+        count = dt * max(rates)
+        return max(math.ceil(count), 1) if count < 2**31 else math.inf
 
     def pieces(self, around: Colliders, parts: int, dt: float) -> int:
-        """Return how often sheets are looked at in a step."""
+        """Return how often sheets collide in a step."""
         if not around.sheets:
             return 1
-        way = dt * max(around.surfaces.fastest, 1.0)
-        wanted = math.ceil(way / (PIECE * self._spec.spacing))
-        return max(1, min(wanted, parts, MAX_PIECES))
+        travel = dt * max(around.surfaces.fastest, 1.0)
+        pieces = math.ceil(travel / (PIECE * self._spec.spacing))
+        return max(1, min(pieces, parts, MAX_PIECES))

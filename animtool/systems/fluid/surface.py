@@ -1,4 +1,4 @@
-"""The surface of a fluid as a mesh: marching cubes over how much of it is near."""
+"""Surface meshes of fluids: marching cubes over a density field."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from animtool.core.errors import Fault, OptionError
 from animtool.motion.frames import MeshFrame
 from animtool.systems.fluid.spec import FluidModel
 
-# Of the field within: a particle alone still has a surface.
+# Iso level: a single particle has a surface too.
 LEVEL = 0.35
-# Cells of which the side is not given, in spacings.
+# Default cell size, in spacings.
 CELL = 0.75
 # Integral of H. Wendland's C2 function over a ball of radius 1.
-WHOLE = 2 * np.pi / 21
+KERNEL_INTEGRAL = 2 * np.pi / 21
 
 
 def check_surface() -> None:
-    """Raise where there is nothing to make surfaces with.
+    """Raise if the packages that surfaces need are missing.
 
     Raises:
         OptionError: scikit-image is missing (SIM065).
@@ -40,7 +40,7 @@ def surface_of(
     velocities: FloatArray,
     primvars: Mapping[str, Any],
 ) -> MeshFrame:
-    """Return the surface about particles ``(N, 3)``; its faces change by frame.
+    """Return the surface of particles ``(N, 3)``; its faces change by frame.
 
     Velocities and primvars are those of the nearest particle.
 
@@ -65,14 +65,16 @@ def surface_of(
     shape = tuple(int(size) for size in sizes)
     values = field(points, low, shape, cell, radius, spec.spacing)
     if not values.max() > LEVEL:
-        own = {name: one[:0] for name, one in primvars.items()}
-        return _mesh(points[:0], points[:0], np.zeros((0, 3), np.int64), own)
-    places, faces, _, _ = marching_cubes(values, LEVEL)
-    # Wound so that the field falls outwards.
-    places, faces = places.astype(np.float64) * cell + low, faces[:, ::-1]
-    _, nearest = cKDTree(points).query(places)
-    own = {name: values[nearest] for name, values in primvars.items()}
-    return _mesh(places, velocities[nearest], faces.astype(np.int64), own)
+        vertex_primvars = {name: one[:0] for name, one in primvars.items()}
+        return _mesh(
+            points[:0], points[:0], np.zeros((0, 3), np.int64), vertex_primvars
+        )
+    vertices, faces, _, _ = marching_cubes(values, LEVEL)
+    # Winding so that the field decreases outwards.
+    vertices, faces = vertices.astype(np.float64) * cell + low, faces[:, ::-1]
+    _, nearest = cKDTree(points).query(vertices)
+    vertex_primvars = {name: values[nearest] for name, values in primvars.items()}
+    return _mesh(vertices, velocities[nearest], faces.astype(np.int64), vertex_primvars)
 
 
 def _mesh(
@@ -92,7 +94,7 @@ def field(
     radius: float,
     spacing: float,
 ) -> FloatArray:
-    """Return the share of what is near the corners of cells that is fluid.
+    """Return the fluid fraction around grid nodes.
 
     Sums of H. Wendland's C2 function over particles ``(N, 3)``; 1 within.
     """
@@ -100,7 +102,7 @@ def field(
     reach = int(np.ceil(radius / cell))
     values = np.zeros(int(np.prod(shape)))
     steps = np.array([shape[1] * shape[2], shape[2], 1])
-    scale = (spacing / radius) ** 3 / WHOLE
+    scale = (spacing / radius) ** 3 / KERNEL_INTEGRAL
     for offset in product(range(-reach, reach + 2), repeat=3):
         corner = middle + offset
         q = np.linalg.norm(corner * cell + low - points, axis=1) / radius

@@ -40,13 +40,13 @@ def _springs(
 SYSTEM_KINDS: dict[str, SystemKind] = {
     "particles": SystemKind(
         "animtool.systems.particles.spec:ParticlesModel",
-        "animtool.systems.particles.spec:build",
+        "animtool.systems.particles.simulation:build",
         "Particles that are emitted, moved, stopped and removed.",
         {"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]},
     ),
     "crowds": SystemKind(
         "animtool.systems.crowds.spec:CrowdsModel",
-        "animtool.systems.crowds.crowd:Crowd",
+        "animtool.systems.crowds.building:build",
         "Crowds: agents that walk to goals, around obstacles and each other.",
         {
             "name": "visitors",
@@ -56,13 +56,13 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     ),
     "flocks": SystemKind(
         "animtool.systems.flocks.spec:FlocksModel",
-        "animtool.systems.flocks.flock:Flock",
+        "animtool.systems.flocks.flock:build",
         "Flocks that attract, align and repel: birds, fish, and predators.",
         {"name": "birds", "species": [{"name": "starling", "count": 200}]},
     ),
     "fluid": SystemKind(
         "animtool.systems.fluid.spec:FluidModel",
-        "animtool.systems.fluid.fluid:Fluid",
+        "animtool.systems.fluid.fluid:build",
         "Fluids that flow, splash and carry bodies.",
         {
             "name": "water",
@@ -81,7 +81,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     ),
     "molecules": SystemKind(
         "animtool.systems.molecules.spec:MoleculesModel",
-        "animtool.systems.molecules.molecules:Molecules",
+        "animtool.systems.molecules.molecules:build",
         "Atoms that attract, repel and have charges, in a periodic box.",
         {
             "name": "argon",
@@ -92,7 +92,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     ),
     "nbody": SystemKind(
         "animtool.systems.nbody.spec:NbodyModel",
-        "animtool.systems.nbody.nbody:Nbody",
+        "animtool.systems.nbody.nbody:build",
         "Bodies that attract each other: planets, star clusters, galaxies.",
         {
             "name": "stars",
@@ -103,7 +103,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     ),
     "rigid": SystemKind(
         "animtool.systems.rigid.spec:RigidModel",
-        "animtool.systems.rigid.simulation:RigidSimulation.of",
+        "animtool.systems.rigid.simulation:build",
         "Rigid bodies: they fall, tumble, collide, stack and are connected by joints.",
         {
             "name": "crates",

@@ -13,7 +13,15 @@ from animtool.core.errors import Fault, Problem, counted
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Frame, Name, Real, key
-from animtool.systems.framework.fields import Preroll, PrimName
+from animtool.systems.framework.fields import (
+    Characters,
+    Colliders,
+    Forces,
+    Meshes,
+    Preroll,
+    PrimName,
+    Surfaces,
+)
 
 
 class SystemSpec(FileModel):
@@ -115,6 +123,16 @@ class SystemSpec(FileModel):
         ``meets``: whether any of them runs into anything.
         """
         return {}
+
+
+class CollidingSpec(SystemSpec):
+    """A system under forces that collides with its surroundings: see `AROUND`."""
+
+    forces: Forces = Field([])
+    colliders: Colliders = Field([])
+    characters: Characters = Field([])
+    systems: Surfaces = Field([])
+    meshes: Meshes = Field([])
 
 
 @dataclass(frozen=True, slots=True)

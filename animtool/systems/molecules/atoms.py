@@ -1,4 +1,4 @@
-"""Which atoms there are, and where and how fast they begin."""
+"""Atoms: species, initial positions and velocities."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from animtool.systems.particles.emitter import uniforms
 
 # Boltzmann's constant [kJ/(mol K)].
 BOLTZMANN = 0.00831446261815324
-# Coulomb's [kJ nm/(mol e²)].
+# Coulomb constant [kJ nm/(mol e²)].
 COULOMB = 138.935457644
-# Charges that add up to less are neutral [e].
+# Smaller total charges count as neutral [e].
 NEUTRAL = 1e-9
-# Sites of a lattice over the atoms that they are for, at most.
+# Largest number of lattice sites over the atoms placed on them.
 SPARSE = 64
-# Seed of velocities over that of lattices.
+# Seed offset of velocities.
 _SPEEDS = 1000
 _FCC = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]) + 0.25
 
 
-class Box:
-    """Where the box is in the scene: nm and ps there, m and s here."""
+class PeriodicBox:
+    """The periodic box: nm and ps inside, m and s in the scene."""
 
     def __init__(self, spec: MoleculesModel) -> None:
         self.size = np.array(spec.box)  # (3,) [nm]
@@ -38,26 +38,28 @@ class Box:
         self.velocities_out = self._middle.velocities_out
 
     def inwards(self, points: FloatArray) -> FloatArray:
-        """Return where points [m] are in the box [nm]."""
+        """Transform scene points [m] to the box [nm]."""
         return self._middle.inwards(points) + self.size / 2
 
     def outwards(self, x: FloatArray) -> FloatArray:
-        """Return where points of the box [nm] are [m], each within it."""
+        """Transform box points [nm] to the scene [m], wrapped into the box."""
         x = x - self.size * np.floor(x / self.size)
         return self._middle.outwards(x - self.size / 2)
 
 
 @dataclass(frozen=True, slots=True)
 class Atoms(Bodies):
-    """N atoms: bodies in the box, in nm, ps and u."""
+    """N atoms in the box, in nm, ps and u."""
 
     kinds: npt.NDArray[np.int32]  # (N,)
     charges: FloatArray  # (N,) [e]
     radii: FloatArray  # (N,) [m]
 
     @staticmethod
-    def of(spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], box: Box) -> Atoms:
-        """Return the atoms of a spec, refused where they make no sense (SIM071)."""
+    def of(
+        spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], box: PeriodicBox
+    ) -> Atoms:
+        """Return the atoms of a spec; invalid ones are refused (SIM071)."""
         read, refusals = [], Refusals()
         for model, part in zip(spec.species, parts, strict=True):
             with refusals.collect():
@@ -65,16 +67,16 @@ class Atoms(Bodies):
         refusals.check()
         free = [k for k, (points, _) in enumerate(read) if points is None]
         sites = _sites(spec, [spec.species[k].count for k in free])
-        for k, own in zip(free, sites, strict=True):
-            read[k] = own, read[k][1]
+        for k, site in zip(free, sites, strict=True):
+            read[k] = site, read[k][1]
         points = [np.zeros((0, 3)) if p is None else p for p, _ in read]
-        kinds = np.repeat(np.arange(len(points)), [len(own) for own in points])
+        kinds = np.repeat(np.arange(len(points)), [len(site) for site in points])
 
         def each(values: list[float]) -> FloatArray:
             return np.array(values, np.float64)[kinds]
 
         masses = each([one.mass for one in spec.species])
-        made = Atoms(
+        atoms = Atoms(
             np.concatenate(points),
             _velocities(spec, masses, kinds, [v for _, v in read]),
             masses,
@@ -82,19 +84,19 @@ class Atoms(Bodies):
             each([one.charge for one in spec.species]),
             each([one.radius or one.sigma / 2 * spec.scale for one in spec.species]),
         )
-        total = float(made.charges.sum())
+        total = float(atoms.charges.sum())
         if abs(total) > NEUTRAL:
             message = (
                 f"charges have a sum of {total:g} e, but a periodic box must be neutral"
             )
             refuse(spec.code, message, "species", "use as many of either sign")
-        return made
+        return atoms
 
 
 def _read(
-    model: Any, parts: Mapping[str, Any], box: Box
+    model: Any, parts: Mapping[str, Any], box: PeriodicBox
 ) -> tuple[FloatArray | None, FloatArray | None]:
-    """Return places [nm] and velocities [nm/ps] of files, None for those not given."""
+    """Return positions [nm] and velocities [nm/ps] of files; None if absent."""
     points, velocities = parts.get("points"), parts.get("velocities")
     if points is None:
         if velocities is not None:
@@ -102,7 +104,7 @@ def _read(
             refuse(MoleculesModel.code, message, "species")
         return None, None
     kind = f"{model.name!r}, atom"
-    given = Bodies.read(parts, model.mass, kind, MoleculesModel.code, "species")
+    bodies = Bodies.read(parts, model.mass, kind, MoleculesModel.code, "species")
     x = box.inwards(points)
     slack = 1e-9 * box.size
     outside = ~((x >= -slack) & (x <= box.size + slack)).all(axis=1)
@@ -112,11 +114,11 @@ def _read(
         message = f"atom {i} of {model.name!r} is outside the box, at ({where}) m"
         hint = "a nanometre is `scale` metres; `at` is the centre"
         refuse(MoleculesModel.code, message, "species", hint)
-    return x, None if velocities is None else box.velocities_in(given.velocities)
+    return x, None if velocities is None else box.velocities_in(bodies.velocities)
 
 
 def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
-    """Return sites of a lattice for atoms of each kind ``(N, 3)`` [nm]."""
+    """Return lattice sites for each species ``(N, 3)`` [nm]."""
     total = sum(counts)
     if not total:
         return []
@@ -134,7 +136,7 @@ def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
         np.meshgrid(*[np.arange(n) for n in cells], indexing="ij"), axis=-1
     ).reshape(-1, 3)
     sites = (corners[:, None] + basis).reshape(-1, 3)
-    # Evenly thinned where there are more than atoms.
+    # Thinned evenly if there are more sites than atoms.
     kept = np.arange(total) * len(sites) // total
     order = np.arange(total)
     if len(counts) > 1 and spec.lattice == "fcc":
@@ -142,8 +144,8 @@ def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
             uniforms(spec.seed, np.arange(total), 1)[:, 0], kind="stable"
         )
     elif len(counts) > 1:
-        odd = corners[kept].sum(axis=1) % 2
-        order = np.argsort(odd, kind="stable")
+        parity = corners[kept].sum(axis=1) % 2
+        order = np.argsort(parity, kind="stable")
     points = sites[kept][order] / cells * size + (np.array(spec.box) - size) / 2
     return np.split(points, np.cumsum(counts)[:-1])
 
@@ -152,28 +154,28 @@ def _velocities(
     spec: MoleculesModel,
     masses: FloatArray,
     kinds: npt.NDArray[np.int64],
-    given: list[FloatArray | None],
+    stated: list[FloatArray | None],
 ) -> FloatArray:
-    """Return those of files, else by the temperature, at rest as a whole ``(N, 3)``."""
-    drawn = np.array([one is None for one in given])[kinds]
-    made = np.zeros((len(masses), 3))
-    for k, own in enumerate(given):
-        if own is not None:
-            made[kinds == k] = own
+    """Return velocities of files, else thermal ones; no net momentum ``(N, 3)``."""
+    drawn = np.array([one is None for one in stated])[kinds]
+    velocities = np.zeros((len(masses), 3))
+    for k, values in enumerate(stated):
+        if values is not None:
+            velocities[kinds == k] = values
     count = int(drawn.sum())
     if count < 2 or not spec.temperature:
-        return made
+        return velocities
     u = uniforms(spec.seed + _SPEEDS, np.flatnonzero(drawn), 3)
     m = masses[drawn][:, None]
     v = normals(u) / np.sqrt(m)
     v -= (m * v).sum(axis=0) / m.sum()
     square = float((m * v * v).sum()) / (3 * count - 3)
-    made[drawn] = v * np.sqrt(BOLTZMANN * spec.temperature / square)
-    return made
+    velocities[drawn] = v * np.sqrt(BOLTZMANN * spec.temperature / square)
+    return velocities
 
 
 def mixed(spec: MoleculesModel) -> FloatArray:
-    """Return c12 [kJ nm¹²/mol] and c6 of two kinds, by Lorentz and Berthelot."""
+    """Return c12 [kJ nm¹²/mol] and c6 of two species (Lorentz-Berthelot rules)."""
     sigma = np.array([one.sigma for one in spec.species])
     epsilon = np.array([one.epsilon for one in spec.species])
     both = (sigma[:, None] + sigma) / 2

@@ -1,4 +1,4 @@
-"""Atoms in a box as a simulation: steps, heat, temperature, pressure and energy."""
+"""Molecular dynamics: steps, thermostat, temperature, pressure and energy."""
 
 from __future__ import annotations
 
@@ -17,27 +17,33 @@ from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
 from animtool.systems.framework.matter import normals
 from animtool.systems.framework.simulation import SimContext, StoppedError
-from animtool.systems.molecules.atoms import BOLTZMANN, COULOMB, Atoms, Box, mixed
+from animtool.systems.molecules.atoms import (
+    BOLTZMANN,
+    COULOMB,
+    Atoms,
+    PeriodicBox,
+    mixed,
+)
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel, TrapModel
 from animtool.systems.particles.emitter import uniforms
 
 # Pressure of 1 kJ/(mol nm³) [MPa].
 MEGAPASCALS = 1.66053906717
-# Energy over the depth of a pair from which on atoms overlap at the beginning.
+# Pair energy over the well depth above which atoms overlap at the start.
 OVERLAP = 1000.0
-# Steps over 1/ω of the stiffest crystal, from which on they are refused, and advised.
+# Steps over 1/ω of the stiffest crystal: refused above, and recommended.
 LONGEST, ADVISED = 1.0, 0.1
-# Seed of the numbers of a bath over that of the system.
+# Seed offset of the thermostat.
 _BATH = 2000
-# Share of the box that an atom may go through in a step.
+# Largest motion of an atom in a step, over the box.
 FARTHEST = 0.25
-# Neighbours of an atom that are listed, on average: atoms are as dense in no matter.
+# Largest average neighbour count: no matter is denser.
 MAX_NEIGHBOURS = 5000
 
 
 @dataclass(frozen=True, slots=True)
 class Acting:
-    """What N atoms do to each other."""
+    """Forces, energies and virial of N atoms."""
 
     forces: FloatArray  # (N, 3) [kJ/(mol nm)]
     energies: FloatArray  # half of each pair's (N,) [kJ/mol]
@@ -45,9 +51,9 @@ class Acting:
 
 
 class Interactions:
-    """How atoms act on each other; the list that was made last is kept."""
+    """Pair forces of atoms; the last neighbour list is cached."""
 
-    def __init__(self, spec: MoleculesModel, atoms: Atoms, box: Box) -> None:
+    def __init__(self, spec: MoleculesModel, atoms: Atoms, box: PeriodicBox) -> None:
         self._atoms, self._box = atoms, box
         self._laws = mixed(spec)
         self._cutoff = min(spec.reach, box.size.min() / 2)
@@ -60,23 +66,23 @@ class Interactions:
         self._damping = spec.damping
         self._listed: tuple[FloatArray, Any] | None = None
 
-    def own_energy(self) -> float:
-        """Return what charges have by themselves and their images [kJ/mol]."""
+    def self_energy(self) -> float:
+        """Return the Ewald self energy of the charges [kJ/mol]."""
         from scipy.special import erfc
 
         if self._charges is None:
             return 0.0
         screened = erfc(self._damping * self._cutoff) / (2 * self._cutoff)
-        share = screened + self._damping / np.sqrt(np.pi)
-        return -float(share * (self._charges**2).sum())
+        per_charge = screened + self._damping / np.sqrt(np.pi)
+        return -float(per_charge * (self._charges**2).sum())
 
     def reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
-        """Return the places whose list holds at points: those before, or these."""
+        """Return the positions of the neighbour list that is valid at points."""
         squares = ((x - before) ** 2).sum(axis=1)
         return before if squares.max(initial=0.0) <= (self._skin / 2) ** 2 else x
 
     def acting(self, x: FloatArray, reference: FloatArray) -> Acting:
-        """Return what atoms at points ``(N, 3)`` [nm] do, by the list of other places.
+        """Return forces on atoms ``(N, 3)`` [nm], with the list of other positions.
 
         Raises:
             ToleranceError: They are so dense that lists would fill the memory (SIM102).
@@ -92,46 +98,61 @@ class Interactions:
                 raise ToleranceError(Fault("SIM102", message)) from error
             self._listed = reference, pairs
         order, starts, partners = self._listed[1]
-        found = _kernels.molecule_forces(
+        sums = _kernels.molecule_forces(
             x, order, starts, partners, self._box.size, self._atoms.kinds,
             self._laws, self._charges, self._cutoff, self._from, self._damping,
         )  # fmt: skip
-        return Acting(*found)
+        return Acting(*sums)
 
 
 @dataclass(frozen=True, slots=True)
 class MoleculeState:
-    """Where atoms are, and what they do to each other there."""
+    """Positions and velocities of atoms, and the forces there."""
 
     motion: FloatArray  # positions [nm], then velocities [nm/ps] (2, N, 3)
-    reference: FloatArray  # places of the list of neighbours (N, 3) [nm]
+    reference: FloatArray  # positions of the neighbour list (N, 3) [nm]
     acting: Acting
-    heat: float  # that the bath gave so far [kJ/mol]
+    heat: float  # from the thermostat so far [kJ/mol]
     steps: int
 
 
-# What atoms do, and the places of the list that says who are near.
+# Forces, and the positions of the neighbour list.
 Listed: TypeAlias = tuple[Acting, FloatArray]
+
+
+@np.errstate(all="ignore")
+def build(spec: MoleculesModel, context: SimContext) -> Molecules:
+    """Return the atoms of a spec in their box.
+
+    Raises:
+        OptionError: Something of the spec makes no sense (SIM001, SIM005, SIM006,
+            SIM071).
+    """
+    box = PeriodicBox(spec)
+    atoms = Atoms.of(spec, context.parts["species"], box)
+    molecules = Molecules(spec, context, box, atoms)
+    molecules.begin()
+    return molecules
 
 
 class Molecules(Interacting[MoleculeState, Listed]):
     """Atoms in a periodic box, in steps.
 
     Attributes:
-        atoms: Which there are.
-
-    Raises:
-        OptionError: Something of the spec makes no sense (SIM001, SIM005, SIM006,
-            SIM071).
+        atoms: Atoms of all species.
     """
 
     unit = "kJ/mol"
 
-    @np.errstate(all="ignore")
-    def __init__(self, spec: MoleculesModel, context: SimContext) -> None:
+    def __init__(
+        self,
+        spec: MoleculesModel,
+        context: SimContext,
+        placing: PeriodicBox,
+        atoms: Atoms,
+    ) -> None:
         super().__init__(spec, context, "traps", spec.pace)
-        placing, parts = Box(spec), context.parts
-        self.bodies = self.atoms = Atoms.of(spec, parts["species"], placing)
+        self.bodies = self.atoms = atoms
         self.radii, self.species = self.atoms.radii, self.atoms.kinds
         self.several = len(spec.species) > 1
         self.inertia = self.atoms.masses[:, None]
@@ -140,18 +161,21 @@ class Molecules(Interacting[MoleculeState, Listed]):
         self._interactions = Interactions(spec, self.atoms, placing)
         self._freedom = max(3 * len(self.bodies.masses) - 3, 1)
         rates = [57.15 * a.epsilon / a.sigma**2 / a.mass for a in spec.species]
-        # The fastest vibration of a crystal of any of the kinds [rad/ps].
+        # The fastest crystal vibration of all species [rad/ps].
         self._stiffest = math.sqrt(8 * max(rates))
+
+    def begin(self) -> None:
+        """Check the initial state, and choose colours by it."""
         start, refusals = self.initial(), Refusals()
         with refusals.collect():
             self._check_numbers(start)
         with refusals.collect():
-            self._check_apart(start)
+            self._check_distinct(start)
         refusals.check()
-        self.begin()
+        super().begin()
 
     def _check_numbers(self, start: MoleculeState) -> None:
-        """Refuse a step that is too long, and numbers that overflow (SIM071)."""
+        """Refuse a step that is too long, and overflowing numbers (SIM071)."""
         spec, step = self._spec, self._spec.step * self._spec.pace
         if step * self._stiffest > LONGEST:
             message = f"a step of {step:.3g} ps is too long: atoms vibrate in "
@@ -162,8 +186,8 @@ class Molecules(Interacting[MoleculeState, Listed]):
             message = "atoms are so far away or fast in the scene that numbers overflow"
             refuse(spec.code, message, "scale")
 
-    def _check_apart(self, start: MoleculeState) -> None:
-        """Refuse atoms that begin in each other (SIM071)."""
+    def _check_distinct(self, start: MoleculeState) -> None:
+        """Refuse overlapping atoms at the start (SIM071)."""
         depth = max(*(one.epsilon for one in self._spec.species), 1e-3)
         energies = start.acting.energies
         if (energies < OVERLAP * depth).all():  # NaN is not
@@ -188,7 +212,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
         return state.acting, state.reference
 
     def summed(self, x: FloatArray, before: Listed) -> Listed:
-        """Return what atoms at points ``(N, 3)`` [nm] do, and by whose list."""
+        """Return forces on atoms ``(N, 3)`` [nm], and the list used."""
         reference = self._interactions.reference(x, before[1])
         return self._interactions.acting(x, reference), reference
 
@@ -198,7 +222,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
     def from_placed(
         self, one: TrapModel, at: FloatArray, x: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return forces ``(N, 3)`` [kJ/(mol nm)] and energies ``(N,)`` [kJ/mol]."""
+        """Return forces ``(N, 3)`` [kJ/(mol nm)] and energies ``(N,)`` of traps."""
         size = self._placing.size
         off = self._placing.inwards(at) - x
         off -= size * np.round(off / size)
@@ -208,7 +232,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
 
     @np.errstate(all="ignore")
     def step(self, state: MoleculeState, t: float, dt: float) -> MoleculeState:
-        """Return where atoms are a step [s] later, or a part of one.
+        """Return the state after a step [s], or a part of one.
 
         Raises:
             StoppedError: It blew up (SIM102).
@@ -220,10 +244,10 @@ class Molecules(Interacting[MoleculeState, Listed]):
             hint = f"use step: {self._advised(state):.2g}"
             faults = [replace(one, hint=hint) for one in error.faults]
             raise StoppedError(faults, error.stats) from None
-        ways = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
-        i = int(np.argmax(ways))
-        if not ways[i] <= FARTHEST * self._placing.size.min():
-            self._stop(state, t + dt, f"atom {i} moves {ways[i]:.3g} nm in a step")
+        travelled = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
+        i = int(np.argmax(travelled))
+        if not travelled[i] <= FARTHEST * self._placing.size.min():
+            self._stop(state, t + dt, f"atom {i} moves {travelled[i]:.3g} nm in a step")
         (acting, reference), heat = system.at(motion[0]), state.heat
         if spec.thermostat is not None:
             kinetic = self._kinetic(motion)
@@ -249,9 +273,9 @@ class Molecules(Interacting[MoleculeState, Listed]):
         return ADVISED / max(self._stiffest * self._pace, 1e-300)
 
     def _potential(self, state: MoleculeState, t: float) -> float:
-        own = float(state.acting.energies.sum()) + self._interactions.own_energy()
+        internal = float(state.acting.energies.sum()) + self._interactions.self_energy()
         outside = self.outside(t, state.motion[0])[1] if self.placed else np.zeros(1)
-        return own + float(outside.sum())
+        return internal + float(outside.sum())
 
     def _placed(self, motion: FloatArray) -> FloatArray:
         x, v = motion
@@ -268,7 +292,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
         }
 
     def _values(self, state: MoleculeState, t: float) -> Mapping[str, float]:
-        """Return what is reported: [K], [MPa] and [kJ/mol]."""
+        """Return temperature [K], pressure [MPa] and energies [kJ/mol]."""
         now, volume = self._energy(state, t), float(self._placing.size.prod())
         pressure = (2 * now.kinetic + state.acting.virial) / (3 * volume)
         values = {
@@ -292,7 +316,7 @@ def bath_factor(
     kinetic: float,
     freedom: int,
 ) -> float:
-    """Return by how much velocities change in a step, by a bath.
+    """Return the velocity factor of a thermostat step.
 
     Reference: G. Bussi, D. Donadio, M. Parrinello, Canonical sampling through velocity
     rescaling, Journal of Chemical Physics 126, 2007, equation A7.
@@ -311,15 +335,17 @@ def bath_factor(
     if not kinetic > 0 or freedom < 1:
         return 1.0
     times, temperatures = np.array(model.temperatures).T
-    usual = BOLTZMANN * float(np.interp(t, times, temperatures)) / 2
+    target = BOLTZMANN * float(np.interp(t, times, temperatures)) / 2
     (first, others) = np.clip(
         uniforms(seed + _BATH, np.array([step]), 2)[0], 2.0**-53, 1 - 2.0**-53
     )
     normal = float(normals(first))
-    # The sum of the squares of all normal numbers but one.
+    # The sum of squares of all normal numbers but one.
     squares = 2 * float(gammaincinv((freedom - 1) / 2, others)) if freedom > 1 else 0.0
     kept = float(np.exp(-dt / model.relaxation))
-    share = usual / kinetic * (1 - kept)
-    square = kept + share * (normal**2 + squares) + 2 * normal * np.sqrt(kept * share)
+    exchange = target / kinetic * (1 - kept)
+    square = (
+        kept + exchange * (normal**2 + squares) + 2 * normal * np.sqrt(kept * exchange)
+    )
     factor = float(np.sqrt(max(square, 0.0)))
-    return -factor if normal * np.sqrt(share) + np.sqrt(kept) < 0 else factor
+    return -factor if normal * np.sqrt(exchange) + np.sqrt(kept) < 0 else factor

@@ -1,4 +1,4 @@
-"""The keys of a molecular system in a scene file, as models."""
+"""Keys of molecular systems in scene files."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class MoleculesModel(PlacementModel, SystemSpec):
         return self.cutoff or 2.5 * max(one.sigma for one in self.species)
 
     def problems(self) -> Iterator[Problem]:
-        """Yield which keys make no sense together."""
+        """Yield invalid combinations of keys."""
         least, reach = min(self.box), self.reach
         if least < 2 * reach:
             message = f"the box is {least:g} nm wide, but twice the cut-off is "

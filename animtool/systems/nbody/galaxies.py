@@ -33,16 +33,16 @@ from animtool.systems.particles.emitter import uniforms
 
 # Radii at which profiles are tabulated.
 RADII = 4096
-# Of the escape velocity: no body is faster than this share.
+# Largest speed over the escape velocity.
 BOUND = 0.95
-# Toomre's constant of stars.
+# Toomre's constant for stars.
 TOOMRE = 3.36
-# Radial dispersions are no larger than this share of the circular velocity.
+# Largest radial dispersion over the circular velocity.
 WARMEST = 0.7
 
 
-class Profile:
-    """How the mass of a galaxy is distributed, at radii ``(R,)`` [m]."""
+class MassProfile:
+    """Mass profile of a galaxy, at radii ``(R,)`` [m]."""
 
     def __init__(self, galaxy: GalaxyModel, constant: float, softening: float) -> None:
         self.galaxy, self.constant = galaxy, constant
@@ -54,7 +54,7 @@ class Profile:
             if one is not None:
                 within = within + enclosed(one, self.r)
         around = within
-        # Softened bodies pull as if each were spread over a sphere of Plummer.
+        # Softened bodies attract as Plummer spheres.
         soft = (self.r**2 / (self.r**2 + softening**2)) ** 1.5
         speeds = constant * within / self.r * soft
         if galaxy.disc is not None:
@@ -77,12 +77,12 @@ class Profile:
 
 
 def _from_outside(values: FloatArray, r: FloatArray) -> FloatArray:
-    """Return integrals from each radius to the last one, by trapezoids."""
+    """Return integrals from each radius to the last one (trapezoidal rule)."""
     steps = (values[1:] + values[:-1]) / 2 * np.diff(r)
     return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
 
-# Share of the mass of an endless profile within radii, in scale radii.
+# Fraction of an infinite profile's mass within radii, in scale radii.
 _WITHIN: dict[str, Callable[[Any], Any]] = {
     "exponential": lambda x: 1 - (1 + x) * np.exp(-x),
     "hernquist": lambda x: (x / (1 + x)) ** 2,
@@ -109,29 +109,31 @@ def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
 
 def disc_surface(disc: DiscModel, r: FloatArray | float) -> FloatArray:
     """Return surface densities of a disc [kg/m²]."""
-    whole = _WITHIN["exponential"](disc.cutoff)
-    central = disc.mass / (2 * np.pi * disc.radius**2 * whole)
+    enclosed_fraction = _WITHIN["exponential"](disc.cutoff)
+    central = disc.mass / (2 * np.pi * disc.radius**2 * enclosed_fraction)
     return np.asarray(central * np.exp(-r / disc.radius))
 
 
 def built_galaxies(spec: NbodyModel) -> list[Bodies]:
-    """Return the bodies of each galaxy of a spec where it begins."""
+    """Return the bodies of each galaxy of a spec, at its start."""
     constant, softening = spec.gravity_constant, spec.softening
     built = [build_galaxy(one, constant, softening) for one in spec.galaxies]
     starts = [(np.array(one.at), np.array(one.velocity)) for one in spec.galaxies]
     if spec.encounter is not None:
         starts = on_orbit(spec.encounter, [g.masses.sum() for g in built], constant)
-    made = []
-    for galaxy, own, (at, v) in zip(spec.galaxies, built, starts, strict=True):
+    placed = []
+    for galaxy, bodies, (at, v) in zip(spec.galaxies, built, starts, strict=True):
         placing = matter.Placement(at, unit_quaternion(galaxy.rotate))
-        velocities = placing.velocities_out(own.velocities) + v
-        made.append(Bodies(placing.outwards(own.points), velocities, own.masses))
-    return made
+        velocities = placing.velocities_out(bodies.velocities) + v
+        placed.append(
+            Bodies(placing.outwards(bodies.points), velocities, bodies.masses)
+        )
+    return placed
 
 
 def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodies:
-    """Return the bodies of a galaxy about its own centre, those of the halo last."""
-    profile = Profile(galaxy, constant, softening)
+    """Return a galaxy's bodies about its centre, the halo last."""
+    profile = MassProfile(galaxy, constant, softening)
     parts = []
     if galaxy.nucleus:
         none = np.zeros((1, 3))
@@ -141,14 +143,14 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodi
     for number, part in enumerate((galaxy.bulge, galaxy.halo)):
         if part is not None:
             parts.append(_spheroid(part, profile, galaxy.seed + 1000 * (number + 1)))
-    made = Bodies.joined(parts)
-    # Its centre of mass is where it is put, and as fast.
-    weights = made.masses / made.masses.sum()
-    x, v = (each + -weights @ each for each in (made.points, made.velocities))
-    return Bodies(x, v, made.masses)
+    joined = Bodies.joined(parts)
+    # Its centre of mass is at the position and velocity of the file.
+    weights = joined.masses / joined.masses.sum()
+    x, v = (each + -weights @ each for each in (joined.points, joined.velocities))
+    return Bodies(x, v, joined.masses)
 
 
-def _spheroid(part: SpheroidModel, profile: Profile, seed: int) -> Bodies:
+def _spheroid(part: SpheroidModel, profile: MassProfile, seed: int) -> Bodies:
     u = uniforms(seed, np.arange(part.count), 6)
     r = np.interp(u[:, 0] * part.mass, enclosed(part, profile.r), profile.r)
     sigma = np.interp(r, profile.r, profile.dispersion(part))
@@ -160,18 +162,18 @@ def _spheroid(part: SpheroidModel, profile: Profile, seed: int) -> Bodies:
     return Bodies(r[:, None] * matter.directions(u[:, 1:3]), velocities, masses)
 
 
-def _disc(disc: DiscModel, profile: Profile, seed: int) -> Bodies:
+def _disc(disc: DiscModel, profile: MassProfile, seed: int) -> Bodies:
     u = uniforms(seed, np.arange(disc.count), 6)
     r = np.interp(u[:, 0] * disc.mass, enclosed(disc, profile.r), profile.r)
     angles = 2 * np.pi * u[:, 1]
     height = disc.thickness * disc.radius
     up = height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
-    moments = disc_velocities(disc, profile)
-    radial, around, upward, mean = (np.interp(r, profile.r, one) for one in moments)
+    tables = disc_velocities(disc, profile)
+    radial, around, upward, mean = (np.interp(r, profile.r, one) for one in tables)
     normal = matter.normals(u[:, 3:6])
     out, along = radial * normal[:, 0], mean + around * normal[:, 1]
     cos, sin = np.cos(angles), np.sin(angles)
-    # About y, as a right hand has it: from z to x.
+    # Right-handed about y: from z to x.
     points = np.stack([r * sin, up, r * cos], axis=1)
     x, z = out * sin + along * cos, out * cos - along * sin
     velocities = np.stack([x, upward * normal[:, 2], z], axis=1)
@@ -179,9 +181,9 @@ def _disc(disc: DiscModel, profile: Profile, seed: int) -> Bodies:
 
 
 def disc_velocities(
-    disc: DiscModel, profile: Profile
+    disc: DiscModel, profile: MassProfile
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return dispersions outwards, around and upwards, and mean rotation ``(R,)``."""
+    """Return radial, azimuthal and vertical dispersions, and mean rotation ``(R,)``."""
     r, circular = profile.r, profile.circular
     turning = circular / r
     squares = np.gradient(turning**2, r) * r + 4 * turning**2
@@ -200,17 +202,20 @@ def disc_velocities(
 def on_orbit(
     orbit: EncounterModel, masses: Sequence[float], constant: float
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Return where two are that come closer on an orbit, and how fast, by masses."""
+    """Return start positions and velocities of two galaxies on an orbit."""
     total = sum(masses)
     e, r = orbit.eccentricity, orbit.separation
     width = orbit.pericentre * (1 + e)
     cosine = np.clip((width / r - 1) / e, -1.0, 1.0) if e > 0 else 1.0
-    # Before the pericentre, so the true anomaly is below 0.
+    # Before the pericentre: the true anomaly is negative.
     anomaly = -np.arccos(cosine)
     speed = np.sqrt(constant * total / width)
-    place = r * np.array([np.sin(anomaly), 0.0, np.cos(anomaly)])
+    separation = r * np.array([np.sin(anomaly), 0.0, np.cos(anomaly)])
     velocity = speed * np.array([e + np.cos(anomaly), 0.0, -np.sin(anomaly)])
-    turn = unit_quaternion(orbit.rotate)
-    place, velocity = so3.rotate(turn, place), so3.rotate(turn, velocity)
+    tilt = unit_quaternion(orbit.rotate)
+    separation, velocity = so3.rotate(tilt, separation), so3.rotate(tilt, velocity)
     shares = -masses[1] / total, masses[0] / total
-    return [(np.array(orbit.at) + share * place, share * velocity) for share in shares]
+    return [
+        (np.array(orbit.at) + fraction * separation, fraction * velocity)
+        for fraction in shares
+    ]

@@ -1,9 +1,9 @@
-"""Bodies under gravity as a simulation: steps, energy and momenta, encounters."""
+"""N-body simulation: steps, energy and momenta, close encounters."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -21,77 +21,96 @@ from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.nbody.galaxies import built_galaxies
 from animtool.systems.nbody.spec import AttractorModel, NbodyModel
 
-# Bodies from which on a tree is faster than a direct sum, at an accuracy; cells that
-# it looks at go with the accuracy to about this power.
+# Number of bodies above which a tree is faster than direct sums, at an accuracy;
+# visited cells grow with the accuracy to about this power.
 CROSSOVER, CROSSOVER_ACCURACY, CROSSOVER_POWER = 1000, 2e-4, 0.4
-# Pairs of the tree are float32: nothing below this can be asked of it.
+# Tree forces are float32: no finer accuracy is possible.
 FINEST_TREE = 1e-6
-# Bodies whose accelerations by the tree are compared with direct sums.
+# Sampled bodies for the error of tree forces.
 SAMPLES = 16
-# Most of the phase of a close pair that a step goes through [rad]: softened, whose pull
-# ends at a distance, and without, where energies at a meeting are a hundredfold.
+# Largest orbital phase of a close pair in a step [rad]: softened, with bounded forces,
+# and unsoftened, where energies grow a hundredfold in an encounter.
 PHASE, BARE_PHASE = 0.15, 0.03
-# It is looked at before steps; within them it may become this many times as much.
+# Encounters are checked before steps; within one the rate may grow by this factor.
 LATITUDE = 1.5
-# Share of the time in which accelerations would bring bodies to the centre that a step
-# is advised to be.
+# Recommended step over the free-fall time to the centre.
 ADVISED = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Pulls:
-    """How N bodies attract each other."""
+    """Mutual accelerations of N bodies."""
 
     accelerations: FloatArray  # (N, 3) [m/s²]
     potentials: FloatArray  # (N,) [J/kg]
-    # Largest squared frequency at which each would circle another ``(N,)`` [1/s²].
+    # Largest squared orbital frequency with any other body ``(N,)`` [1/s²].
     rates: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class NbodyState:
-    """Where bodies are, and how they attract each other there."""
+    """Positions and velocities of bodies, and their accelerations."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
     pulls: Pulls
-    encounters: int  # steps so far that were divided, as two came close
-    divided: int  # the most parts that one was
+    encounters: int  # number of divided steps so far
+    divided: int  # largest number of substeps
 
 
 class TooCloseError(Exception):
-    """Two bodies came too close for a step, at a time [s] and places."""
+    """Two bodies came too close for a step, at a time [s] and positions."""
 
 
 def _check_close(limit: float, t: float, x: FloatArray, pulls: Pulls) -> None:
-    """Raise `TooCloseError` where a pair circles faster than a limit [1/s²]."""
+    """Raise `TooCloseError` if a pair orbits faster than a limit [1/s²]."""
     if len(x) and pulls.rates.max() > limit:
         raise TooCloseError(t, x, pulls.rates)
 
 
-class Nbody(Interacting[NbodyState, Pulls]):
-    """Bodies that attract each other, in steps.
-
-    Attributes:
-        tree: Whether a tree is faster than a direct sum, and as accurate as is asked.
+@np.errstate(all="ignore")
+def build(spec: NbodyModel, context: SimContext) -> Nbody:
+    """Return the bodies of a spec, those of files and generated galaxies.
 
     Raises:
         OptionError: Something of the spec makes no sense (SIM001, SIM005, SIM006,
             SIM070).
     """
+    parts, refusals = [], Refusals()
+    for body, part in zip(spec.bodies, context.parts.get("bodies", ()), strict=True):
+        with refusals.collect():
+            parts.append(Bodies.read(part, body.mass, "body", spec.code, "bodies"))
+    refusals.check()
+    nbody = Nbody(spec, context, [*parts, *built_galaxies(spec)])
+    _check_start(spec, nbody.bodies)
+    nbody.begin()
+    return nbody
 
-    @np.errstate(all="ignore")
-    def __init__(self, spec: NbodyModel, context: SimContext) -> None:
+
+def _check_start(spec: NbodyModel, bodies: Bodies) -> None:
+    where, hint = "bodies", "move one of them"
+    whys = "their attraction is infinite", "they cannot be told apart"
+    pair, why = "bodies {} and {}".format, whys[spec.softening > 0]
+    check_apart(bodies.points, pair, spec.code, where, hint, why)
+    if not np.isfinite([bodies.points, bodies.velocities]).all():
+        message = "galaxies are so small, large or heavy that numbers overflow"
+        refuse(spec.code, message, "bodies")
+
+
+class Nbody(Interacting[NbodyState, Pulls]):
+    """Gravitating bodies, in steps.
+
+    Attributes:
+        tree: Whether a tree is faster than a direct sum, and as accurate as is asked.
+    """
+
+    def __init__(
+        self, spec: NbodyModel, context: SimContext, parts: Sequence[Bodies]
+    ) -> None:
+        """``parts``: bodies of each entry, those of galaxies last."""
         super().__init__(spec, context, "attractors")
         self._fixed = self._integrator.control is Control.FIXED
         self._phase = PHASE if spec.softening else BARE_PHASE
-        read = zip(spec.bodies, context.parts.get("bodies", ()), strict=True)
-        parts, refusals = [], Refusals()
-        for body, own in read:
-            with refusals.collect():
-                parts.append(Bodies.read(own, body.mass, "body", spec.code, "bodies"))
-        refusals.check()
-        parts += built_galaxies(spec)
-        bodies = self.bodies = Bodies.joined(parts)
+        self.bodies = Bodies.joined(parts)
         counts = [len(one.masses) for one in parts]
         self.several = len(parts) > 1
         self.species = np.repeat(np.arange(len(parts)), counts)
@@ -100,17 +119,9 @@ class Nbody(Interacting[NbodyState, Pulls]):
         dark = [0] * len(spec.bodies) + [one.dark for one in spec.galaxies]
         numbers = [np.arange(n) < n - k for n, k in zip(counts, dark, strict=True)]
         self.shown = np.flatnonzero(np.concatenate(numbers))
-        where, hint = "bodies", "move one of them"
-        whys = "their attraction is infinite", "they cannot be told apart"
-        pair, why = "bodies {} and {}".format, whys[spec.softening > 0]
-        check_apart(bodies.points, pair, spec.code, where, hint, why)
-        if not np.isfinite([bodies.points, bodies.velocities]).all():
-            message = "galaxies are so small, large or heavy that numbers overflow"
-            refuse(spec.code, message, "bodies")
-        share = CROSSOVER_ACCURACY / max(spec.accuracy, FINEST_TREE)
-        many = len(bodies.masses) > CROSSOVER * share**CROSSOVER_POWER
+        opening = CROSSOVER_ACCURACY / max(spec.accuracy, FINEST_TREE)
+        many = len(self.bodies.masses) > CROSSOVER * opening**CROSSOVER_POWER
         self.tree = spec.accuracy >= FINEST_TREE and many
-        self.begin()
 
     def _start(self, motion: FloatArray) -> NbodyState:
         return NbodyState(motion, self.summed(motion[0]), 0, 1)
@@ -119,7 +130,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         return state.pulls
 
     def summed(self, x: FloatArray, before: Pulls | None = None) -> Pulls:  # noqa: ARG002
-        """Return how bodies at points ``(N, 3)`` [m] attract each other."""
+        """Return mutual accelerations of bodies at points ``(N, 3)`` [m]."""
         spec, accuracy = self._spec, self._spec.accuracy if self.tree else 0.0
         law = spec.gravity_constant, spec.softening, accuracy
         return Pulls(*_kernels.gravity(x, self.bodies.masses, *law))
@@ -138,11 +149,11 @@ class Nbody(Interacting[NbodyState, Pulls]):
         return (pull / reach**2)[:, None] * off, -pull
 
     def suspect(self, x: FloatArray, sums: Pulls) -> str:
-        """Return which two are closest."""
+        """Return the closest pair, for messages."""
         return self._closest(x, sums.rates)[1] if len(x) > 1 else ""
 
     def _closest(self, x: FloatArray, rates: FloatArray) -> tuple[float, str]:
-        """Return the mass [kg] of the pair that circles fastest, and how far it is."""
+        """Return mass [kg] and distance of the fastest pair."""
         masses, i = self.bodies.masses, int(np.argmax(rates))
         squares = ((x - x[i]) ** 2).sum(axis=1)
         reach = np.maximum(squares + self._spec.softening**2, 1e-200) ** 1.5
@@ -154,7 +165,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
 
     @np.errstate(all="ignore")
     def step(self, state: NbodyState, t: float, dt: float) -> NbodyState:
-        """Return where bodies are a step [s] later.
+        """Return the state after a step [s].
 
         A step is divided where two bodies come so close that it would not follow them.
 
@@ -181,10 +192,10 @@ class Nbody(Interacting[NbodyState, Pulls]):
         raise self._encounter(dt, *close.args)
 
     def _parts(self, rates: FloatArray, dt: float) -> int:
-        """Return how many parts of a step follow the closest pair, a power of two."""
+        """Return the substeps that resolve the closest pair, a power of two."""
         if not self._fixed or not len(rates):
             return 1
-        # A state that somebody else wrote may hold any rates.
+        # A state from a file may hold any rates.
         phase = dt * math.sqrt(max(float(rates.max()), 0.0)) / self._phase
         if not phase < self._spec.substeps:
             return 2 * int(self._spec.substeps)
@@ -193,7 +204,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
     def _encounter(
         self, dt: float, t: float, x: FloatArray, rates: FloatArray
     ) -> StoppedError:
-        """Return why steps [s] of the most parts do not follow a pair."""
+        """Return why the finest substeps [s] do not resolve a pair."""
         (mass, pair), most = self._closest(x, rates), self._spec.substeps
         message = f"{pair} at {t:.6g} s, too close for steps of {dt / most:.3g} s"
         widest = (PHASE * most / dt) ** 2
@@ -206,10 +217,10 @@ class Nbody(Interacting[NbodyState, Pulls]):
 
     def _advised(self, state: NbodyState, t: float) -> float:
         x, masses = state.motion[0], self.bodies.masses
-        made = state.pulls.accelerations + self.outside(t, x)[0]
+        accelerations = state.pulls.accelerations + self.outside(t, x)[0]
         centre = masses @ x / masses.sum()
         reach = np.maximum(np.linalg.norm(x - centre, axis=1), self._spec.softening)
-        sizes = np.maximum(np.linalg.norm(made, axis=1), 1e-300)
+        sizes = np.maximum(np.linalg.norm(accelerations, axis=1), 1e-300)
         return ADVISED * float(np.sqrt(reach / sizes).min())
 
     def _potential(self, state: NbodyState, t: float) -> float:
@@ -218,38 +229,40 @@ class Nbody(Interacting[NbodyState, Pulls]):
         return 0.5 * float(masses @ state.pulls.potentials) + outside
 
     def _momenta(self, state: NbodyState) -> FloatArray:
-        """Return the momentum and the angular momentum ``(2, 3)``."""
+        """Return linear and angular momentum ``(2, 3)``."""
         x, v = state.motion
         momenta = self.bodies.masses[:, None] * v
         return np.stack([momenta.sum(axis=0), np.cross(x, momenta).sum(axis=0)])
 
     def _quantities(self, state: NbodyState, t: float) -> Quantities:
         (x, v), pulls = state.motion, state.pulls
-        made, potentials = self.outside(t, x) if self.placed else (0.0, 0.0)
+        outside, potentials = self.outside(t, x) if self.placed else (0.0, 0.0)
         return {
             **super()._quantities(state, t),
             "energy": lambda: (v * v).sum(axis=1) / 2 + pulls.potentials + potentials,
-            "acceleration": lambda: np.linalg.norm(pulls.accelerations + made, axis=1),
+            "acceleration": lambda: np.linalg.norm(
+                pulls.accelerations + outside, axis=1
+            ),
         }
 
     def _values(self, state: NbodyState, t: float) -> Mapping[str, float]:
-        """Return how well what stays was kept, and how close bodies came."""
+        """Return drifts of conserved quantities, and the closest approach."""
         x, v = state.motion
         values = {"bodies": float(len(x)), "encounters": float(state.encounters)}
         values["substeps"] = float(state.divided)
         if not self.placed:
             values["energy_drift"] = self._drift(state, self._energy(state, t))
             sizes = self.bodies.masses * np.linalg.norm(v, axis=1)
-            usual = np.array([sizes.sum(), sizes @ np.linalg.norm(x, axis=1)])
+            scales = np.array([sizes.sum(), sizes @ np.linalg.norm(x, axis=1)])
             gained = self._momenta(state) - self._momenta(self.initial())
-            drifts = np.linalg.norm(gained, axis=1) / np.maximum(usual, 1e-300)
+            drifts = np.linalg.norm(gained, axis=1) / np.maximum(scales, 1e-300)
             values["momentum_drift"], values["angular_momentum_drift"] = drifts.tolist()
         if self.tree:
             values["force_error"] = self._force_error(x, state.pulls)
         return values
 
     def _force_error(self, x: FloatArray, pulls: Pulls) -> float:
-        """Return the error of the tree, measured on some bodies [1]."""
+        """Return the relative force error of the tree, on sampled bodies [1]."""
         rows = np.linspace(0, len(x) - 1, SAMPLES).astype(int)
         exact = np.array([self._direct(x, x[i]) for i in rows])
         off = np.linalg.norm(pulls.accelerations[rows] - exact, axis=1)
@@ -257,7 +270,7 @@ class Nbody(Interacting[NbodyState, Pulls]):
         return float(np.sqrt(((off / sizes) ** 2).mean()))
 
     def _direct(self, x: FloatArray, at: FloatArray) -> FloatArray:
-        """Return the acceleration at a place, summed body by body ``(3,)``."""
+        """Return the acceleration at a point by direct summation ``(3,)``."""
         off = x - at
         squares = (off * off).sum(axis=1)
         reach = np.where(squares > 0, squares + self._spec.softening**2, np.inf)

@@ -1,4 +1,4 @@
-"""The keys of an N-body system in a scene file, as models."""
+"""Keys of N-body systems in scene files."""
 
 from __future__ import annotations
 
@@ -110,12 +110,12 @@ class GalaxyModel(PlacementModel):
 
     @property
     def parts(self) -> list[DiscModel | SpheroidModel]:
-        """What it has, the halo last."""
+        """Its components, the halo last."""
         return [one for one in (self.disc, self.bulge, self.halo) if one is not None]
 
     @property
     def dark(self) -> int:
-        """How many of its last bodies are not written."""
+        """The number of its last bodies that are not written."""
         return self.halo.count if self.halo and not self.shows_halo else 0
 
 
@@ -204,7 +204,7 @@ class NbodyModel(SystemSpec):
     )
 
     def problems(self) -> Iterator[Problem]:
-        """Yield which keys make no sense together."""
+        """Yield invalid combinations of keys."""
         if not self.bodies and not self.galaxies:
             hint = "galaxies: [{name: disc, disc: {count: 5000, mass: 1, radius: 1}}]"
             yield "it has no bodies", None, hint

@@ -1,21 +1,22 @@
-"""Particles: emitted, moved by forces or a field, stopped by colliders, removed."""
+"""Particles: emission, forces, velocity fields, collisions and removal."""
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING
 
 from animtool.core.plugins import lazy_names
 
 if TYPE_CHECKING:
     from animtool.systems.particles.emitter import Emitter as Emitter
+    from animtool.systems.particles.emitter_shapes import BoxShape as BoxShape
+    from animtool.systems.particles.emitter_shapes import Disc as Disc
+    from animtool.systems.particles.emitter_shapes import MeshSurface as MeshSurface
+    from animtool.systems.particles.emitter_shapes import Point as Point
+    from animtool.systems.particles.emitter_shapes import SphereShape as SphereShape
     from animtool.systems.particles.forces.base import Force as Force
     from animtool.systems.particles.forces.table import FORCES as FORCES
     from animtool.systems.particles.forces.table import find_force as find_force
-    from animtool.systems.particles.places import BoxPlace as BoxPlace
-    from animtool.systems.particles.places import Disc as Disc
-    from animtool.systems.particles.places import MeshSurface as MeshSurface
-    from animtool.systems.particles.places import Point as Point
-    from animtool.systems.particles.places import SpherePlace as SpherePlace
     from animtool.systems.particles.run import ParticleFrame as ParticleFrame
     from animtool.systems.particles.run import ParticleRun as ParticleRun
     from animtool.systems.particles.setup import KillRegion as KillRegion
@@ -27,7 +28,7 @@ _MODULES = {
     "emitter": ("Emitter",),
     "forces.table": ("FORCES", "find_force"),
     "forces.base": ("Force",),
-    "places": ("BoxPlace", "Disc", "MeshSurface", "Point", "SpherePlace"),
+    "emitter_shapes": ("BoxShape", "Disc", "MeshSurface", "Point", "SphereShape"),
     "run": ("ParticleFrame", "ParticleRun"),
     "setup": ("KillRegion", "Particles"),
     "state": ("ParticleState",),
@@ -40,4 +41,12 @@ _PUBLIC = {
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
 if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
-    __getattr__, __dir__ = lazy_names(__name__, _PUBLIC)
+    _current, __dir__ = lazy_names(__name__, _PUBLIC)
+    _OLD_NAMES = {"BoxPlace": "BoxShape", "SpherePlace": "SphereShape"}
+
+    def __getattr__(name: str) -> object:
+        """Return a public name; one of an old name with a warning."""
+        if name in _OLD_NAMES:
+            text = f"{name} is now called {_OLD_NAMES[name]}"
+            warnings.warn(text, DeprecationWarning, stacklevel=2)
+        return _current(_OLD_NAMES.get(name, name))

@@ -1,4 +1,4 @@
-"""The particles that live at a time: their equations, steps, and signs of a blow-up."""
+"""Living particles as systems to integrate, and checks for divergence."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.sim.colliders.bodies import Wrenches, share_impulses
+from animtool.sim.colliders.bodies import Wrenches, exchange_impulses
 from animtool.sim.colliders.colliding import (
     Collided,
     Colliders,
@@ -20,7 +20,7 @@ from animtool.systems.particles.state import ParticleState
 
 
 class _Living:
-    """What particles under forces and in a field have in common."""
+    """Shared parts of particles under forces and in a velocity field."""
 
     def __init__(
         self,
@@ -32,19 +32,19 @@ class _Living:
         self.setup, self.particles = setup, particles
         self.settles = colliders.active
         self.contacts: Contacts | None = None
-        # What bodies were pushed by so far, those of each system.
-        self.wrenches = [Wrenches.none(own.count) for own in colliders.bodies]
+        # Impulses on the bodies of each system so far.
+        self.wrenches = [Wrenches.none(system.count) for system in colliders.bodies]
         self._colliders = colliders
         self._state = state
 
     @property
     def state(self) -> FloatArray:
-        """Where they start."""
+        """The initial state."""
         return self._state
 
 
 class ParticleForces(_Living, SecondOrder):
-    """Particles that forces move."""
+    """Particles moved by forces."""
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return accelerations ``(N, 3)`` [m/s²]."""
@@ -53,7 +53,7 @@ class ParticleForces(_Living, SecondOrder):
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return where colliders let a step end."""
+        """Return the state after collisions."""
         x, v = after
         done = collide(x, v, before, self._colliders, t - h, t, self.particles.radii)
         self.contacts = done.contacts
@@ -64,36 +64,36 @@ class ParticleForces(_Living, SecondOrder):
     def _shared(
         self, t: float, h: float, free: FloatArray, done: Collided
     ) -> FloatArray:
-        """Return the end of a step where bodies that can be pushed took their share."""
+        """Return the state after momentum exchange with movable bodies."""
         state, first = np.stack([done.points, done.velocities]), len(self._colliders)
-        for i, own in enumerate(self._colliders.bodies):
+        for i, system in enumerate(self._colliders.bodies):
             shapes = done.contacts.colliders - first
-            shapes[shapes >= len(own.colliders)] = -1
-            first += len(own.colliders)
-            if not own.count:
+            shapes[shapes >= len(system.colliders)] = -1
+            first += len(system.colliders)
+            if not system.count:
                 continue
             masses = self.particles.masses
-            state, taken = share_impulses(own, t, shapes, free, state, masses)
+            state, taken = exchange_impulses(system, t, shapes, free, state, masses)
             before = self.wrenches[i].after(h)
             self.wrenches[i] = Wrenches.sum([before, taken])
         return state
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
-        """Return kinetic and potential energy, None where a force has none."""
-        # A state that is resumed may hold masses whose energies are beyond numbers.
+        """Return the energy of a state; None if a force has no potential."""
+        # Resumed states may hold masses whose energies overflow.
         with np.errstate(over="ignore", invalid="ignore"):
-            found, known = energies(self.setup, self.particles, state)
+            sums, known = energies(self.setup, self.particles, state)
             if not known:
                 return None
-            kinetic, potential = found.sum(axis=1).tolist()
+            kinetic, potential = sums.sum(axis=1).tolist()
             supply = float(self.particles.masses.sum()) * self._colliders.fastest**2
         return Energy(kinetic, potential, supply)
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
-        """Return the fastest motions that forces bring about ``(M, 2)``."""
+        """Return the fastest modes of the forces ``(M, 2)``."""
         if not len(self.particles):
             return None
-        # Not as a float: a state that is resumed may hold a mass of 0.
+        # Not as a float: resumed states may hold a mass of 0.
         forces, mass = self.setup.forces, self.particles.masses.min()
         stiffness = sum(force.stiffness() for force in forces) / mass
         damping = (
@@ -109,7 +109,7 @@ class ParticleForces(_Living, SecondOrder):
         return np.array(rows) if rows else None
 
     def suspect(self, t: float, state: FloatArray) -> str:
-        """Return which particle is accelerated most."""
+        """Return the particle with the largest acceleration."""
         pulls = np.linalg.norm(self.acceleration(t, *state), axis=1)
         return (
             f"particle {int(self.particles.ids[np.argmax(pulls)])} has the largest "
@@ -118,7 +118,7 @@ class ParticleForces(_Living, SecondOrder):
 
 
 class ParticleFlow(_Living, FirstOrder):
-    """Particles that go with a velocity field; the state is where they are."""
+    """Particles moved by a velocity field; the state is their positions."""
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
         """Return velocities ``(N, 3)`` [m/s]."""
@@ -128,7 +128,7 @@ class ParticleFlow(_Living, FirstOrder):
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return where colliders let a step end."""
+        """Return the state after collisions."""
         speed = (after - before) / h
         start = np.stack([before, speed])
         done = collide(
@@ -150,14 +150,14 @@ def particle_system(
 def energies(
     setup: Particles, particles: ParticleState, state: FloatArray
 ) -> tuple[FloatArray, bool]:
-    """Return kinetic and potential energies ``(2, N)`` [J], and whether that is all.
+    """Return kinetic and potential energies ``(2, N)`` [J], and whether all are known.
 
     What forces without a potential do is left out.
     """
     x, v = state
     kinetic = 0.5 * particles.masses * (v * v).sum(axis=1)
     potentials = [force.potential(x, particles) for force in setup.forces]
-    known = [found for found in potentials if found is not None]
+    known = [values for values in potentials if values is not None]
     potential = np.sum(known, axis=0) if known else np.zeros(len(particles))
     return np.stack([kinetic, potential]), len(known) == len(potentials)
 
@@ -169,11 +169,11 @@ def accelerations(
     x: FloatArray,
     v: FloatArray,
 ) -> FloatArray:
-    """Return what all forces do ``(N, 3)`` [m/s²]; times may be one each."""
-    whole = np.zeros_like(x)
+    """Return accelerations of all forces ``(N, 3)`` [m/s²]; one time per particle."""
+    total = np.zeros_like(x)
     for force in setup.forces:
-        whole += force.force(t, x, v, particles)
-    return whole / particles.masses[:, None]
+        total += force.force(t, x, v, particles)
+    return total / particles.masses[:, None]
 
 
 def spawned(
@@ -184,10 +184,10 @@ def spawned(
     t0: float,
     t1: float,
 ) -> FloatArray:
-    """Return particles at the end of the step that they are born in.
+    """Return particles at the end of the step they are born in.
 
-    Each begins at a time of its own, so that streams have no lumps at every step. They
-    go by the classical method of Runge and Kutta whatever the method of the others is,
+    Each starts at its birth time, so that streams have no clumps at every step. They
+    are integrated by the classical Runge-Kutta method, whatever the others' method is,
     and do not act on others before the next step.
 
     ``born`` ``(2, N, 3)``, ``t0`` [s], ``t1`` [s].
@@ -195,10 +195,10 @@ def spawned(
     done = _moved_classically(setup, particles, born, t1 - particles.births)
     if not colliders.active:
         return done
-    found = collide(
+    collided = collide(
         done[0], done[1], born, colliders, t0, t1, particles.radii, particles.births
     )
-    return np.stack([found.points, found.velocities])
+    return np.stack([collided.points, collided.velocities])
 
 
 def _moved_classically(
@@ -206,8 +206,8 @@ def _moved_classically(
 ) -> FloatArray:
     h = spans[:, None]
 
-    def rate(share: float, state: FloatArray) -> FloatArray:
-        times = particles.births + share * spans
+    def rate(fraction: float, state: FloatArray) -> FloatArray:
+        times = particles.births + fraction * spans
         if setup.velocity is not None:
             speed = setup.velocity.velocity(times, state[0], particles)
             return np.stack([speed, np.zeros_like(speed)])
@@ -221,7 +221,7 @@ def _moved_classically(
 
 
 class DivergenceCheck:
-    """Looks at particles for numbers and energy beyond bounds.
+    """Checks particles for non-finite values, and energy out of bounds.
 
     The energy of each counts from where it was first seen, so that neither births nor
     removals are taken for gains, and a slow blow-up adds up over many steps. Moving
@@ -234,33 +234,33 @@ class DivergenceCheck:
         self._setup, self._colliders = setup, colliders
         self._particles = ParticleState.none()
         self._ids: IntArray = np.zeros(0, np.int64)
-        # Kinetic and potential energy of each, where it was first seen.
+        # Kinetic and potential energy of each when first observed.
         self._first: FloatArray = np.zeros((2, 0))
         self.too_long = False
 
     def look_at(self, particles: ParticleState, state: FloatArray) -> None:
-        """Look at particles in a state ``(2, N, 3)`` from now on."""
+        """Watch particles in a state ``(2, N, 3)`` from now on."""
         if particles is self._particles or self._setup.velocity is not None:
             return
-        places = np.searchsorted(self._ids, particles.ids)
-        places = np.minimum(places, max(len(self._ids) - 1, 0))
+        rows = np.searchsorted(self._ids, particles.ids)
+        rows = np.minimum(rows, max(len(self._ids) - 1, 0))
         known = np.zeros(len(particles), bool)
         if len(self._ids):
-            known = self._ids[places] == particles.ids
+            known = self._ids[rows] == particles.ids
         first = np.zeros((2, len(particles)))
-        first[:, known] = self._first[:, places[known]]
+        first[:, known] = self._first[:, rows[known]]
         new = ~known
         first[:, new] = energies(self._setup, particles.select(new), state[:, new])[0]
         self._particles, self._ids, self._first = particles, particles.ids, first
 
     def restart(self, which: BoolArray, state: FloatArray) -> None:
-        """Count the energy of some from a state on: what was moved out of colliders."""
+        """Reset the reference energy of some, after colliders moved them."""
         if self._setup.velocity is None and which.any():
             some = self._particles.select(which)
             self._first[:, which] = energies(self._setup, some, state[:, which])[0]
 
     def sign(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
-        """Return why a state is beyond bounds, empty where it is not."""
+        """Return why a state has diverged; empty if it has not."""
         if not np.isfinite(state).all():
             return "its state is not finite"
         if self._setup.velocity is not None:
@@ -272,13 +272,13 @@ class DivergenceCheck:
         kinetic, potential = self._first.sum(axis=1).tolist()
         now_kinetic, now_potential = now_energies.sum(axis=1).tolist()
         now, first = now_kinetic + now_potential, kinetic + potential
-        usual = max(
+        typical = max(
             abs(first),
             kinetic,
             abs(potential),
             potential - now_potential,
             float(self._particles.masses.sum()) * self._colliders.fastest**2,
         )
-        if usual > 0 and not now - first <= self._setup.options.growth * usual:
+        if typical > 0 and not now - first <= self._setup.options.growth * typical:
             return f"its energy rose from {first:.3g} J to {now:.3g} J"
         return ""

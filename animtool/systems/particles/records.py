@@ -1,4 +1,4 @@
-"""What is said of emitters and of velocity fields: in Python, and in files."""
+"""Options of emitters and velocity fields, shared by Python and scene files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.core.options import Range, above, key
 from animtool.core.record import dataclass
 
 _AMOUNT = Range("above 0", "SIM021", 0.0, reached=False, finite=True)
-# As light as particles of springs may be: less divides forces into infinity.
+# Least mass, as in springs: less overflows divided forces.
 _MASS = Range("1e-30 or more", "SIM021", 1e-30, finite=True)
 _SPREAD = Range("0 or more", "SIM021", 0.0, finite=True)
 _FINITE = Range("finite", "SIM021", -math.inf, finite=True)
@@ -24,7 +24,7 @@ def _bursts(rows: Sequence[Sequence[float]]) -> list[tuple[float, int]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Emission:
-    """How many particles an emitter makes, and what they are like.
+    """Emission rate, and properties of the emitted particles.
 
     Attributes:
         spread: Half the angle of the cone, here in radians; pi is all around.
@@ -71,7 +71,7 @@ class Emission:
 
 @dataclass(frozen=True)
 class Velocity:
-    """A velocity at each place and time: expressions of x, y, z, t and age."""
+    """Velocity as expressions of x, y, z, t and age."""
 
     x: str = key("Component along x [m/s].", "-z", "0")
     y: str = key("Component along y [m/s].", "0.2", "0")

@@ -1,4 +1,4 @@
-"""Particles under way, for Python: born, moved, stopped and removed."""
+"""A particle simulation in Python, stepped on demand."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class ParticleFrame(PointsFrame):
 
 
 class ParticleRun(SimulationRun):
-    """Particles under way, born, moved, stopped and removed in steps of one length.
+    """A particle simulation in fixed steps.
 
     Attributes:
-        state: At the end of the last whole step.
-        notices: What is odd so far.
+        state: At the end of the last full step.
+        notices: Warnings so far.
 
     Args:
-        setup: What there is.
+        setup: The particle system.
         begin: Time of the first step [s].
         state: Where to go on from, in place of the beginning.
 
@@ -63,14 +63,14 @@ class ParticleRun(SimulationRun):
 
     @property
     def contacts(self) -> Contacts | None:
-        """What particles met in the last step that was taken; None where it took none.
+        """Contacts of the last step; None before the first.
 
-        Those who were born in it are not among them.
+        Particles born in it are not included.
         """
         return self._particles.contacts
 
     def at(self, t: float) -> ParticleFrame:
-        """Return the particles at a time [s], not before the last one asked for.
+        """Return the particles at a time [s], which may not decrease.
 
         Raises:
             OptionError: Time runs backwards (SIM002).

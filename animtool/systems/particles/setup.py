@@ -1,4 +1,4 @@
-"""What a simulation of particles is made of."""
+"""The setup of a particle simulation."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.table import FORCES
 from animtool.systems.particles.velocity_field import VelocityField
 
-# Twice over for a film frame, and for its half.
+# Two steps per film frame, and half of it.
 STEP = 1 / 96
 
 
 @dataclass(frozen=True, slots=True)
 class KillRegion:
-    """Where particles are removed.
+    """A region that removes particles.
 
     Attributes:
         region: A collider's shape and poses; what touching does is not heeded. Of a
@@ -38,27 +38,27 @@ class KillRegion:
     region: Collider
 
     def kills(self, points: FloatArray, t: float) -> BoolArray:
-        """Return which of points ``(N, 3)`` are in it."""
-        found = Colliders([self.region.volume()]).sample(points, t).distances[0]
-        return np.asarray(found < 0, np.bool_)
+        """Return which points ``(N, 3)`` are inside."""
+        distances = Colliders([self.region.volume()]).sample(points, t).distances[0]
+        return np.asarray(distances < 0, np.bool_)
 
 
 @dataclass(frozen=True)
 class Particles:
-    """Particles to be: where they come from, what moves, stops and removes them.
+    """A particle system: emitters, forces, colliders and kill regions.
 
     Attributes:
-        emitters: What makes them.
-        forces: What moves them.
-        velocity: A field that they go with in place of forces.
-        colliders: What they run into.
-        kills: Where they are removed.
+        emitters: Sources of particles.
+        forces: Forces on them.
+        velocity: A field that advects them in place of forces.
+        colliders: Colliders.
+        kills: Regions that remove them.
         options: Method, and step [s]: steps are of that length from the beginning on,
             whatever times are asked for.
-        max_particles: Particles at once; who would be born beyond is not.
+        max_particles: Largest number of living particles; further births are skipped.
         name: For messages.
-        sheets: Surfaces that change their shape, which they run into too.
-        bodies: Bodies that another simulation moves, which they run into and push.
+        sheets: Deforming surfaces as colliders.
+        bodies: Bodies of another simulation, as colliders that particles push.
     """
 
     emitters: Sequence[Emitter]
@@ -75,7 +75,7 @@ class Particles:
     bodies: Sequence[MovingBodies] = ()
 
     def check(self) -> None:
-        """Raise where something makes no sense.
+        """Raise if the setup is invalid.
 
         Raises:
             OptionError: All that is wrong (SIM001, SIM004 to SIM006, SIM020 to SIM024).
@@ -85,47 +85,47 @@ class Particles:
             raise OptionError(faults)
 
     def _options(self) -> list[Fault]:
-        found: list[Fault] = []
+        faults: list[Fault] = []
         try:
             check_options(self.options)
         except AnimtoolError as error:
-            found += error.faults
+            faults += error.faults
         if self.options.step is None:
             message = "particles need a step: they are emitted during a step"
-            found.append(Fault("SIM024", message, where="step"))
-        found += range_faults(self)
+            faults.append(Fault("SIM024", message, where="step"))
+        faults += range_faults(self)
         if not self.emitters:
             message = "it has no emitter, so there are no particles"
-            found.append(Fault("SIM024", message, where="emitters"))
+            faults.append(Fault("SIM024", message, where="emitters"))
         if self.velocity is not None and self.forces:
             message = "a velocity field moves particles whatever the forces are"
             hint = (
                 "remove one of them, or use a force that acts by drag: wind, turbulence"
             )
-            found.append(Fault("SIM024", message, where="velocity", hint=hint))
-        return found
+            faults.append(Fault("SIM024", message, where="velocity", hint=hint))
+        return faults
 
     def _parts(self) -> list[Fault]:
-        found = _faults("emitters", self.emitters)
+        faults = _faults("emitters", self.emitters)
         for i, force in enumerate(self.forces):
-            found += [
+            faults += [
                 Fault("SIM022", f"its {option} {why}", where=f"{_named(force)}[{i}]")
                 for option, why in force.faults()
             ]
         if self.velocity is not None:
-            found += self.velocity.faults("velocity")
-        found += _faults("colliders", self.colliders)
-        found += _faults("kills", [kill.region for kill in self.kills])
-        return found + _faults("sheets", self.sheets)
+            faults += self.velocity.faults("velocity")
+        faults += _faults("colliders", self.colliders)
+        faults += _faults("kills", [kill.region for kill in self.kills])
+        return faults + _faults("sheets", self.sheets)
 
 
 def _faults(what: str, records: Sequence[Emitter | Collider | Sheet]) -> list[Fault]:
-    """Return what of records makes no sense, each by its name or number."""
+    """Return faults of records, each with its name or number."""
     named = [(one, one.name or f"{what}[{i}]") for i, one in enumerate(records)]
     return [fault for one, name in named for fault in one.faults(name)]
 
 
 def _named(force: Force) -> str:
-    """Return the name of a force in the table, or of its class."""
+    """Return the table name of a force, or its class name."""
     kind = type(force).__name__
     return next((name for name, at in FORCES.items() if at.endswith(f":{kind}")), kind)

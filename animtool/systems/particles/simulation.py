@@ -1,9 +1,11 @@
-"""Particles in steps: who is born, moves, is stopped and removed."""
+"""Particle simulation: births, motion, collisions and removal."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -40,28 +42,50 @@ from animtool.systems.particles.moving import (
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
 
-_NONE = np.zeros((2, 0, 3))
-# Motions that are faster by less than this share need no other steps [1].
+if TYPE_CHECKING:
+    from animtool.systems.framework.simulation import SimContext
+    from animtool.systems.particles.spec import ParticlesModel
+
+# Frequency growth below this does not change the stable step [1].
 NOTABLE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class ParticleRunState:
-    """Where a simulation stands at the end of a step, to go on from."""
+    """The state at the end of a step."""
 
-    particles: ParticleState = field(metadata=growing())  # who lives
+    particles: ParticleState = field(metadata=growing())  # living particles
     # Positions, then velocities ``(2, N, 3)``.
     state: FloatArray = field(metadata=growing(1))
-    born: int = 0  # how many were born so far
-    missed: int = 0  # how many were not, for want of room
-    # What the method takes along, as long as the same particles live.
+    born: int = 0  # number born so far
+    missed: int = 0  # number without room so far
+    # The method's memory, valid as long as the same particles live.
     memory: object = field(default=None, metadata=later(Before))
-    # The step to try next [s].
+    # The next trial step [s].
     trial: float | None = field(default=None, metadata=later())
 
 
+_NOBODY = ParticleRunState(ParticleState.none(), np.zeros((2, 0, 3)))
+
+
+def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
+    """Return the simulation of a spec.
+
+    Raises:
+        OptionError: As of `ParticleSimulation`.
+    """
+    setup, around = spec.setup(context.parts), context.colliders
+    setup = replace(
+        setup, colliders=around[:], sheets=around.sheets, bodies=around.bodies
+    )
+    if context.budget is not None:
+        options = replace(setup.options, budget=context.budget)
+        setup = replace(setup, options=options)
+    return ParticleSimulation(setup, context.begin)
+
+
 class ParticleSimulation:
-    """Particles in steps by one method; what moved them is kept for warnings alone.
+    """Particles stepped by one method; step statistics only serve warnings.
 
     Raises:
         OptionError: Something makes no sense (SIM001, SIM004 to SIM006, SIM020 to
@@ -76,24 +100,27 @@ class ParticleSimulation:
         self._taken = 0  # steps of the method so far
         self._kills = [Colliders([kill.region.volume()]) for kill in setup.kills]
         self._integrator = check_options(setup.options)
-        nobody = ParticleRunState(ParticleState.none(), _NONE)
-        check_fit(Equations(self._system(nobody)), self._integrator)
+        check_fit(Equations(self._system(_NOBODY)), self._integrator)
         self._watch = DivergenceCheck(setup, self.colliders)
         self._fastest: FloatArray | None = None
         self._too_long: list[Fault] = []
         self._notices: list[Fault] = self.colliders.notices()
-        self._start = self._with_born(nobody, None, begin, begin, self._notices)
 
     def initial(self) -> ParticleRunState:
-        """Return those who are born at the very beginning."""
+        """Return the particles born at the start."""
         return self._start
+
+    @cached_property
+    def _start(self) -> ParticleRunState:
+        begin = self.begin
+        return self._with_born(_NOBODY, None, begin, begin, self._notices)
 
     def step(
         self, state: ParticleRunState, t: float, dt: float
     ) -> Stepped[ParticleRunState]:
-        """Return who lives a step later, or a part of one [s].
+        """Return the state after a step [s], or a part of one.
 
-        Those who are born in the step push nothing yet.
+        Particles born in the step push nothing yet.
 
         Raises:
             OptionError: A force or a field is no number (SIM003).
@@ -123,7 +150,7 @@ class ParticleSimulation:
         until: float,
         notices: list[Fault],
     ) -> tuple[ParticleRunState, Sequence[Wrenches]]:
-        """Return particles at the end of a step [s], and what they pushed bodies by."""
+        """Return particles after a step [s], and impulses on bodies."""
         system, options = self._system(state), self.setup.options
         first = system.state
         with np.errstate(all="ignore"):
@@ -150,10 +177,10 @@ class ParticleSimulation:
             end = np.stack([end, system.rate(until, end)])
         self.contacts = met = system.contacts
         if met is not None:
-            # Of colliders that change their shape nobody knows how fast they are.
+            # The speed of deforming colliders is unknown.
             driven = met.colliders >= len(self.colliders)
             self._watch.restart(driven | (met.touches == Touch.UNRESOLVED), end)
-            notices += self._held(state.particles, met, until)
+            notices += self._stuck_notices(state.particles, met, until)
         after = checkpoint_of(run, status, until, run.state)
         state = replace(state, state=end, memory=after.memory, trial=after.trial)
         return state, system.wrenches
@@ -161,7 +188,7 @@ class ParticleSimulation:
     def _look_at_steps(
         self, system: ParticleForces | ParticleFlow, now: float, until: float
     ) -> None:
-        """Note once that steps are too long, looking where motions became faster."""
+        """Warn once if steps are too long for the fastest motion."""
         modes = None if self._too_long else system.frequencies(now, system.state)
         if modes is None:
             return
@@ -182,11 +209,11 @@ class ParticleSimulation:
         self._watch.too_long = bool(self._too_long)
 
     def _stop(
-        self, run: Run, status: Status, places: list[tuple[float, FloatArray]]
+        self, run: Run, status: Status, samples: list[tuple[float, FloatArray]]
     ) -> None:
-        # A force that is no number at once is no blow-up.
-        check_start(run.equations, *places[0])
-        stats = stats_of(run, status, places)
+        # Forces that are not finite at the start are no divergence.
+        check_start(run.equations, *samples[0])
+        stats = stats_of(run, status, samples)
         why = [*self._too_long, ending(self._integrator, self.setup.options, stats)]
         raise StoppedError(
             [replace(each, severity=Severity.ERROR) for each in why], stats
@@ -200,11 +227,11 @@ class ParticleSimulation:
         until: float,
         notices: list[Fault],
     ) -> ParticleRunState:
-        """Return a state with those who are born in a step, at its end."""
+        """Return a state with the births of a step, at its end."""
         room = max(self.setup.max_particles - len(state.particles), 0)
         particles, born, beyond = self._born(after, until, state.born, room)
-        made = len(particles) + beyond
-        missed = max(made - room, 0)
+        total = len(particles) + beyond
+        missed = max(total - room, 0)
         if missed and not state.missed:
             most = self.setup.max_particles
             message = (
@@ -214,7 +241,7 @@ class ParticleSimulation:
             notices.append(
                 warning("SIM121", f"{message}no more", hint, self.setup.name)
             )
-        state = replace(state, born=state.born + made, missed=state.missed + missed)
+        state = replace(state, born=state.born + total, missed=state.missed + missed)
         kept = np.arange(len(particles))[:room]
         particles, born = particles.select(kept), born[:, kept]
         if not len(particles):
@@ -232,7 +259,7 @@ class ParticleSimulation:
     def _born(
         self, after: float | None, until: float, first: int, room: int
     ) -> tuple[ParticleState, FloatArray, int]:
-        """Return who is born, with ids in the order of births, and how.
+        """Return births in order of time, with ids.
 
         Of each emitter no more are made than there is room for; last is how many more
         there would be.
@@ -266,18 +293,18 @@ class ParticleSimulation:
         ids = first + np.arange(len(particles), dtype=np.int64)
         return replace(particles, ids=ids), state, beyond
 
-    def _held(
+    def _stuck_notices(
         self, particles: ParticleState, met: Contacts, t: float
     ) -> Iterator[Fault]:
-        """Yield that particles stay inside colliders, where they do (SIM123)."""
-        (held,) = np.nonzero(met.touches == Touch.UNRESOLVED)
-        if not len(held):
+        """Yield a warning about particles stuck in colliders (SIM123)."""
+        (stuck,) = np.nonzero(met.touches == Touch.UNRESOLVED)
+        if not len(stuck):
             return
-        who = f"particle {int(particles.ids[held[0]])}"
-        which, solid = int(met.colliders[held[0]]), self.setup.colliders
+        who = f"particle {int(particles.ids[stuck[0]])}"
+        which, solid = int(met.colliders[stuck[0]]), self.setup.colliders
         what = [
             *(one.name or f"colliders[{i}]" for i, one in enumerate(solid)),
-            *(one.name for own in self.setup.bodies for one in own.colliders),
+            *(one.name for system in self.setup.bodies for one in system.colliders),
             *(one.name or f"sheets[{i}]" for i, one in enumerate(self.setup.sheets)),
         ][which]
         message = f"{who} is inside {what!r} at {t:g} s, and cannot be pushed out at "
@@ -301,7 +328,7 @@ class ParticleSimulation:
         return PointsFrame(particles.ids, points, velocities, particles.radii, ages)
 
     def diagnostics(self, state: ParticleRunState, t: float) -> Diagnostics:
-        """Return the energy, where nothing takes or brings any, and warnings."""
+        """Return energy, if conserved, and warnings."""
         hint = "set a rate or bursts, and a start and a lifetime with which "
         hint += "particles exist in the range"
         message = "there are no particles in any frame"
@@ -322,7 +349,7 @@ class ParticleSimulation:
         return None if any(damping) else system.energy(t, state.state)
 
     def _stable_step(self, state: ParticleRunState) -> float | None:
-        """Return the largest step that is stable for a state [s]."""
+        """Return the largest stable step at a state [s]."""
         integrator = find_integrator(self.setup.options.method)
         if integrator.limit is None or not len(state.particles):
             return None

@@ -1,4 +1,4 @@
-"""The keys of particles in a scene file, as models, and the records of them."""
+"""Keys of particles in scene files, and the records built from them."""
 
 from __future__ import annotations
 
@@ -9,30 +9,23 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from annotated_types import Len
 from pydantic import Field
 
-from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.errors import Fault, OptionError
 from animtool.documents.fields import Real, key, with_fields
 from animtool.systems.framework.fields import (
-    Characters,
-    Colliders,
-    Forces,
     Integrator,
     MaxParticles,
-    Meshes,
     PlacedModel,
     PlaceEntry,
     PrimName,
     RecordModel,
-    Surfaces,
     SystemColliderModel,
     Tolerance,
 )
-from animtool.systems.framework.spec import SystemSpec
+from animtool.systems.framework.spec import CollidingSpec
 from animtool.systems.particles.records import Emission, Velocity
 
 if TYPE_CHECKING:
-    from animtool.systems.framework.simulation import SimContext
     from animtool.systems.particles.setup import Particles
-    from animtool.systems.particles.simulation import ParticleSimulation
 
 
 @with_fields(Emission)
@@ -57,26 +50,22 @@ class VelocityModel(RecordModel):
     makes: ClassVar[str] = "animtool.systems.particles.velocity_field:VelocityField"
 
 
-class ParticlesModel(SystemSpec):
+class ParticlesModel(CollidingSpec):
     """Particles: born, moved, stopped and removed. Lengths are in metres."""
 
     methods: ClassVar[Sequence[str] | None] = None
     exact: ClassVar[str] = "rk4"
+    acted_on: ClassVar[Sequence[str]] = ("emitters", "forces")
 
     name: PrimName = Field(default="particles", examples=["embers"])
     emitters: Annotated[list[EmitterModel], Len(1)] = key(
         "Emitters.", [{"rate": 100, "speed": 2, "lifetime": 1}]
     )
-    forces: Forces = Field([])
     velocity: VelocityModel | None = key(
         "A velocity field to follow, instead of forces.",
         {"x": "-z", "z": "x"},
         default=None,
     )
-    colliders: Colliders = Field([])
-    characters: Characters = Field([])
-    systems: Surfaces = Field([])
-    meshes: Meshes = Field([])
     kill: list[SystemColliderModel] = key(
         "Regions where they are removed.",
         [{"shape": {"plane": {"offset": -1}}}],
@@ -93,18 +82,17 @@ class ParticlesModel(SystemSpec):
 
     @property
     def title(self) -> str:
-        """What they are called in words."""
+        """Its title, for messages."""
         return "particles"
 
     @property
     def reads(self) -> list[str]:
-        """What acts on them, in words."""
-        field = ["a velocity field"] if self.velocity else []
-        return [counted(len(self.emitters), "emitter"), *super().reads, *field]
+        """What acts on them, for messages."""
+        return [*super().reads, *(["a velocity field"] if self.velocity else [])]
 
     @property
     def counts(self) -> dict[str, int]:
-        """What they are made of, by kind."""
+        """Its parts by kind, for messages."""
         return {
             "emitters": len(self.emitters),
             "forces": len(self.forces),
@@ -112,7 +100,7 @@ class ParticlesModel(SystemSpec):
         }
 
     def setup(self, parts: Mapping[str, Any]) -> Particles:
-        """Return what they are made of, without what they run into."""
+        """Return the particle setup, without colliders."""
         from animtool.sim.options import IntegrateOptions
         from animtool.systems.particles.setup import KillRegion, Particles
 
@@ -127,23 +115,9 @@ class ParticlesModel(SystemSpec):
         )
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
-        """Return what makes no sense together (SIM001, SIM004, SIM005, SIM024)."""
+        """Return invalid combinations of keys (SIM001, SIM004, SIM005, SIM024)."""
         try:
             self.setup(parts).check()
         except OptionError as error:
             return [replace(one, where=one.where or "method") for one in error.faults]
         return ()
-
-
-def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
-    """Return particles at their beginning; what moves them is imported now."""
-    from animtool.systems.particles.simulation import ParticleSimulation
-
-    setup, around = spec.setup(context.parts), context.colliders
-    setup = replace(
-        setup, colliders=around[:], sheets=around.sheets, bodies=around.bodies
-    )
-    if context.budget is not None:
-        options = replace(setup.options, budget=context.budget)
-        setup = replace(setup, options=options)
-    return ParticleSimulation(setup, context.begin)

@@ -1,4 +1,4 @@
-"""What particles are, beside where they are."""
+"""Particle attributes other than positions and velocities."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.maths.rows import Rows
 
 @dataclass(frozen=True, slots=True)
 class ParticleState(Rows):
-    """N particles, in the order of their births.
+    """N particles, in order of birth.
 
     Attributes:
         ids: Of each its own, never used again ``(N,)``.
@@ -32,7 +32,7 @@ class ParticleState(Rows):
     origins: FloatArray
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of particles."""
         return len(self.ids)
 
     @staticmethod
@@ -43,7 +43,7 @@ class ParticleState(Rows):
         births: FloatArray | float,
         origins: FloatArray,
     ) -> ParticleState:
-        """Return particles without charges that stay for ever; numbers are of all."""
+        """Return uncharged, immortal particles from per-particle values."""
         every = [masses, 0.0, radii, births, np.inf]
         mass, charge, radius, birth, death = (
             np.array(np.broadcast_to(one, len(ids)), np.float64) for one in every

@@ -1,4 +1,4 @@
-"""A velocity field: particles go with it, whatever their mass."""
+"""Velocity fields that advect particles regardless of mass."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from animtool.rig.expressions import Expression, parse_expression
 from animtool.systems.particles.records import Velocity
 from animtool.systems.particles.state import ParticleState
 
-# What expressions of fields may name: place [m], velocity [m/s], time and age [s].
+# Variables of field expressions: position [m], velocity [m/s], time and age [s].
 VARIABLES = ("x", "y", "z", "vx", "vy", "vz", "t", "age", "mass", "charge")
-_OF_PLACE = ("x", "y", "z", "t", "age")
+_VARIABLES = ("x", "y", "z", "t", "age")
 
 
 class Expressions:
-    """What has three expressions, one along each axis."""
+    """Three expressions, one per axis."""
 
     x: str
     y: str
@@ -28,26 +28,26 @@ class Expressions:
 
     @cached_property
     def expressions(self) -> tuple[Expression, ...]:
-        """The three, ready to be evaluated."""
+        """The parsed expressions."""
         return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
 
 
 @described
 @dataclass(frozen=True)
 class VelocityField(Velocity, Expressions, Checked):
-    """Velocities by place and time, as expressions of x, y, z [m], t and age [s]."""
+    """Velocities as expressions of x, y, z [m], t and age [s]."""
 
     code: ClassVar[str] = "SIM022"
 
     def velocity(
         self, t: float | FloatArray, x: FloatArray, particles: ParticleState
     ) -> FloatArray:
-        """Return velocities at places ``(N, 3)`` [m/s]."""
+        """Return velocities at points ``(N, 3)`` [m/s]."""
         return evaluated(self.expressions, t, x, np.zeros_like(x), particles)
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return which of the three makes no sense, and why."""
-        faults = expression_faults(self, _OF_PLACE)
+        """Return invalid expressions, each with a message."""
+        faults = expression_faults(self, _VARIABLES)
         return [(axis, f"its {axis} {why}") for axis, why in faults]
 
 
@@ -58,7 +58,7 @@ def evaluated(
     v: FloatArray,
     particles: ParticleState,
 ) -> FloatArray:
-    """Return three expressions at particles ``(N, 3)``."""
+    """Return three expressions evaluated at particles ``(N, 3)``."""
     times = np.broadcast_to(np.asarray(t, np.float64), len(x))
     columns = [
         *x.T,
@@ -69,24 +69,24 @@ def evaluated(
         particles.charges,
     ]
     values = dict(zip(VARIABLES, columns, strict=True))
-    found = [np.broadcast_to(one.evaluate(values), len(x)) for one in expressions]
-    return np.stack(found, axis=1)
+    components = [np.broadcast_to(one.evaluate(values), len(x)) for one in expressions]
+    return np.stack(components, axis=1)
 
 
-def expression_faults(given: object, names: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return which of the expressions x, y and z makes no sense, and why."""
+def expression_faults(options: object, names: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Return which of the expressions x, y, z are invalid, and why."""
     from animtool.core.names import nearest
 
-    found = []
+    faults = []
     for axis in "xyz":
         try:
-            expression = parse_expression(getattr(given, axis))
+            expression = parse_expression(getattr(options, axis))
         except ValueError as error:
-            found.append((axis, str(error)))
+            faults.append((axis, str(error)))
             continue
-        found += [
+        faults += [
             (axis, f"unknown variable {name!r}: {nearest(name, list(names))}")
             for name in expression.names
             if name not in names
         ]
-    return found
+    return faults

@@ -1,1 +1,1 @@
-"""Rigid bodies: they fall, tumble, collide, stack and hang on joints."""
+"""Rigid body dynamics: contacts, stacks, joints, ragdolls."""

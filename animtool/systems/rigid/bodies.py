@@ -1,4 +1,4 @@
-"""Bodies of a spec: where they begin, and what the kernel takes."""
+"""Bodies of a spec: initial poses, and the kernel's arrays."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from animtool.systems.rigid.cores import (
 )
 from animtool.systems.rigid.kind import (
     MAX_BODIES,
-    Kind,
+    BodyKind,
     check_moved,
     copies,
     kind_of,
@@ -37,93 +37,93 @@ NO_PAIRS = np.zeros((0, 2), np.int64)
 
 @dataclass(frozen=True, slots=True)
 class Outlines:
-    """C shapes of all bodies, as others run into them."""
+    """C collision shapes of all bodies, for other systems."""
 
     colliders: Sequence[Collider]
-    of: IntArray  # the body of each (C,)
+    of: IntArray  # body of each shape (C,)
     at: FloatArray  # origins in the frames of the bodies (C, 3) [m]
-    turns: FloatArray  # quaternions there (C, 4)
+    rotations: FloatArray  # their quaternions (C, 4)
 
 
 @dataclass(frozen=True)
-class Bodies:
-    """All bodies of a system; N of them are moved, others go as they are told.
+class RigidBodies:
+    """All bodies of a system: N dynamic, the others kinematic.
 
     Attributes:
-        kinds: Of each entry of the file.
-        names: Of all.
-        of: The kind of each ``(B,)``.
-        moved: Whether each is moved ``(B,)``.
-        poses: Of each, over time; of those that are moved only where they begin.
+        kinds: Body kind of each entry of the file.
+        names: Names of all bodies.
+        of: Kind index of each ``(B,)``.
+        moved: Whether each is dynamic ``(B,)``.
+        poses: Poses of each over time; of dynamic ones the initial pose.
     """
 
-    kinds: Sequence[Kind]
+    kinds: Sequence[BodyKind]
     names: Sequence[str]
     of: IntArray
     moved: BoolArray
     poses: Sequence[Poses]
     begin: float
-    dynamic: IntArray = field(init=False)  # which are moved (N,)
+    dynamic: IntArray = field(init=False)  # numbers of dynamic bodies (N,)
 
     def __post_init__(self) -> None:
-        """Number those that are moved."""
+        """Number the dynamic bodies."""
         object.__setattr__(self, "dynamic", np.flatnonzero(self.moved))
 
     @staticmethod
     def of_models(
         models: Sequence[BodyModel], parts: Sequence[Mapping[str, Any]], begin: float
-    ) -> Bodies:
+    ) -> RigidBodies:
         """Return the bodies of a spec."""
-        kinds: list[Kind] = []
+        kinds: list[BodyKind] = []
         names, of, moved, poses = [], [], [], []
         taken: set[str] = set()
         refusals = Refusals()
         for number, (model, part) in enumerate(zip(models, parts, strict=True)):
-            place, origin = part.get("entry", f"bodies[{number}]"), part.get("origin")
-            with refusals.collect(), _entry(place, origin):
+            where, origin = part.get("entry", f"bodies[{number}]"), part.get("origin")
+            with refusals.collect(), _entry(where, origin):
                 if model.name in taken:
                     refuse("SIM061", f"two bodies are named {model.name!r}", "name")
-            with refusals.collect(), _entry(place, origin):
+            with refusals.collect(), _entry(where, origin):
                 check_moved(model)
-            with refusals.collect(), _entry(place, origin):
+            with refusals.collect(), _entry(where, origin):
                 kind = kind_of(model, part)
-                points, turns = copies(model, part)
+                points, rotations = copies(model, part)
             taken.add(model.name)
             if refusals.faults:
                 continue
-            notices = [_at(notice, place, origin) for notice in kind.notices]
+            notices = [_at(notice, where, origin) for notice in kind.notices]
             kinds.append(replace(kind, notices=notices))
-            own: Poses = part["poses"]
-            for k, (point, turn) in enumerate(zip(points, turns, strict=True)):
+            carrier: Poses = part["poses"]
+            for k, (point, rotation) in enumerate(zip(points, rotations, strict=True)):
                 several = len(points) > 1 or model.grid is not None
                 names.append(f"{model.name}[{k}]" if several else model.name)
                 of.append(number)
                 moved.append(not model.kinematic or model.release is not None)
-                poses.append(placed_on(own, point, turn))
+                poses.append(placed_on(carrier, point, rotation))
         refusals.check()
         if len(names) > MAX_BODIES:
             message = f"there are {len(names)} bodies; the limit is {MAX_BODIES}"
             refuse("SIM061", message, "bodies")
-        return Bodies(
+        return RigidBodies(
             kinds, names, np.array(of), np.array(moved, np.bool_), poses, begin
         )
 
     @cached_property
     def releases(self) -> FloatArray:
-        """When each is let go that is kinematic before ``(B,)`` [s]."""
+        """Release times of bodies that start kinematic ``(B,)`` [s]."""
         times = [kind.model.release for kind in self.kinds]
-        own = [-np.inf if time is None else time for time in times]
-        return np.array(own, np.float64)[self.of]
+        per_model = [-np.inf if time is None else time for time in times]
+        return np.array(per_model, np.float64)[self.of]
 
     @cached_property
-    def still(self) -> frozenset[int]:
-        """Those that go as they are told, which is nowhere."""
-        told = np.flatnonzero(~self.moved).tolist()
-        return frozenset(i for i in told if len(self.poses[i].moments) == 1)
+    def static(self) -> frozenset[int]:
+        """Kinematic bodies that never move."""
+        kinematic = np.flatnonzero(~self.moved).tolist()
+        return frozenset(i for i in kinematic if len(self.poses[i].sample_times) == 1)
 
     @cached_property
     def masses(self) -> FloatArray:
-        """Masses of those that are moved ``(N,)`` [kg]."""
+        """Masses of dynamic bodies ``(N,)`` [kg]."""
         return np.array([kind.mass for kind in self.kinds])[self.of[self.dynamic]]
 
     @cached_property
@@ -138,75 +138,77 @@ class Bodies:
 
     @cached_property
     def centres(self) -> FloatArray:
-        """Their centres of mass, in their frames ``(N, 3)`` [m]."""
+        """Their centres of mass, in body frames ``(N, 3)`` [m]."""
         return np.array([kind.centre for kind in self.kinds])[self.of[self.dynamic]]
 
     @cached_property
     def reaches(self) -> FloatArray:
-        """How far they reach ``(N,)`` [m]."""
+        """Their bounding radii about the centre of mass ``(N,)`` [m]."""
         return np.array([kind.reach for kind in self.kinds])[self.of[self.dynamic]]
 
     @cached_property
     def start(self) -> FloatArray:
-        """Where they begin, as the kernel has states ``(N, 14)``."""
+        """Their initial states, in the kernel's layout ``(N, 14)``."""
         rows = np.array([self.poses[i].at(self.begin) for i in self.dynamic])
         rows = rows.reshape(-1, 7)
         models = [self.kinds[k].model for k in self.of[self.dynamic]]
         velocities = np.array([m.velocity for m in models], np.float64).reshape(-1, 3)
         spins = np.radians([m.spin for m in models]).reshape(-1, 3)
         at = rows[:, :3] + so3.rotate(rows[:, 3:], self.centres)
-        turns = so3.multiply(rows[:, 3:], self.axes)
-        own = so3.rotate(so3.conjugate(turns), spins)
-        momenta = so3.rotate(turns, own * self.moments)
+        rotations = so3.multiply(rows[:, 3:], self.axes)
+        spins_local = so3.rotate(so3.conjugate(rotations), spins)
+        momenta = so3.rotate(rotations, spins_local * self.moments)
         idle = np.zeros((len(rows), 1))
-        return np.concatenate([at, turns, velocities, momenta, idle], axis=1)
+        return np.concatenate([at, rotations, velocities, momenta, idle], axis=1)
 
-    def told(self, number: int, t: float, dt: float) -> FloatArray:
-        """Return the state ``(14,)`` of one of those that are moved as its poses say.
+    def kinematic_state(self, number: int, t: float, dt: float) -> FloatArray:
+        """Return the state ``(14,)`` of a dynamic body from its poses.
 
         Its velocities are those of the time [s] before.
         """
         i = int(self.dynamic[number])
         before, row = self.poses[i].at(t - dt), self.poses[i].at(t)
-        places = [
+        centres = [
             p[:3] + so3.rotate(p[3:], self.centres[number]) for p in (before, row)
         ]
         spin = so3.log(so3.multiply(row[3:], so3.conjugate(before[3:]))) / dt
-        turn = so3.multiply(row[3:], self.axes[number])
-        own = so3.rotate(so3.conjugate(turn), spin) * self.moments[number]
-        velocity = (places[1] - places[0]) / dt
-        momentum = so3.rotate(turn, own)
-        return np.concatenate([places[1], turn, velocity, momentum, [0.0]])
+        rotation = so3.multiply(row[3:], self.axes[number])
+        momentum_local = (
+            so3.rotate(so3.conjugate(rotation), spin) * self.moments[number]
+        )
+        velocity = (centres[1] - centres[0]) / dt
+        momentum = so3.rotate(rotation, momentum_local)
+        return np.concatenate([centres[1], rotation, velocity, momentum, [0.0]])
 
     def spins(self, state: FloatArray) -> FloatArray:
-        """Return angular velocities of the world ``(N, 3)`` [rad/s]."""
-        own = so3.rotate(so3.conjugate(state[:, 3:7]), state[:, 10:13])
+        """Return angular velocities in the world ``(N, 3)`` [rad/s]."""
+        local = so3.rotate(so3.conjugate(state[:, 3:7]), state[:, 10:13])
         moments = self.moments
-        own = np.divide(own, moments, out=np.zeros_like(own), where=moments > 0)
-        return so3.rotate(state[:, 3:7], own)
+        local = np.divide(local, moments, out=np.zeros_like(local), where=moments > 0)
+        return so3.rotate(state[:, 3:7], local)
 
     def placed(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return origins ``(N, 3)`` [m] and quaternions ``(N, 4)`` of their frames."""
-        turns = so3.multiply(state[:, 3:7], so3.conjugate(self.axes))
-        return state[:, :3] - so3.rotate(turns, self.centres), turns
+        """Return origins ``(N, 3)`` [m] and quaternions ``(N, 4)`` of body frames."""
+        rotations = so3.multiply(state[:, 3:7], so3.conjugate(self.axes))
+        return state[:, :3] - so3.rotate(rotations, self.centres), rotations
 
     def colliders(self) -> list[Collider]:
-        """Return those that go as they are told, as others run into them."""
+        """Return kinematic bodies as colliders."""
         return [
             Collider(
                 shape,
-                placed_on(self.poses[i], at, turn),
+                placed_on(self.poses[i], at, rotation),
                 name=self.names[i],
                 restitution=kind.model.restitution,
                 friction=kind.model.friction,
             )
             for i in np.flatnonzero(~self.moved).tolist()
             for kind in [self.kinds[self.of[i]]]
-            for shape, at, turn in kind.shapes
+            for shape, at, rotation in kind.shapes
         ]
 
-    def apart(self, pairs: IntArray, first: int) -> IntArray:
-        """Return pairs that do not collide as the kernel has them ``(Q, 2)``.
+    def excluded_pairs(self, pairs: IntArray, first: int) -> IntArray:
+        """Return pairs that do not collide, as kernel numbers ``(Q, 2)``.
 
         Args:
             pairs: Of all bodies ``(P, 2)``.
@@ -215,54 +217,56 @@ class Bodies:
         shapes_of = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
         counts = np.where(self.moved, 0, shapes_of[self.of])
         behind = len(self.dynamic) + first + np.cumsum(counts) - counts
-        place = np.cumsum(self.moved) - 1
+        numbers = np.cumsum(self.moved) - 1
         rows: list[tuple[int, int]] = []
         for one, other in pairs.tolist():
             a, b = (one, other) if self.moved[one] else (other, one)
             if self.moved[b]:
-                rows.append((int(place[a]), int(place[b])))
+                rows.append((int(numbers[a]), int(numbers[b])))
             elif self.moved[a]:
                 shapes = range(int(behind[b]), int(behind[b] + counts[b]))
-                rows += [(int(place[a]), shape) for shape in shapes]
+                rows += [(int(numbers[a]), shape) for shape in shapes]
         return np.array(rows, np.int64).reshape(-1, 2)
 
     @cached_property
     def outlines(self) -> Outlines:
-        """All as others run into them; of meshes their hulls."""
+        """All bodies as colliders; hulls of meshes."""
         rows = [
-            (Collider(outline(shape), name=self.names[i]), i, at, turn)
+            (Collider(outline(shape), name=self.names[i]), i, at, rotation)
             for i, k in enumerate(self.of.tolist())
-            for shape, at, turn in self.kinds[k].shapes
+            for shape, at, rotation in self.kinds[k].shapes
         ]
-        colliders, of, at, turns = zip(*rows, strict=True)
-        return Outlines(colliders, np.array(of), np.array(at), np.array(turns))
+        colliders, of, at, rotations = zip(*rows, strict=True)
+        return Outlines(colliders, np.array(of), np.array(at), np.array(rotations))
 
     @cached_property
     def shapes(self) -> tuple[list[Core], IntArray]:
-        """Cores of those that are moved, and the body of each ``(S,)``."""
+        """Convex cores of dynamic bodies, and the body of each ``(S,)``."""
         cores: list[Core] = []
         owners: list[int] = []
-        own = [[k.core_at_centre(core) for core in k.cores] for k in self.kinds]
+        cores_by_kind = [
+            [k.core_at_centre(core) for core in k.cores] for k in self.kinds
+        ]
         for number, i in enumerate(self.dynamic.tolist()):
-            cores += own[self.of[i]]
-            owners += [number] * len(own[self.of[i]])
+            cores += cores_by_kind[self.of[i]]
+            owners += [number] * len(cores_by_kind[self.of[i]])
         return cores, np.array(owners, np.int64)
 
     def kernel(
         self,
         joints: IntArray,
         numbers: FloatArray,
-        apart: IntArray = NO_PAIRS,
+        excluded: IntArray = NO_PAIRS,
         inertias: FloatArray | float = 1.0,
     ) -> Any:
-        """Return them as the kernel takes them.
+        """Return the kernel's arrays.
 
         With joints ``(K, 3)`` and ``(K, 27)``, pairs of `apart` ``(Q, 2)``, and factors
         on their masses ``(N,)``.
         """
         masses = (self.masses * inertias)[:, None]
         weights = np.concatenate([masses, self.moments], axis=1)
-        arrays: list[Any] = [weights, *self._shape_arrays, joints, numbers, apart]
+        arrays: list[Any] = [weights, *self._shape_arrays, joints, numbers, excluded]
         return _kernels.RigidBodies(*arrays)
 
     @cached_property
@@ -290,35 +294,35 @@ class Bodies:
         return {name: i for i, name in enumerate(self.names)}
 
     def find(self, name: str, key: str) -> int:
-        """Return the number of a body of a name (SIM061)."""
+        """Return the number of a body by name (SIM061)."""
         if name not in self._numbers:
             refuse_unknown(name, list(self.names), key)
         return self._numbers[name]
 
 
 def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
-    """Refuse the name of a body that there is none of (SIM061)."""
+    """Refuse an unknown body name (SIM061)."""
     hint = nearest(name, names) or ""
     refuse("SIM061", f"unknown body {name!r}", key, hint)
 
 
 def outline(shape: Shape) -> Shape:
-    """Return a shape as others run into it: of a mesh, its hull."""
+    """Return a shape as a collider: the hull of a mesh."""
     if not isinstance(shape, Mesh):
         return shape
     points, counts, corners = shown(core_of(shape))
     return Mesh(points, triangulated(counts, corners), closed=True)
 
 
-def placed_on(poses: Poses, at: FloatArray, turn: FloatArray) -> Poses:
-    """Return the poses of what is somewhere in a frame that moves."""
-    if not at.any() and turn[3] == 1:
+def placed_on(poses: Poses, at: FloatArray, rotation: FloatArray) -> Poses:
+    """Return the poses of a fixed offset in a moving frame."""
+    if not at.any() and rotation[3] == 1:
         return poses
     rows = poses.rows
     return Poses(
-        poses.moments,
+        poses.sample_times,
         rows[:, :3] + so3.rotate(rows[:, 3:], at),
-        so3.multiply(rows[:, 3:], turn),
+        so3.multiply(rows[:, 3:], rotation),
     )
 
 
@@ -327,17 +331,17 @@ def _starts(counts: Sequence[int]) -> IntArray:
 
 
 @contextmanager
-def _entry(place: str, origin: str | None) -> Iterator[None]:
-    """Give refusals of an entry its place, in front of the key that they name."""
+def _entry(where: str, origin: str | None) -> Iterator[None]:
+    """Prefix faults raised inside with an entry's location."""
     try:
         yield
     except OptionError as error:
-        faults = [_at(fault, place, origin) for fault in error.faults]
+        faults = [_at(fault, where, origin) for fault in error.faults]
         raise OptionError(faults) from error
 
 
-def _at(fault: Fault, place: str, origin: str | None) -> Fault:
-    """Return a fault of an entry, or of the prim of a stage that the entry names."""
+def _at(fault: Fault, where: str, origin: str | None) -> Fault:
+    """Return a fault located at an entry, or at the prim the entry names."""
     if origin is not None:
-        return replace(fault, where=place, message=f"{origin}: " + fault.message)
-    return replace(fault, where=f"{place}.{fault.where}" if fault.where else place)
+        return replace(fault, where=where, message=f"{origin}: " + fault.message)
+    return replace(fault, where=f"{where}.{fault.where}" if fault.where else where)

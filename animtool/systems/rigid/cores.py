@@ -1,4 +1,4 @@
-"""What convex shapes are as points and faces, and what they weigh."""
+"""Convex cores of shapes, and their mass properties."""
 
 from __future__ import annotations
 
@@ -11,49 +11,51 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Box, Capsule, Mesh, Shape, Sphere
 
-# Faces of a hull are one where their normals differ by less [rad].
+# Hull faces with normals closer than this are merged [rad].
 FLAT = 1e-6
-# A mesh is its hull where its volume is that of the hull, but for this share.
+# A mesh whose volume equals its hull's within this fraction is convex.
 CONVEX = 1e-3
 
-# Faces of a box: +x, -x and so on; corner i is high along x where i is odd, and so on.
+# Box faces: +x, -x and so on; corner i is on +x if its bit 0 is set, and so on.
 _BOX_FACES = (
     (1, 3, 7, 5), (0, 4, 6, 2), (2, 6, 7, 3), (0, 1, 5, 4), (4, 5, 7, 6), (0, 2, 3, 1),
 )  # fmt: skip
-# Faces about a ball or the ends of a capsule, as it is shown.
+# Facets around a sphere or capsule end, as drawn.
 ROUND = 16
 
 
 @dataclass(frozen=True, slots=True)
 class Core:
-    """A convex shape: points, faces between them, and a radius about them."""
+    """A convex core: points, faces, and a rounding radius."""
 
     points: FloatArray  # (P, 3) [m]
     faces: Sequence[IntArray]  # corners, counter-clockwise from outside
     radius: float = 0.0  # [m]
 
     def placed(self, at: FloatArray, rotation: FloatArray) -> Core:
-        """Return it in another frame: origin ``(3,)`` [m], quaternion ``(4,)``."""
+        """Return it moved by a translation ``(3,)`` [m] and a quaternion ``(4,)``."""
         return Core(at + so3.rotate(rotation, self.points), self.faces, self.radius)
 
 
 @dataclass(frozen=True, slots=True)
-class Solid:
-    """Volume, centre and moments of a body of density 1."""
+class SolidProperties:
+    """Volume, centre and inertia of a solid of density 1."""
 
     volume: float  # [m³]
     centre: FloatArray  # (3,) [m]
     inertia: FloatArray  # about the centre (3, 3) [m⁵]
 
-    def placed(self, at: FloatArray, rotation: FloatArray) -> Solid:
-        """Return it in another frame."""
-        turn = so3.to_matrix(rotation)
+    def placed(self, at: FloatArray, rotation: FloatArray) -> SolidProperties:
+        """Return them moved to another frame."""
+        matrix = so3.to_matrix(rotation)
         centre = at + so3.rotate(rotation, self.centre)
-        return Solid(self.volume, centre, turn @ self.inertia @ turn.T)
+        return SolidProperties(self.volume, centre, matrix @ self.inertia @ matrix.T)
 
 
-def together(solids: Sequence[Solid], densities: Sequence[float]) -> Solid:
-    """Return several as one; its volume is their mass [kg], its moments [kg m²]."""
+def together(
+    solids: Sequence[SolidProperties], densities: Sequence[float]
+) -> SolidProperties:
+    """Return several joined; volumes count as masses [kg], inertia in [kg m²]."""
     masses = np.array([s.volume * d for s, d in zip(solids, densities, strict=True)])
     centres = np.array([s.centre for s in solids])
     centre = masses @ centres / masses.sum()
@@ -62,11 +64,11 @@ def together(solids: Sequence[Solid], densities: Sequence[float]) -> Solid:
         off = solid.centre - centre
         inertia += density * solid.inertia
         inertia += mass * (off @ off * np.eye(3) - np.outer(off, off))
-    return Solid(float(masses.sum()), centre, inertia)
+    return SolidProperties(float(masses.sum()), centre, inertia)
 
 
 def core_of(shape: Shape) -> Core:
-    """Return the core of a shape; of a mesh that of its hull.
+    """Return the core of a shape; the hull of a mesh.
 
     Raises:
         ValueError: It has no volume.
@@ -93,14 +95,14 @@ def _hull(points: FloatArray) -> Core:
         hull = ConvexHull(points)
     except QhullError:
         raise ValueError("its points are coplanar: it has no volume") from None
-    # Triangles in one plane are one face.
+    # Coplanar triangles are merged to one face.
     normals, planes = hull.equations[:, :3], []
     rest = list(range(len(normals)))
     while rest:
         first = rest[0]
-        alike = np.linalg.norm(normals[rest] - normals[first], axis=1) < FLAT
-        planes.append((normals[first], np.array(rest)[alike]))
-        rest = np.array(rest)[~alike].tolist()
+        coplanar = np.linalg.norm(normals[rest] - normals[first], axis=1) < FLAT
+        planes.append((normals[first], np.array(rest)[coplanar]))
+        rest = np.array(rest)[~coplanar].tolist()
     corners = np.unique(hull.simplices)
     number = np.full(len(points), -1)
     number[corners] = np.arange(len(corners))
@@ -114,18 +116,20 @@ def _hull(points: FloatArray) -> Core:
     return Core(points[corners], faces)
 
 
-def solid_of(shape: Shape, core: Core) -> Solid:
-    """Return what a shape is like with density 1; a mesh is filled, as its hull."""
+def solid_of(shape: Shape, core: Core) -> SolidProperties:
+    """Return the mass properties of a shape of density 1; of a mesh's hull."""
     match shape:
         case Sphere(radius=r):
             volume = 4 / 3 * np.pi * r**3
-            return Solid(volume, core.points[0], 0.4 * volume * r * r * np.eye(3))
+            return SolidProperties(
+                volume, core.points[0], 0.4 * volume * r * r * np.eye(3)
+            )
         case Capsule():
             return _capsule(shape)
         case Box():
             volume = float(np.prod(shape.size))
             squares = np.square(np.asarray(shape.size, np.float64))
-            return Solid(
+            return SolidProperties(
                 volume, np.zeros(3), np.diag(squares.sum() - squares) * volume / 12
             )
     triangles = [
@@ -136,20 +140,20 @@ def solid_of(shape: Shape, core: Core) -> Solid:
     return filled(np.array(triangles))
 
 
-def _capsule(shape: Capsule) -> Solid:
+def _capsule(shape: Capsule) -> SolidProperties:
     r, length = shape.radius, shape.length
     middle, ends = np.pi * r * r * length, 4 / 3 * np.pi * r**3
-    # Two half-balls, whose centres are 3/8 of the radius off the ends of the segment.
+    # Two hemispheres, with centres 3/8 of the radius beyond the ends of the segment.
     along = 0.5 * middle * r * r + 0.4 * ends * r * r
     across = middle * (r * r / 4 + length**2 / 12)
     across += ends * (0.4 * r * r + length**2 / 4 + 3 / 8 * length * r)
     axis = np.asarray(shape.axis, np.float64) / np.linalg.norm(shape.axis)
     inertia = across * np.eye(3) + (along - across) * np.outer(axis, axis)
-    return Solid(middle + ends, np.asarray(shape.centre, np.float64), inertia)
+    return SolidProperties(middle + ends, np.asarray(shape.centre, np.float64), inertia)
 
 
-def filled(triangles: FloatArray) -> Solid:
-    """Return what is inside of closed triangles ``(T, 3, 3)``, by its tetrahedra.
+def filled(triangles: FloatArray) -> SolidProperties:
+    """Return the mass properties enclosed by triangles ``(T, 3, 3)``, by tetrahedra.
 
     Eberly (2002), "Polyhedral mass properties (revisited)", in the sums of Blow and
     Binstock (2004).
@@ -162,11 +166,11 @@ def filled(triangles: FloatArray) -> Solid:
     centre = volumes @ corners / 4 / volume
     products = sum(np.einsum("t,ti,tj->ij", volumes, p, p) for p in (a, b, c, corners))
     second = np.asarray(products) / 20 - volume * np.outer(centre, centre)
-    return Solid(volume, base + centre, np.trace(second) * np.eye(3) - second)
+    return SolidProperties(volume, base + centre, np.trace(second) * np.eye(3) - second)
 
 
-def convex(mesh: Mesh, hull: Solid) -> bool:
-    """Return whether a closed mesh is its own hull, by its volume."""
+def convex(mesh: Mesh, hull: SolidProperties) -> bool:
+    """Return whether a closed mesh equals its hull, by volume."""
     points, triangles = mesh.welded()
     inside = abs(filled(points[triangles]).volume)
     return abs(inside - hull.volume) <= CONVEX * hull.volume
@@ -198,7 +202,7 @@ def shown(core: Core) -> tuple[FloatArray, IntArray, IntArray]:
             axis=1,
         )
         rings.append((first if i < half else last) + core.radius * ring @ frame)
-    # A ball has one ring about its middle.
+    # A sphere has one ring at its equator.
     rings = rings if length else rings[:half] + rings[half + 1 :]
     poles = np.stack([first - core.radius * up, last + core.radius * up])
     points = np.concatenate([*rings, poles])

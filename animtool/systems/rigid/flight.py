@@ -1,4 +1,4 @@
-"""How bodies go under forces that depend on where they are and how fast.
+"""Free flight of bodies under forces of position and velocity.
 
 In a step each body goes for itself, so its equation of motion is solved alone, exactly
 where the force is linear: drag, wind and springs of any stiffness are as they are with
@@ -22,21 +22,22 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths.phi import phi_functions
 
-# What a force that is not linear may be off by in a part, of the motion in it.
+# Error tolerance of a substep under a nonlinear force, over the motion in it.
 TOLERANCE = 2e-5
-# No part is shorter than this share of a step, and parts grow so that there are at most
-# so many: where a force jumps it is met so well.
+# Shortest substep over the step, and largest growth of substeps: this resolves
+# discontinuous forces.
 FLOOR, MAX_PARTS = 1 / 2048, 128
-# A part that is off by as much of the motion goes by the slopes alone, and is too long.
+# A substep with a larger error, over the motion, follows the Jacobian alone and is too
+# long.
 COARSE = 0.5
-AT_REST = 1e-9  # motion that is none [m]
-LARGEST = 1e300  # error of what is not finite
-# The change of the next part by the error of the last: at least, at most, and caution.
+AT_REST = 1e-9  # least motion [m]
+LARGEST = 1e300  # error of non-finite motion
+# Bounds and safety factor of the next substep's change.
 SHRINK, GROW, CAUTION = 0.1, 4.0, 0.8
 
-# Accelerations at a time, of positions and velocities ``(N, 3)``.
+# Accelerations at a time, positions and velocities ``(N, 3)``.
 Rate: TypeAlias = Callable[[float, FloatArray, FloatArray], FloatArray]
-# How they grow with positions [1/s²] and with velocities [1/s], both ``(N, 3, 3)``.
+# Their Jacobians by positions [1/s²] and by velocities [1/s], both ``(N, 3, 3)``.
 Slopes: TypeAlias = Callable[
     [float, FloatArray, FloatArray], tuple[FloatArray, FloatArray]
 ]
@@ -44,7 +45,7 @@ Slopes: TypeAlias = Callable[
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Where bodies come that nothing touches.
+    """Positions and velocities after a step without contact.
 
     Attributes:
         points: ``(N, 3)`` [m].
@@ -63,7 +64,7 @@ class Flight:
 def fly(
     rate: Rate, slopes: Slopes, t: float, dt: float, x: FloatArray, v: FloatArray
 ) -> Flight:
-    """Return where bodies at positions and velocities ``(N, 3)`` come in a step [s]."""
+    """Return positions and velocities ``(N, 3)`` after a free step [s]."""
     end, now, step = t + dt, t, dt
     begin, begin_slopes = rate(t, x, v), slopes(t, x, v)
     points, velocities, pull, grown = x, v, begin, begin_slopes
@@ -97,18 +98,18 @@ def _part(
     pull: FloatArray,
     grown: tuple[FloatArray, FloatArray],
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """Return positions and velocities after a part, and errors by the motion ``(N,)``.
+    """Return positions and velocities after a substep, and their error ``(N,)``.
 
     Both are one vector for each, of positions and of velocities times the part.
     """
-    by_place, by_speed = h * h * grown[0], h * grown[1]
+    by_position, by_speed = h * h * grown[0], h * grown[1]
     matrices = np.zeros((len(x), 6, 6))
     matrices[:, :3, 3:] = np.eye(3)
-    matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_place, by_speed
+    matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_position, by_speed
     one, two = phi_functions(matrices)
     first = _times(one, np.concatenate([h * v, h * h * pull], axis=1))
     change = h * h * (rate(t + h, x + first[:, :3], v + first[:, 3:] / h) - pull)
-    change -= _times(by_place, first[:, :3]) + _times(by_speed, first[:, 3:])
+    change -= _times(by_position, first[:, :3]) + _times(by_speed, first[:, 3:])
     second = _times(two[:, :, 3:], change)
     moved = first + second
     size = np.linalg.norm(moved[:, :3], axis=1) + np.linalg.norm(h * v, axis=1)
@@ -127,12 +128,12 @@ def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
 def _inertias(
     begin: FloatArray, grown: FloatArray, change: FloatArray, dt: float, v: FloatArray
 ) -> FloatArray:
-    """Return how much less velocities change than by the force at the beginning."""
-    # Of drag that is linear both are the same.
+    """Return factors on mass so that an impulse changes velocity as the flow does."""
+    # Equal for linear drag.
     z = np.maximum(-np.trace(grown, axis1=1, axis2=2) / 3 * dt, 0.0)
-    found = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)
+    ratios = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)
     squared, along = (begin * begin).sum(axis=1), (begin * change).sum(axis=1)
     some = np.sqrt(squared) * dt > 1e-6 * np.linalg.norm(v, axis=1)
     some &= along > 0
-    np.divide(squared * dt, along, out=found, where=some)
-    return np.asarray(np.maximum(found, 1.0))
+    np.divide(squared * dt, along, out=ratios, where=some)
+    return np.asarray(np.maximum(ratios, 1.0))

@@ -1,4 +1,4 @@
-"""Joints of a spec, as the kernel takes them."""
+"""Joints of a spec, in the kernel's layout."""
 
 from __future__ import annotations
 
@@ -13,57 +13,57 @@ from animtool.core.errors import Fault, Refusals, refuse, warning
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
-from animtool.systems.rigid.bodies import NO_PAIRS, Bodies, refuse_unknown
+from animtool.systems.rigid.bodies import NO_PAIRS, RigidBodies, refuse_unknown
 from animtool.systems.rigid.spec import BodyModel, JointDriveModel, RigidJointModel
 
-# What the kernel has of a joint.
+# Width of the kernel's joint table.
 NUMBERS = 27
-# Of a motor that is as hard as its most force or torque lets it [N s/m, N m s/rad].
+# Damping of a motor that is limited by its force or torque alone [N s/m, N m s/rad].
 HARD = 1e15
 KINDS = {"fixed": 0, "pin": 1, "ball": 2, "prismatic": 3}
-# What only some types have.
-_OWN = {
+# Options that only some types support.
+_OPTION_TYPES = {
     "limits": ("pin", "prismatic"),
     "swing": ("ball",),
     "twist": ("ball",),
     "drive": ("pin", "ball", "prismatic"),
 }
-# A joint farther from its body than so many times what this reaches is a warning.
+# Joints farther from their body than this many of its radii are a warning.
 FAR = 4.0
-# Half-angles of a swing are at most so much below 180 degrees, where it has no axis.
+# Largest half-angle of a swing, below 180 degrees, where its axis is undefined.
 SWING = np.radians(179.0)
 
 
 @dataclass(frozen=True)
 class Joints:
-    """K joints of bodies that are moved."""
+    """K joints of dynamic bodies."""
 
     rows: IntArray  # type and both bodies (K, 3)
     numbers: FloatArray  # (K, 27)
-    anchors: Sequence[Poses]  # frames of the animation, of those that have one
+    anchors: Sequence[Poses]  # animated frames, for joints that have one
     names: Sequence[str] = ()
-    above: Sequence[int] = ()  # of all bodies, the one that each hangs on; -1 is none
+    above: Sequence[int] = ()  # parent body of each body, of all; -1 for none
     notices: Sequence[Fault] = ()
-    # Of each the bodies that it keeps from colliding, as all are numbered; -1 is none
-    # (K, 2).
+    # Pair of bodies that each joint excludes from collision, numbered as all; -1 for
+    # none (K, 2).
     pairs: IntArray = field(default_factory=lambda: NO_PAIRS)
-    # Other bodies that do not collide (P, 2).
+    # Other excluded pairs (P, 2).
     others: IntArray = field(default_factory=lambda: NO_PAIRS)
-    # Most force [N] and torque [N m] that each holds (K, 2); none is any.
+    # Break force [N] and torque [N m] (K, 2); empty if none breaks.
     breaks: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-    # Returns numbers at a time [s], where drives change; None is that they do not.
+    # Returns numbers at a time [s] if drives change; else None.
     driven: Callable[[float], FloatArray] | None = None
 
     def some(self, which: IntArray) -> Joints:
-        """Return some of them, by number."""
-        own = which.tolist()
+        """Return a subset, by number."""
+        numbers = which.tolist()
         return replace(
             self,
             rows=self.rows[which],
             numbers=self.numbers[which],
-            anchors=[self.anchors[k] for k in own],
-            names=[self.names[k] for k in own] if self.names else (),
-            above=[self.above[k] for k in own] if self.above else (),
+            anchors=[self.anchors[k] for k in numbers],
+            names=[self.names[k] for k in numbers] if self.names else (),
+            above=[self.above[k] for k in numbers] if self.above else (),
             pairs=self.pairs[which],
             breaks=self.breaks[which],
         )
@@ -74,18 +74,18 @@ class Joints:
         return bool(np.isfinite(self.breaks).any())
 
     @property
-    def apart(self) -> IntArray:
+    def excluded_pairs(self) -> IntArray:
         """All pairs of bodies that do not collide ``(P, 2)``."""
         return np.concatenate([self.pairs[self.pairs[:, 0] >= 0], self.others])
 
     def frames(self, t0: float, t1: float) -> FloatArray:
-        """Return the frames of the animation at both ends of a step ``(K, 2, 7)``."""
+        """Return anchor frames at both ends of a step ``(K, 2, 7)``."""
         ends = [[poses.at(t0), poses.at(t1)] for poses in self.anchors]
         return np.array(ends, np.float64).reshape(-1, 2, 7)
 
 
 def together(several: Sequence[Joints]) -> Joints:
-    """Return joints of one spec as one."""
+    """Return several sets of joints of a spec joined."""
     return Joints(
         np.concatenate([one.rows for one in several]),
         np.concatenate([one.numbers for one in several]),
@@ -102,7 +102,7 @@ def together(several: Sequence[Joints]) -> Joints:
 def check_joints(
     models: Sequence[RigidJointModel], bodies: Sequence[BodyModel]
 ) -> None:
-    """Refuse what of joints makes no sense wherever the bodies are (SIM061)."""
+    """Refuse joints that are invalid for any poses (SIM061)."""
     named = {body.name: body for body in bodies}
     refusals = Refusals()
     for i, model in enumerate(models):
@@ -118,7 +118,7 @@ def check_joints(
                 _model_of(model.to, named, f"{at}.to")
             if model.to == model.body:
                 refuse("SIM061", f"{name!r} joins {model.body!r} to itself", f"{at}.to")
-        for option, types in _OWN.items():
+        for option, types in _OPTION_TYPES.items():
             with refusals.collect():
                 if getattr(model, option) is not None and model.type not in types:
                     message = f"{name!r} is a {model.type} joint: {option} is for "
@@ -137,7 +137,7 @@ def check_joints(
 
 
 def _model_of(name: str, bodies: Mapping[str, BodyModel], key: str) -> BodyModel:
-    """Return the body of a name, or the one whose copy has it, as ``crate[2]``."""
+    """Return a body by name, or the model of a copy, as ``crate[2]``."""
     if name not in bodies and name.rpartition("[")[0] not in bodies:
         refuse_unknown(name, list(bodies), key)
     return bodies.get(name) or bodies[name.rpartition("[")[0]]
@@ -146,15 +146,15 @@ def _model_of(name: str, bodies: Mapping[str, BodyModel], key: str) -> BodyModel
 def joints_of(
     models: Sequence[RigidJointModel],
     parts: Sequence[Mapping[str, Any]],
-    bodies: Bodies,
+    bodies: RigidBodies,
 ) -> Joints:
-    """Return the joints of a spec that `check_joints` refuses nothing of.
+    """Return the joints of a spec, once `check_joints` has passed.
 
     What makes no sense where the bodies are is refused (SIM061).
     """
     rows, numbers, anchors, above, pairs, breaks = [], [], [], [], [], []
     notices: list[Fault] = []
-    place = {int(i): k for k, i in enumerate(bodies.dynamic)}
+    numbers_of = {int(i): k for k, i in enumerate(bodies.dynamic)}
     for i, (model, part) in enumerate(zip(models, parts, strict=True)):
         at = f"joints[{i}]"
         name = model.name or at
@@ -162,29 +162,29 @@ def joints_of(
         poses: Poses = part["poses"]
         frame = poses.at(bodies.begin)
         frame[3:] = so3.multiply(frame[3:], _axis(model, name, at))
-        on_b = seen_by(bodies, second, frame)
+        on_b = in_principal_axes(bodies, second, frame)
         first, anchor, other = -1, Poses(), -1
         if model.to is None:
             anchor = poses
             on_a = np.concatenate([np.zeros(3), _axis(model, name, at)])
         else:
             other = bodies.find(model.to, f"{at}.to")
-            if len(poses.moments) > 1:
+            if len(poses.sample_times) > 1:
                 message = (
                     f"{name!r} follows {model.to!r}, so it cannot have moves or a prim"
                 )
                 refuse("SIM061", message, at)
-            if other in place:
-                first, on_a = place[other], seen_by(bodies, other, frame)
+            if other in numbers_of:
+                first, on_a = numbers_of[other], in_principal_axes(bodies, other, frame)
             else:
                 anchor = bodies.poses[other]
                 on_a = within(anchor.at(bodies.begin), frame)
-        rows.append((KINDS[model.type], first, place[second]))
+        rows.append((KINDS[model.type], first, numbers_of[second]))
         numbers.append([*on_a, *on_b, *_limits(model, name, at), *_drive(model, at)])
         anchors.append(anchor)
         above.append(other)
-        apart = other >= 0 and not model.contacts
-        pairs.append((second, other) if apart else (-1, -1))
+        excluded = other >= 0 and not model.contacts
+        pairs.append((second, other) if excluded else (-1, -1))
         breaks.append(_breaks(model))
         for body in (second, other) if other >= 0 else (second,):
             notices += _far(bodies, body, frame, name, at)
@@ -200,96 +200,98 @@ def joints_of(
     )
 
 
-def joints_in(joints: Joints, whole: Bodies, bodies: Bodies) -> tuple[Joints, IntArray]:
-    """Return the joints of bodies of which some go as they are told, and which.
+def joints_in(
+    joints: Joints, full: RigidBodies, bodies: RigidBodies
+) -> tuple[Joints, IntArray]:
+    """Return joints for a subset of dynamic bodies, and their numbers.
 
     Those between two such bodies do nothing, and are left out.
 
     Args:
         joints: Of all bodies when all of them are moved.
-        whole: The bodies then.
-        bodies: As they are.
+        full: All dynamic bodies of the joints.
+        bodies: The subset.
     """
-    if bodies is whole:
+    if bodies is full:
         return joints, np.arange(len(joints.rows))
-    place = {int(i): k for k, i in enumerate(bodies.dynamic)}
+    numbers_of = {int(i): k for k, i in enumerate(bodies.dynamic)}
     rows, numbers, anchors, which = [], [], [], []
-    for k, (row, own) in enumerate(zip(joints.rows, joints.numbers, strict=True)):
+    for k, (row, entry) in enumerate(zip(joints.rows, joints.numbers, strict=True)):
         kind, first, second = row.tolist()
-        on_a, on_b, rest = own[:7], own[7:14], own[14:]
-        a = -1 if first < 0 else int(whole.dynamic[first])
-        b, anchor = int(whole.dynamic[second]), joints.anchors[k]
-        if a >= 0 and a not in place:
-            on_a, anchor = in_body(whole, first, on_a), bodies.poses[a]
-        if b not in place:
-            if a not in place:
+        on_a, on_b, rest = entry[:7], entry[7:14], entry[14:]
+        a = -1 if first < 0 else int(full.dynamic[first])
+        b, anchor = int(full.dynamic[second]), joints.anchors[k]
+        if a >= 0 and a not in numbers_of:
+            on_a, anchor = in_body(full, first, on_a), bodies.poses[a]
+        if b not in numbers_of:
+            if a not in numbers_of:
                 continue
-            # What hangs on the other is the first, and is turned the other way.
+            # Swapped: the joint's second body becomes the first.
             anchor, a, b = bodies.poses[b], b, a
-            on_a, on_b = in_body(whole, second, on_b), on_a
+            on_a, on_b = in_body(full, second, on_b), on_a
             rest = turned_round(rest)
-        rows.append((kind, place.get(a, -1), place[b]))
+        rows.append((kind, numbers_of.get(a, -1), numbers_of[b]))
         numbers.append(np.concatenate([on_a, on_b, rest]))
         anchors.append(anchor)
         which.append(k)
     some = joints.some(np.array(which, np.int64))
-    made = replace(
+    joined = replace(
         some,
         rows=np.array(rows, np.int64).reshape(-1, 3),
         numbers=np.array(numbers, np.float64).reshape(-1, NUMBERS),
         anchors=anchors,
     )
-    return made, np.array(which, np.int64)
+    return joined, np.array(which, np.int64)
 
 
 def turned_round(rest: FloatArray) -> FloatArray:
-    """Return numbers of a joint behind its frames as its second body sees them."""
-    made: FloatArray = rest.copy()
+    """Return a joint's numbers with its two bodies swapped."""
+    flipped: FloatArray = rest.copy()
     if rest[0] <= rest[1]:
-        made[:2] = -rest[1], -rest[0]
-    made[4], made[12] = -rest[4], -rest[12]
-    made[5:9] = so3.conjugate(rest[5:9])
-    return made
+        flipped[:2] = -rest[1], -rest[0]
+    flipped[4], flipped[12] = -rest[4], -rest[12]
+    flipped[5:9] = so3.conjugate(rest[5:9])
+    return flipped
 
 
 def placed(pose: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return a frame in another one, as what has that sees it ``(7,)``."""
+    """Return a frame expressed in the parent of another ``(7,)``."""
     at = pose[:3] + so3.rotate(pose[3:], frame[:3])
     return np.concatenate([at, so3.multiply(pose[3:], frame[3:])])
 
 
-def in_body(bodies: Bodies, number: int, frame: FloatArray) -> FloatArray:
-    """Return a frame of principal axes as one of the body ``(7,)``."""
+def in_body(bodies: RigidBodies, number: int, frame: FloatArray) -> FloatArray:
+    """Return a frame of principal axes in body coordinates ``(7,)``."""
     kind = bodies.kinds[bodies.of[bodies.dynamic[number]]]
     return placed(np.concatenate([kind.centre, kind.axes]), frame)
 
 
-def joint_loads(joints: Joints, held: FloatArray) -> FloatArray:
-    """Return forces [N] and torques [N m] that joints hold ``(K, 2)``; drives apart.
+def joint_loads(joints: Joints, impulses: FloatArray) -> FloatArray:
+    """Return joint forces [N] and torques [N m] ``(K, 2)``, without drives.
 
     Args:
         joints: The joints.
-        held: Of each what its equations hold ``(K, 12)``.
+        impulses: Constraint impulses of each joint ``(K, 12)``.
     """
-    force, torque = held[:, :3].copy(), held[:, 3:6].copy()
+    force, torque = impulses[:, :3].copy(), impulses[:, 3:6].copy()
     slides = joints.rows[:, 0] == KINDS["prismatic"]
-    along = held[:, 6] - held[:, 7]
+    along = impulses[:, 6] - impulses[:, 7]
     force[slides, 0] += along[slides]
     torque[~slides, 0] += along[~slides]
-    bent = np.hypot(np.linalg.norm(torque, axis=1), held[:, 8])
+    bent = np.hypot(np.linalg.norm(torque, axis=1), impulses[:, 8])
     return np.stack([np.linalg.norm(force, axis=1), bent], axis=1)
 
 
 def _breaks(model: RigidJointModel) -> tuple[float, float]:
     if model.breaks is None:
         return np.inf, np.inf
-    own = model.breaks.force, model.breaks.torque
-    force, torque = (np.inf if one is None else one for one in own)
+    thresholds = model.breaks.force, model.breaks.torque
+    force, torque = (np.inf if one is None else one for one in thresholds)
     return force, torque
 
 
 def _axis(model: RigidJointModel, name: str, at: str) -> FloatArray:
-    """Return the shortest turn of x to the axis ``(4,)``."""
+    """Return the shortest rotation of x to the axis ``(4,)``."""
     axis = np.array(model.axis, np.float64)
     size = float(np.linalg.norm(axis))
     if not size:
@@ -299,14 +301,14 @@ def _axis(model: RigidJointModel, name: str, at: str) -> FloatArray:
 
 
 def within(pose: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return a frame as another one sees it ``(7,)``."""
+    """Return a frame relative to another ``(7,)``."""
     back = so3.conjugate(pose[3:])
     at = so3.rotate(back, frame[:3] - pose[:3])
     return np.concatenate([at, so3.multiply(back, frame[3:])])
 
 
-def seen_by(bodies: Bodies, i: int, frame: FloatArray) -> FloatArray:
-    """Return a frame of the world as the principal axes of a body see it ``(7,)``."""
+def in_principal_axes(bodies: RigidBodies, i: int, frame: FloatArray) -> FloatArray:
+    """Return a world frame relative to a body's principal axes ``(7,)``."""
     kind, pose = bodies.kinds[bodies.of[i]], bodies.poses[i].at(bodies.begin)
     at = pose[:3] + so3.rotate(pose[3:], kind.centre)
     return within(np.concatenate([at, so3.multiply(pose[3:], kind.axes)]), frame)
@@ -315,15 +317,15 @@ def seen_by(bodies: Bodies, i: int, frame: FloatArray) -> FloatArray:
 def _limits(model: RigidJointModel, name: str, at: str) -> list[float]:
     low, high, swing = 1.0, 0.0, [-1.0, -1.0]
     key = "twist" if model.type == "ball" else "limits"
-    given = getattr(model, key)
-    if given is not None:
+    limits = getattr(model, key)
+    if limits is not None:
         scale = 1.0 if model.type == "prismatic" else np.pi / 180
-        low, high = (value * scale for value in given)
+        low, high = (value * scale for value in limits)
         if low > high:
             message = (
-                f"the lower limit of {name!r}, {given[0]:g}, is above the upper limit"
+                f"the lower limit of {name!r}, {limits[0]:g}, is above the upper limit"
             )
-            refuse("SIM061", f"{message}, {given[1]:g}", f"{at}.{key}")
+            refuse("SIM061", f"{message}, {limits[1]:g}", f"{at}.{key}")
         if model.type == "pin" and high - low > 2 * np.pi * (1 + 1e-12):
             message = f"the limits of {name!r} are more than 360 degrees apart"
             hint = "remove them: full rotations are not counted"
@@ -346,21 +348,23 @@ def _drive(model: RigidJointModel, at: str) -> list[float]:
         wrong, right = ("target", "rotation") if ball else ("rotation", "target")
         message = f"the drive of a {model.type} has a {right}, not a {wrong}"
         refuse("SIM061", message, f"{at}.drive.{wrong}", f"{right}: ...")
-    turn = np.array(drive.rotation, np.float64)[[1, 2, 3, 0]]
-    if not turn.any():
+    rotation = np.array(drive.rotation, np.float64)[[1, 2, 3, 0]]
+    if not rotation.any():
         refuse("SIM061", "the rotation of a drive is a zero quaternion", f"{at}.drive")
     target = drive.target if model.type == "prismatic" else np.radians(drive.target)
-    # The drive sees the joint's own axes.
-    own = _axis(model, model.name, at)
-    turn = so3.multiply(so3.multiply(so3.conjugate(own), so3.normalize(turn)), own)
+    # Drives act in the joint's axes.
+    axis = _axis(model, model.name, at)
+    rotation = so3.multiply(
+        so3.multiply(so3.conjugate(axis), so3.normalize(rotation)), axis
+    )
     most = -1.0 if drive.most is None else drive.most
     hard = drive.speed is not None and "damping" not in drive.model_fields_set
     damping = HARD if hard else drive.damping
-    return [target, *turn, drive.stiffness, damping, most, speed]
+    return [target, *rotation, drive.stiffness, damping, most, speed]
 
 
 def _speed(model: RigidJointModel, drive: JointDriveModel, at: str) -> float:
-    """Return what a motor turns at [rad/s], or slides at [m/s]."""
+    """Return a motor's speed [rad/s] or [m/s]."""
     if drive.speed is None:
         return 0.0
     if model.type == "ball":
@@ -381,7 +385,9 @@ def _speed(model: RigidJointModel, drive: JointDriveModel, at: str) -> float:
     return drive.speed * (1.0 if model.type == "prismatic" else float(np.pi / 180))
 
 
-def _far(bodies: Bodies, i: int, frame: FloatArray, name: str, at: str) -> list[Fault]:
+def _far(
+    bodies: RigidBodies, i: int, frame: FloatArray, name: str, at: str
+) -> list[Fault]:
     kind, pose = bodies.kinds[bodies.of[i]], bodies.poses[i].at(bodies.begin)
     off = frame[:3] - pose[:3] - so3.rotate(pose[3:], kind.centre)
     distance = float(np.linalg.norm(off))

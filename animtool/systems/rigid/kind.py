@@ -1,4 +1,4 @@
-"""What copies of a body have in common: shapes, mass, inertia, and where they are."""
+"""Shared properties of a body's copies: shapes, mass, inertia."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Mesh, Shape
 from animtool.systems.rigid.cores import (
     Core,
-    Solid,
+    SolidProperties,
     convex,
     core_of,
     shown,
@@ -42,23 +42,23 @@ from animtool.systems.rigid.pieces import (
 )
 from animtool.systems.rigid.spec import BodyModel
 
-# What moments of inertia may break the triangle inequality by, of their sum: rounding.
+# Tolerance of the triangle inequality of moments, over their sum: rounding.
 ROUNDING = 1e-9
-# Less divides impulses into infinity.
+# Smaller masses overflow impulses.
 LIGHTEST = 1e-30  # [kg]
 LEAST_MOMENT = 1e-100  # [kg m²]
-# What is beside the diagonal and less than this share of the sum is rounding.
-ALIKE = 1e-12
-# Bodies of a system; more take gigabytes.
+# Off-diagonal elements below this fraction of the trace are rounding.
+DIAGONAL_TOLERANCE = 1e-12
+# Largest number of bodies of a system; more take gigabytes.
 MAX_BODIES = 1_000_000
 
 
 @dataclass(frozen=True)
-class Kind:
-    """What copies of one body have in common, in the frame of the body."""
+class BodyKind:
+    """Shared properties of copies of a body, in the body's frame."""
 
     model: BodyModel
-    shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]  # with origin and quaternion
+    shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]  # with origin, quaternion
     cores: Sequence[Core]
     mass: float  # [kg]
     centre: FloatArray  # of mass (3,) [m]
@@ -69,20 +69,20 @@ class Kind:
 
     @cached_property
     def reach(self) -> float:
-        """How far it reaches from its centre of mass [m]."""
+        """Its bounding radius about the centre of mass [m]."""
         return max(
             float(np.linalg.norm(core.points - self.centre, axis=1).max()) + core.radius
             for core in self.cores
         )
 
     def core_at_centre(self, core: Core) -> Core:
-        """Return a core in the frame of its principal axes."""
+        """Return a core in the frame of the principal axes."""
         back = so3.conjugate(self.axes)
         return core.placed(-so3.rotate(back, self.centre), back)
 
 
-def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
-    """Return what a model says, its own faults raised (SIM061)."""
+def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
+    """Return the body kind of a model; its faults are raised (SIM061)."""
     refusals = Refusals()
     with refusals.collect():
         refuse_all("SIM061", _weight_problems(model))
@@ -92,7 +92,7 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
     hulls = [bool(part.get("hull")) for part in parts.get("shapes", ())] or [False]
     cores, solids, notices, met = [], [], [], []
     drawn: list[tuple[Mesh | None, Core, FloatArray, FloatArray]] = []
-    for k, (shape, at, turn) in enumerate(shapes):
+    for k, (shape, at, rotation) in enumerate(shapes):
         key = "shape" if model.shape is not None else f"shapes[{k}]"
         if "height_field" in (model.shape or model.shapes[k].shape):
             message = f"a shape of {model.name!r}: a height field has no inside"
@@ -105,22 +105,22 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
         pieces: Sequence[tuple[Shape, Core]] = [(shape, core)]
         if isinstance(shape, Mesh) and not convex(shape, solid):
             moved = not model.kinematic or model.release is not None
-            found = [] if hulls[k] or not moved else _pieces(shape)
-            fault = _concave(model.name, shape, found)
+            split_pieces = [] if hulls[k] or not moved else _pieces(shape)
+            fault = _concave(model.name, shape, split_pieces)
             notices.append(replace(fault, where=key))
-            if found:
-                pieces, solid = found, solid_of_mesh(shape)
-        cores += [core.placed(at, turn) for _, core in pieces]
-        met += [(one, at, turn) for one, _ in pieces]
-        whole = len(pieces) > 1
-        mesh = shape if whole and isinstance(shape, Mesh) else None
-        drawn.append((mesh, core.placed(at, turn), at, turn))
-        solids.append(solid.placed(at, turn))
+            if split_pieces:
+                pieces, solid = split_pieces, solid_of_mesh(shape)
+        cores += [core.placed(at, rotation) for _, core in pieces]
+        met += [(one, at, rotation) for one, _ in pieces]
+        split = len(pieces) > 1
+        mesh = shape if split and isinstance(shape, Mesh) else None
+        drawn.append((mesh, core.placed(at, rotation), at, rotation))
+        solids.append(solid.placed(at, rotation))
     mass, centre, inertia = _weighed(model, solids)
     moments, axes = principal(inertia)
     shows = parts.get("shows")
     meshes = tuple(shows()) if shows is not None else (_mesh(drawn),)
-    return Kind(model, met, cores, mass, centre, moments, axes, meshes[:1], notices)
+    return BodyKind(model, met, cores, mass, centre, moments, axes, meshes[:1], notices)
 
 
 def _weight_problems(model: BodyModel) -> Iterator[Problem]:
@@ -145,10 +145,10 @@ def _shapes(
     shapes = [
         (
             part["shape"],
-            np.array(own.at, np.float64),
-            _turn(own.rotate, model.name, f"shapes[{k}].rotate"),
+            np.array(shape.at, np.float64),
+            _rotation(shape.rotate, model.name, f"shapes[{k}].rotate"),
         )
-        for k, (own, part) in enumerate(several)
+        for k, (shape, part) in enumerate(several)
     ]
     if model.shape is not None:
         if shapes:
@@ -169,16 +169,16 @@ def _shapes(
 
 
 def _pieces(mesh: Mesh) -> list[tuple[Shape, Core]]:
-    """Return convex pieces of a mesh, none where it is met as its hull."""
+    """Return convex pieces of a mesh; empty if its hull is used."""
     return list(pieces_of(mesh)) if installed() else []
 
 
-def _concave(name: str, mesh: Mesh, found: Sequence[tuple[Shape, Core]]) -> Fault:
-    """Return how a mesh is met that is not convex."""
-    if found:
-        more = beyond(mesh, [core for _, core in found])
+def _concave(name: str, mesh: Mesh, pieces: Sequence[tuple[Shape, Core]]) -> Fault:
+    """Return a notice of how a concave mesh collides."""
+    if pieces:
+        more = beyond(mesh, [core for _, core in pieces])
         message = (
-            f"a mesh of {name!r} collides as {counted(len(found), 'convex piece')}"
+            f"a mesh of {name!r} collides as {counted(len(pieces), 'convex piece')}"
         )
         message += f", {more:+.1%} of its volume"
         return Fault("SIM198", message, severity=Severity.NOTE)
@@ -190,28 +190,30 @@ def _concave(name: str, mesh: Mesh, found: Sequence[tuple[Shape, Core]]) -> Faul
 
 
 def _weighed(
-    model: BodyModel, solids: Sequence[Solid]
+    model: BodyModel, solids: Sequence[SolidProperties]
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return mass [kg], centre [m] and inertia about it ``(3, 3)`` [kg m²]."""
-    own = [each.density or model.density for each in model.shapes] or [model.density]
+    densities = [each.density or model.density for each in model.shapes] or [
+        model.density
+    ]
     weight = sum(
-        each.volume * density for each, density in zip(solids, own, strict=True)
+        each.volume * density for each, density in zip(solids, densities, strict=True)
     )
     if min(weight, weight if model.mass is None else model.mass) < LIGHTEST:
         message = f"{model.name!r} must weigh {LIGHTEST:g} kg or more"
         refuse("SIM061", message, hint="are its lengths in metres?")
-    whole = together(solids, own)
-    mass = whole.volume if model.mass is None else model.mass
-    inertia = whole.inertia * (mass / whole.volume)
-    centre = whole.centre
+    joined = together(solids, densities)
+    mass = joined.volume if model.mass is None else model.mass
+    inertia = joined.inertia * (mass / joined.volume)
+    centre = joined.centre
     if model.centre is not None:
         centre = np.array(model.centre, np.float64)
-        off = whole.centre - centre
+        off = joined.centre - centre
         inertia = inertia + mass * (off @ off * np.eye(3) - np.outer(off, off))
     if model.inertia is not None:
         moments = np.array(model.inertia, np.float64)
-        turn = so3.to_matrix(_turn(model.inertia_axes, model.name, "inertia_axes"))
-        inertia = turn @ np.diag(moments) @ turn.T
+        axes = so3.to_matrix(_rotation(model.inertia_axes, model.name, "inertia_axes"))
+        inertia = axes @ np.diag(moments) @ axes.T
     if np.trace(inertia) < LEAST_MOMENT:
         message = f"{model.name!r} must have moments of {LEAST_MOMENT:g} kg m² or more"
         refuse("SIM061", message, hint="are its lengths in metres?")
@@ -219,45 +221,45 @@ def _weighed(
 
 
 def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return moments ``(3,)`` and axes of inertia, a quaternion ``(4,)``.
+    """Return principal moments ``(3,)`` and axes, a quaternion ``(4,)``.
 
     Axes that are those of the frame but for rounding stay so.
     """
     size = float(np.trace(inertia))
-    if np.abs(inertia - np.diag(np.diag(inertia))).max() <= ALIKE * size:
+    if np.abs(inertia - np.diag(np.diag(inertia))).max() <= DIAGONAL_TOLERANCE * size:
         return np.diag(inertia).copy(), so3.IDENTITY.copy()
     moments, axes = np.linalg.eigh(inertia)
-    # The axis nearest to x comes first and so on, so that small changes change little.
+    # The axis nearest to x comes first, and so on: small changes stay small.
     order = [int(np.argmax(np.abs(axes[0])))]
     rest = [k for k in range(3) if k not in order]
     order += sorted(rest, key=lambda k: -abs(float(axes[1, k])))
     axes = axes[:, order] * np.sign(np.diag(axes[:, order]) + 1e-300)
     if np.linalg.det(axes) < 0:
         axes[:, 2] = -axes[:, 2]
-    # Rounding of what is far from its centre would make small ones negative.
+    # Rounding far from the centre may make small ones negative.
     return np.maximum(moments[order], 0.0), so3.from_matrix(axes)
 
 
 def _mesh(
     drawn: Sequence[tuple[Mesh | None, Core, FloatArray, FloatArray]],
 ) -> MeshFrame:
-    """Return the mesh that shows shapes: of what is in pieces its own."""
+    """Return the mesh that shows shapes; the original of split ones."""
     points, counts, corners, base = [], [], [], 0
-    for mesh, core, at, turn in drawn:
-        own, count, corner = shown(core)
+    for mesh, core, at, rotation in drawn:
+        part_vertices, count, corner = shown(core)
         if mesh is not None:
             welded, triangles = mesh.welded()
-            own = at + so3.rotate(turn, welded)
+            part_vertices = at + so3.rotate(rotation, welded)
             count = np.full(len(triangles), 3)
             corner = triangles.ravel().astype(np.int64)
-        points.append(own)
+        points.append(part_vertices)
         counts.append(count)
         corners.append(corner + base)
-        base += len(own)
-    places = np.concatenate(points)
+        base += len(part_vertices)
+    vertices = np.concatenate(points)
     return MeshFrame(
-        places,
-        np.zeros_like(places),
+        vertices,
+        np.zeros_like(vertices),
         np.concatenate(counts),
         np.concatenate(corners),
         closed=True,
@@ -265,7 +267,7 @@ def _mesh(
 
 
 def check_moved(model: BodyModel) -> None:
-    """Refuse what does not go with how a body is moved (SIM061)."""
+    """Refuse keys that a body's motion mode does not support (SIM061)."""
     refuse_all("SIM061", _moved_problems(model))
 
 
@@ -291,7 +293,7 @@ def _moved_problems(model: BodyModel) -> Iterator[Problem]:
 
 
 def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Return where copies of a body are in its frame: ``(C, 3)`` and ``(C, 4)``."""
+    """Return positions ``(C, 3)`` and rotations ``(C, 4)`` of copies in their frame."""
     points, rotations = parts.get("points"), parts.get("rotations")
     if model.grid is not None:
         if points is not None:
@@ -315,24 +317,24 @@ def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, Floa
             refuse("SIM061", "rotations need points", "rotations")
         return np.zeros((1, 3)), so3.IDENTITY[None]
     count = len(points)
-    turns = np.tile(so3.IDENTITY, (count, 1))
+    quaternions = np.tile(so3.IDENTITY, (count, 1))
     if rotations is not None:
-        turns = np.asarray(rotations, np.float64)
-        if turns.shape == (count, 4):
-            turns = turns[:, [1, 2, 3, 0]]
-    for name, array, width in (("points", points, 3), ("rotations", turns, 4)):
+        quaternions = np.asarray(rotations, np.float64)
+        if quaternions.shape == (count, 4):
+            quaternions = quaternions[:, [1, 2, 3, 0]]
+    for name, array, width in (("points", points, 3), ("rotations", quaternions, 4)):
         if array.shape != (count, width) or not np.isfinite(array).all():
             message = f"{name} of {model.name!r} have shape {array.shape} or are not "
             refuse("SIM061", f"{message}finite: they must be {(count, width)}", name)
-    if not turns.any(axis=1).all():
+    if not quaternions.any(axis=1).all():
         refuse(
             "SIM061", f"a rotation of {model.name!r} is a zero quaternion", "rotations"
         )
-    return np.asarray(points, np.float64), so3.normalize(turns)
+    return np.asarray(points, np.float64), so3.normalize(quaternions)
 
 
-def _turn(wxyz: Sequence[float], name: str, key: str) -> FloatArray:
-    turn = np.array(wxyz, np.float64)[[1, 2, 3, 0]]
-    if not turn.any():
+def _rotation(wxyz: Sequence[float], name: str, key: str) -> FloatArray:
+    rotation = np.array(wxyz, np.float64)[[1, 2, 3, 0]]
+    if not rotation.any():
         refuse("SIM061", f"a rotation of {name!r} is a zero quaternion", key)
-    return so3.normalize(turn)
+    return so3.normalize(rotation)

@@ -1,4 +1,4 @@
-"""What the kernel takes for the forces on bodies in a step, and in how many parts."""
+"""Mean forces on bodies in a step, and the number of substeps."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, ToleranceError, excerpt
 from animtool.core.quantities import floored, plain
 from animtool.core.record import dataclass
-from animtool.systems.rigid.bodies import Bodies
+from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.flight import Flight, fly
 from animtool.systems.rigid.surroundings import BodyForces
 
-# What swings, or turns, goes by less than this in a part of a step [rad].
+# Largest rotation or phase of a swing in a substep [rad].
 ANGLE = 0.5
 MAX_PARTS = 256
-# Whom drag makes heavier than this takes shorter parts where something holds him, so
-# that he bounces as he is, and is not too heavy for his moments of inertia.
-HELD, MAX_HELD = 2.0, 64
-# Heavier ones in the most parts do not stay where contacts hold them.
+# Constrained bodies with a larger inertia factor from drag take shorter substeps, so
+# that they bounce right and keep their inertia ratio.
+MAX_INERTIA_RATIO, MAX_CONSTRAINED_PARTS = 2.0, 64
+# Constrained bodies with larger factors at the most substeps would drift from contacts.
 HEAVIEST = 64.0
-# Masses that forces change by less stay as they are, as a share.
+# Smaller relative changes of mass are ignored.
 LIGHT = 1e-3
-# Who is as much heavier by drag meets others so in the step that he comes to them.
+# Bodies with a larger factor collide at the velocity of their free flight.
 HEAVY = 1.25
-# Of the velocity, by which one who met nothing may differ from where he was to come.
+# Velocity difference, relative, below which a body flew freely.
 OFF = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Loads:
-    """Forces on bodies through a step, and what they act on.
+class StepForces:
+    """Mean forces on bodies over a step, and their free flight.
 
     Attributes:
         forces: Forces [N] and torques [N m] ``(N, 6)``.
@@ -46,41 +46,46 @@ class Loads:
     inertias: FloatArray | None = None
     flight: Flight | None = None
 
-    def missed(self, velocities: FloatArray, held: BoolArray) -> BoolArray:
-        """Return who met something that it was not known to be held by ``(N,)``.
+    def missed(self, velocities: FloatArray, constrained: BoolArray) -> BoolArray:
+        """Return bodies with contacts that were not expected ``(N,)``.
 
-        As far as that counts: of those that drag makes much heavier.
+        Only bodies that drag makes much heavier count.
         """
         flight = self.flight
         if flight is None:
-            return np.zeros(len(held), np.bool_)
+            return np.zeros(len(constrained), np.bool_)
         off = np.linalg.norm(velocities - flight.velocities, axis=1)
         begun = velocities if self.velocities is None else self.velocities
         size = np.linalg.norm(flight.velocities, axis=1) + np.linalg.norm(begun, axis=1)
-        return np.asarray(~held & (flight.inertias >= HEAVY) & (off > OFF * size))
+        return np.asarray(
+            ~constrained & (flight.inertias >= HEAVY) & (off > OFF * size)
+        )
 
-    def parts(self, parts: int, held: BoolArray) -> int:
-        """Return in how many parts a step in parts is to be taken again."""
+    def parts(self, parts: int, constrained: BoolArray) -> int:
+        """Return the substeps needed to repeat a step."""
         assert self.flight is not None
-        return divided(parts, self.flight.inertias[held])
+        return divided(parts, self.flight.inertias[constrained])
 
 
 def divided(parts: int, inertias: FloatArray) -> int:
-    """Return how many parts a step has, from what some in parts are heavier by."""
+    """Return the number of substeps for inertia factors of some parts."""
     heaviest = float(inertias.max(initial=1.0))
-    if not heaviest > HELD:
+    if not heaviest > MAX_INERTIA_RATIO:
         return parts
-    return max(parts, math.ceil(min(parts * heaviest / HELD, MAX_HELD)))
+    return max(
+        parts,
+        math.ceil(min(parts * heaviest / MAX_INERTIA_RATIO, MAX_CONSTRAINED_PARTS)),
+    )
 
 
 class BodyLoads:
-    """Makes loads of the forces on the bodies of a system."""
+    """Computes step forces for the bodies of a system."""
 
-    def __init__(self, name: str, bodies: Bodies, forces: BodyForces) -> None:
+    def __init__(self, name: str, bodies: RigidBodies, forces: BodyForces) -> None:
         self._name, self._bodies, self._forces = name, bodies, forces
 
     def fly(self, t: float, dt: float, motion: FloatArray) -> Flight | None:
-        """Return where bodies come that nothing touches; None under constant forces."""
+        """Return the free flight of bodies; None under constant forces."""
         if not self._forces.vary:
             return None
         steady = self._forces.pushes_over(t, dt, motion)[:, :3]
@@ -98,12 +103,12 @@ class BodyLoads:
         t: float,
         dt: float,
         motion: FloatArray,
-        held: BoolArray,
+        constrained: BoolArray,
         flight: Flight | None,
-    ) -> Loads:
-        """Return the loads of a step.
+    ) -> StepForces:
+        """Return the forces of a step.
 
-        Bodies that are ``held`` ``(N,)``, by contacts or joints, feel the force that
+        ``constrained`` bodies ``(N,)``, by contacts or joints, feel the force that
         there is, and yield to all others as much less as it would have gone down with
         their velocity. The others come where they fly.
 
@@ -112,9 +117,9 @@ class BodyLoads:
         """
         if flight is None:
             with np.errstate(all="ignore"):
-                loads = Loads(self._forces.over(t, dt, motion))
+                loads = StepForces(self._forces.over(t, dt, motion))
         else:
-            loads = self._flown(t, dt, motion, held, flight)
+            loads = self._flown(t, dt, motion, constrained, flight)
         self._check(loads, t)
         return loads
 
@@ -123,22 +128,22 @@ class BodyLoads:
         t: float,
         dt: float,
         motion: FloatArray,
-        held: BoolArray,
+        constrained: BoolArray,
         flight: Flight,
-    ) -> Loads:
+    ) -> StepForces:
         x, v = motion[:, :3], motion[:, 7:10]
-        heavy = held & (flight.inertias > 1 + LIGHT)
+        heavy = constrained & (flight.inertias > 1 + LIGHT)
         inertias = np.where(heavy, flight.inertias, 1.0)
         forces = self._forces.pushes_over(t, dt, motion)
         with np.errstate(all="ignore"):
-            # The kernel goes as far as the mean of the velocities at both ends.
+            # The kernel moves bodies by the mean of both velocities.
             begin = 2 * (flight.points - x) / dt - flight.velocities
-            begin = np.where(held[:, None], v, begin)
+            begin = np.where(constrained[:, None], v, begin)
             masses = (self._bodies.masses * inertias)[:, None]
             forces[:, :3] = masses * (flight.velocities - begin) / dt
-        return Loads(forces, begin, inertias if heavy.any() else None, flight)
+        return StepForces(forces, begin, inertias if heavy.any() else None, flight)
 
-    def _check(self, loads: Loads, t: float) -> None:
+    def _check(self, loads: StepForces, t: float) -> None:
         finite = np.isfinite(loads.forces).all(axis=1)
         if loads.velocities is not None:
             finite &= np.isfinite(loads.velocities).all(axis=1)
@@ -154,7 +159,7 @@ class BodyLoads:
             self._stop(t, message, "use a weaker or smoother force")
 
     def parts(self, t: float, dt: float, motion: FloatArray) -> int:
-        """Return into how many parts a step is divided: bodies swing little in each.
+        """Return the substeps that resolve swinging bodies.
 
         Raises:
             ToleranceError: They are too many (SIM102).
@@ -174,39 +179,44 @@ class BodyLoads:
         turned = float(spins.max(initial=0.0)) * dt / ANGLE
         return max(1, math.ceil(fastest), min(math.ceil(turned), MAX_PARTS))
 
-    def parts_of_held(
-        self, t: float, dt: float, parts: int, motion: FloatArray, held: BoolArray
+    def parts_of_constrained(
+        self,
+        t: float,
+        dt: float,
+        parts: int,
+        motion: FloatArray,
+        constrained: BoolArray,
     ) -> int:
-        """Return how many parts a step of some has, as bodies ``(N,)`` are held.
+        """Return the substeps for constrained bodies ``(N,)``.
 
         Raises:
             ToleranceError: They are too many (SIM102).
         """
-        if not held.any():
+        if not constrained.any():
             return parts
         each = dt / parts
         flight = self.fly(t, each, motion)
         assert flight is not None
-        inertias = np.where(held, flight.inertias, 1.0)
+        inertias = np.where(constrained, flight.inertias, 1.0)
         heaviest = float(inertias.max()) * parts
-        if heaviest > HEAVIEST * MAX_HELD:
+        if heaviest > HEAVIEST * MAX_CONSTRAINED_PARTS:
             message = f"drag on {self._body(int(np.argmax(inertias)))}, which is in "
             message += f"contact, is too strong for a step of {plain(dt)} s"
-            step = floored(dt * HEAVIEST * MAX_HELD / heaviest)
+            step = floored(dt * HEAVIEST * MAX_CONSTRAINED_PARTS / heaviest)
             self._stop(
                 t, message, f"use step: {plain(step)}, or less drag, or more mass"
             )
         return divided(parts, inertias)
 
     def _rates(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return how fast bodies swing, and spin with what pushes them ``(2, N)``."""
+        """Return how fast bodies swing, and spin under pushes ``(2, N)``."""
         with np.errstate(all="ignore"):
-            found = self._forces.turning(t, dt, motion)
+            rates = self._forces.turning(t, dt, motion)
             if self._forces.vary:
                 x, v = motion[:, :3], motion[:, 7:10]
                 swings = _swings(*self._forces.slopes(t, x, v), dt)
-                found[0] = np.maximum(found[0], swings)
-        return found
+                rates[0] = np.maximum(rates[0], swings)
+        return rates
 
     def _body(self, number: int) -> str:
         return excerpt(self._bodies.names[self._bodies.dynamic[number]])
@@ -216,19 +226,19 @@ class BodyLoads:
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 
-def _swings(by_place: FloatArray, by_speed: FloatArray, dt: float) -> FloatArray:
-    """Return how fast what slopes ``(N, 3, 3)`` bring about swings ``(N,)`` [rad/s]."""
-    # An upper bound, so that few are looked at.
-    bound = np.sqrt(np.linalg.norm(by_place, axis=(1, 2)))
+def _swings(by_position: FloatArray, by_speed: FloatArray, dt: float) -> FloatArray:
+    """Return angular frequencies ``(N,)`` [rad/s] of force gradients ``(N, 3, 3)``."""
+    # An upper bound, so that few need eigenvalues.
+    bound = np.sqrt(np.linalg.norm(by_position, axis=(1, 2)))
     bound += np.linalg.norm(by_speed - by_speed.swapaxes(1, 2), axis=(1, 2)) / 2
-    found = np.zeros(len(by_place))
+    swings = np.zeros(len(by_position))
     look = bound * dt > ANGLE
     if look.any():
         matrices = np.zeros((int(look.sum()), 6, 6))
         matrices[:, :3, 3:] = np.eye(3)
-        matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_place[look], by_speed[look]
+        matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_position[look], by_speed[look]
         finite = np.isfinite(matrices).all(axis=(1, 2))
         rates = np.full(len(matrices), np.inf)
         rates[finite] = np.abs(np.linalg.eigvals(matrices[finite]).imag).max(axis=1)
-        found[look] = rates
-    return found
+        swings[look] = rates
+    return swings

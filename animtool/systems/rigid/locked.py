@@ -1,8 +1,8 @@
-"""Joints that others keep from moving.
+"""Joints that other joints prevent from moving.
 
-The equations of joints are velocities that must be 0: what is left of all velocities
-is their null space. A joint without any of its own motion in there cannot move, however
-hard a drive pulls: two slides of one body along different ways, a pin across another.
+Joint constraints are velocities that must be 0; the possible motion is their null
+space. A joint without relative motion in it cannot move, however strong its drive: two
+slides of one body in different directions, a pin across another.
 
 References:
     J. Angeles, "Fundamentals of Robotic Mechanical Systems", 2014, section 9.2:
@@ -19,18 +19,23 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, counted, excerpt, warning
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.systems.rigid.bodies import Bodies
+from animtool.systems.rigid.bodies import RigidBodies
 
-# Motion of a joint that is less than this, over what it could be, is none.
+# Joints with less motion, over the possible motion, are locked.
 NONE = 1e-6
-# Singular values below this share of the largest are 0.
+# Smaller singular values, over the largest, count as 0.
 RANK = 1e-9
-# Most bodies of loops that are looked at together.
+# Largest number of bodies in a loop that is analysed.
 MOST = 64
-# Equations of a joint in its first frame by kind, of the way and the turn: those of
-# the others are left free.
-_WAYS = {0: (0, 1, 2), 1: (0, 1, 2), 2: (0, 1, 2), 3: (1, 2)}
-_TURNS: dict[int, tuple[int, ...]] = {0: (0, 1, 2), 1: (1, 2), 2: (), 3: (0, 1, 2)}
+# Constrained translations and rotations of a joint in its first frame, by type; the
+# other axes are free.
+_LOCKED_TRANSLATIONS = {0: (0, 1, 2), 1: (0, 1, 2), 2: (0, 1, 2), 3: (1, 2)}
+_LOCKED_ROTATIONS: dict[int, tuple[int, ...]] = {
+    0: (0, 1, 2),
+    1: (1, 2),
+    2: (),
+    3: (0, 1, 2),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,46 +56,48 @@ class Locked:
 def locked_joints(
     rows: IntArray, frames: FloatArray, centres: FloatArray
 ) -> list[Locked]:
-    """Return the joints of loops that cannot move where they begin.
+    """Return joints of closed loops that cannot move from their start.
 
     Args:
         rows: Kind and both bodies of K joints ``(K, 3)``; -1 is what does not move.
         frames: Of each the first frame in the world ``(K, 7)`` [m].
         centres: Of N bodies ``(N, 3)`` [m].
     """
-    found = []
+    locked = []
     for loop in _loops(rows, len(centres)):
-        own_bodies = np.setdiff1d(rows[loop, 1:], [-1])
-        own_rows, count = rows[loop], len(own_bodies)
-        places = np.searchsorted(own_bodies, own_rows[:, 1:])
-        own_rows[:, 1:] = np.where(own_rows[:, 1:] < 0, -1, places)
-        around = centres[own_bodies]
+        loop_bodies = np.setdiff1d(rows[loop, 1:], [-1])
+        loop_rows, count = rows[loop], len(loop_bodies)
+        numbers = np.searchsorted(loop_bodies, loop_rows[:, 1:])
+        loop_rows[:, 1:] = np.where(loop_rows[:, 1:] < 0, -1, numbers)
+        around = centres[loop_bodies]
         size = float(np.ptp(np.concatenate([around, frames[loop, :3]]), axis=0).max())
         ones = [
             _equations(row, frames[k], around, size or 1.0)
-            for row, k in zip(own_rows, loop, strict=True)
+            for row, k in zip(loop_rows, loop, strict=True)
         ]
-        free = _null_space([held for held, _ in ones], count)
-        for k, (_, own) in zip(loop, ones, strict=True):
-            left = _left(own, free)
-            if not len(own) or left > NONE:
+        free = _null_space([constraints for constraints, _ in ones], count)
+        for k, (_, motions) in zip(loop, ones, strict=True):
+            left = _left(motions, free)
+            if not len(motions) or left > NONE:
                 continue
             by = []
             for i, other in enumerate(loop):
                 if other != k:
-                    rest = [held for j, (held, _) in enumerate(ones) if j != i]
-                    if _left(own, _null_space(rest, count)) > NONE:
+                    rest = [
+                        constraints for j, (constraints, _) in enumerate(ones) if j != i
+                    ]
+                    if _left(motions, _null_space(rest, count)) > NONE:
                         by.append(other)
-            found.append(Locked(k, tuple(by), left))
-    return found
+            locked.append(Locked(k, tuple(by), left))
+    return locked
 
 
 def locked_notices(
-    rows: IntArray, numbers: FloatArray, names: Sequence[str], bodies: Bodies
+    rows: IntArray, numbers: FloatArray, names: Sequence[str], bodies: RigidBodies
 ) -> list[Fault]:
-    """Return a warning for each joint that others keep from moving (SIM172)."""
+    """Return a warning for each locked joint (SIM172)."""
     start = bodies.start
-    frames = np.array([_frame(start[row[2]], own[7:14]) for row, own in zip(
+    frames = np.array([_frame(start[row[2]], entry[7:14]) for row, entry in zip(
         rows.tolist(), numbers, strict=True)]).reshape(-1, 7)  # fmt: skip
     notices = []
     for one in locked_joints(rows, frames, start[:, :3]):
@@ -108,14 +115,14 @@ def locked_notices(
     return notices
 
 
-def _frame(body: FloatArray, own: FloatArray) -> FloatArray:
-    """Return where a frame of a body is in the world ``(7,)``."""
-    at = body[:3] + so3.rotate(body[3:7], own[:3])
-    return np.concatenate([at, so3.multiply(body[3:7], own[3:])])
+def _frame(body: FloatArray, local: FloatArray) -> FloatArray:
+    """Return a local frame of a body in the world ``(7,)``."""
+    at = body[:3] + so3.rotate(body[3:7], local[:3])
+    return np.concatenate([at, so3.multiply(body[3:7], local[3:])])
 
 
 def _loops(rows: IntArray, count: int) -> list[list[int]]:
-    """Return joints of each group that loops join, without branches that end."""
+    """Return joints of each closed loop, without dangling branches."""
     ends = [(row[1] if row[1] >= 0 else count, row[2]) for row in rows.tolist()]
     left = set(range(len(ends)))
     while True:
@@ -128,20 +135,22 @@ def _loops(rows: IntArray, count: int) -> list[list[int]]:
         left -= open_ends
     groups: list[tuple[set[int], list[int]]] = []
     for k in sorted(left):
-        # What does not move joins nothing.
-        own, joints = {i for i in ends[k] if i < count}, [k]
-        for group in [one for one in groups if one[0] & own]:
+        # A body that never moves connects nothing.
+        members, joints = {i for i in ends[k] if i < count}, [k]
+        for group in [one for one in groups if one[0] & members]:
             groups.remove(group)
-            own |= group[0]
+            members |= group[0]
             joints = group[1] + joints
-        groups.append((own, sorted(joints)))
-    return [joints for own, joints in groups if len(joints) > 1 and len(own) <= MOST]
+        groups.append((members, sorted(joints)))
+    return [
+        joints for members, joints in groups if len(joints) > 1 and len(members) <= MOST
+    ]
 
 
 def _equations(
     row: IntArray, frame: FloatArray, centres: FloatArray, size: float
 ) -> tuple[list[tuple[int, int, FloatArray]], list[tuple[int, int, FloatArray]]]:
-    """Return what a joint holds, and what it leaves free.
+    """Return a joint's constraint rows, and its free directions.
 
     Each as both bodies, and factors on the velocity and, over a size, the spin of the
     second at its centre and of the first at its own ``(2, 6)``.
@@ -149,39 +158,43 @@ def _equations(
     kind, first, second = row.tolist()
     axes = so3.to_matrix(frame[3:]).T
 
-    def line(axis: FloatArray, turns: bool) -> tuple[int, int, FloatArray]:
+    def line(axis: FloatArray, rotates: bool) -> tuple[int, int, FloatArray]:
         factors = np.zeros((2, 6))
         for k, (body, sign) in enumerate(((second, 1.0), (first, -1.0))):
             if body < 0:
                 continue
-            if turns:
+            if rotates:
                 factors[k, 3:] = sign * axis
             else:
                 arm = (frame[:3] - centres[body]) / size
                 factors[k, :3], factors[k, 3:] = sign * axis, sign * np.cross(arm, axis)
         return second, first, factors
 
-    held = [line(axes[i], False) for i in _WAYS[kind]]
-    held += [line(axes[i], True) for i in _TURNS[kind]]
-    own = [line(axes[i], False) for i in range(3) if i not in _WAYS[kind]]
-    own += [line(axes[i], True) for i in range(3) if i not in _TURNS[kind]]
-    return held, own
+    constraints = [line(axes[i], False) for i in _LOCKED_TRANSLATIONS[kind]]
+    constraints += [line(axes[i], True) for i in _LOCKED_ROTATIONS[kind]]
+    motions = [
+        line(axes[i], False) for i in range(3) if i not in _LOCKED_TRANSLATIONS[kind]
+    ]
+    motions += [
+        line(axes[i], True) for i in range(3) if i not in _LOCKED_ROTATIONS[kind]
+    ]
+    return constraints, motions
 
 
 def _matrix(lines: Sequence[tuple[int, int, FloatArray]], count: int) -> FloatArray:
-    made = np.zeros((len(lines), 6 * count))
+    matrix = np.zeros((len(lines), 6 * count))
     for k, (second, first, factors) in enumerate(lines):
-        made[k, 6 * second : 6 * second + 6] = factors[0]
+        matrix[k, 6 * second : 6 * second + 6] = factors[0]
         if first >= 0:
-            made[k, 6 * first : 6 * first + 6] = factors[1]
-    return made
+            matrix[k, 6 * first : 6 * first + 6] = factors[1]
+    return matrix
 
 
 def _null_space(
     several: Sequence[Sequence[tuple[int, int, FloatArray]]], count: int
 ) -> FloatArray:
-    """Return velocities that all equations leave ``(6N, …)``."""
-    lines = [one for own in several for one in own]
+    """Return the velocities that satisfy all constraints ``(6N, …)``."""
+    lines = [one for joint_lines in several for one in joint_lines]
     if not lines:
         return np.eye(6 * count)
     _, sizes, turned = np.linalg.svd(_matrix(lines, count))
@@ -189,7 +202,9 @@ def _null_space(
     return np.asarray(turned[rank:].T)
 
 
-def _left(own: Sequence[tuple[int, int, FloatArray]], free: FloatArray) -> float:
-    """Return the most motion of its own that a joint has left."""
+def _left(motions: Sequence[tuple[int, int, FloatArray]], free: FloatArray) -> float:
+    """Return the largest relative motion that a joint retains."""
     count = len(free) // 6
-    return float(np.linalg.norm(_matrix(own, count) @ free, axis=1).max(initial=0.0))
+    return float(
+        np.linalg.norm(_matrix(motions, count) @ free, axis=1).max(initial=0.0)
+    )

@@ -1,4 +1,4 @@
-"""What a state of rigid bodies tells: swings, breaks, and bodies in each other."""
+"""Warnings from a rigid state: oscillation, broken joints, penetration."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from animtool.core.quantities import floored, plain
 from animtool.systems.rigid.joints import Joints
 from animtool.systems.rigid.shared import RigidState
 
-# Bodies that begin deeper in each other than this share of their size are a warning.
+# Deeper penetration at the start, over the size, is a warning.
 DEEP = 0.02
-# What is that deep, over its size, is held from several sides.
-HELD = 0.25
+# Bodies that stay this deep, over their size, are squeezed from several sides.
+KEPT_OVERLAP = 0.25
 
 
 def swing_notices(state: RigidState, joints: Joints, step: float) -> Iterator[Fault]:
-    """Yield the drive that swings faster than steps [s] can follow (SIM171)."""
+    """Yield the drive that oscillates too fast for the step [s] (SIM171)."""
     if state.swinging < 0:
         return
     name = excerpt(joints.names[state.swinging])
@@ -30,7 +30,7 @@ def swing_notices(state: RigidState, joints: Joints, step: float) -> Iterator[Fa
 
 
 def break_notices(state: RigidState, joints: Joints) -> Iterator[Fault]:
-    """Yield which joints broke, and when (SIM197)."""
+    """Yield the joints that broke, with their times (SIM197)."""
     order = np.argsort(state.broken[:, 0], kind="stable")
     for k in order[np.isfinite(state.broken[order, 0])].tolist():
         t, force, torque = state.broken[k].tolist()
@@ -42,7 +42,7 @@ def break_notices(state: RigidState, joints: Joints) -> Iterator[Fault]:
 def depth_notices(
     state: RigidState, size: float, names: Callable[[], Sequence[str]]
 ) -> Iterator[Fault]:
-    """Yield how deep bodies began in each other, or came (SIM126, SIM123).
+    """Yield penetration at the start, and later (SIM126, SIM123).
 
     ``size``: how far the smallest reaches [m]; ``names``: of all shapes.
     """
@@ -55,7 +55,7 @@ def depth_notices(
         message = f"{pair(1)} start {begin:g} m inside each other: "
         message += "they are separated at up to 2 m/s"
         yield warning("SIM126", message, "leave a small gap between them at the start")
-    elif ever > HELD * size:
+    elif ever > KEPT_OVERLAP * size:
         message = f"{pair(0)} penetrated each other by up to {ever:g} m: from "
         message += "several sides, or faster than they separate"
         hint = "leave room between closing bodies, or use shorter steps"

@@ -1,4 +1,4 @@
-"""Bodies and joints of a spec as other engines have them, and the other way round."""
+"""Conversion of bodies and joints to UsdPhysics records, and back."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from animtool.sim.colliders import (
 )
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.pulls import Gravity
-from animtool.systems.rigid.bodies import Bodies, outline
+from animtool.systems.rigid.bodies import RigidBodies, outline
 from animtool.systems.rigid.joints import (
     KINDS,
     NUMBERS,
@@ -46,37 +46,37 @@ Y = np.array([0.0, 1.0, 0.0])
 
 
 def described(
-    bodies: Bodies, joints: Joints, colliders: Colliders, forces: Sequence[Force]
+    bodies: RigidBodies, joints: Joints, colliders: Colliders, forces: Sequence[Force]
 ) -> Physics:
-    """Return what bodies are as they begin.
+    """Return bodies, joints and static colliders as records.
 
-    Of colliders those that never move; of forces gravity.
+    Only colliders that never move, and gravity of the forces.
     """
     gravity = [f.acceleration for f in forces if isinstance(f, Gravity)]
-    still = [one for one in colliders if len(one.poses.moments) == 1]
+    static = [one for one in colliders if len(one.poses.sample_times) == 1]
     return Physics(
         [_body(bodies, i) for i in range(len(bodies.names))],
         list(_joints(bodies, joints)),
         [
             _shape(one.shape, one.poses.rows[0], one.friction, one.restitution)
-            for one in still
+            for one in static
             if not one.container
         ],
         np.sum([np.zeros(3), *map(np.asarray, gravity)], axis=0),
     )
 
 
-def _body(bodies: Bodies, i: int) -> PhysicsBody:
+def _body(bodies: RigidBodies, i: int) -> PhysicsBody:
     kind = bodies.kinds[bodies.of[i]]
     model = kind.model
     shapes = [
         _shape(
             outline(shape),
-            np.concatenate([at, turn]),
+            np.concatenate([at, rotation]),
             model.friction,
             model.restitution,
         )
-        for shape, at, turn in kind.shapes
+        for shape, at, rotation in kind.shapes
     ]
     return PhysicsBody(
         bodies.names[i],
@@ -96,7 +96,7 @@ def _body(bodies: Bodies, i: int) -> PhysicsBody:
 def _shape(
     shape: Shape, pose: FloatArray, friction: float, restitution: float
 ) -> PhysicsShape:
-    """Return a shape about its own middle, its axis y."""
+    """Return a shape about its centre, with y as its axis."""
     kind, at, axis = "mesh", np.zeros(3), Y
     size: tuple[float, ...] = ()
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
@@ -114,17 +114,19 @@ def _shape(
         case Mesh():
             points, corners = shape.welded()
             triangles = corners.astype(np.int64)
-    turn = so3.between(Y, axis / np.linalg.norm(axis))
-    place = np.concatenate(
-        [pose[:3] + so3.rotate(pose[3:], at), so3.multiply(pose[3:], turn)]
+    rotation = so3.between(Y, axis / np.linalg.norm(axis))
+    in_body = np.concatenate(
+        [pose[:3] + so3.rotate(pose[3:], at), so3.multiply(pose[3:], rotation)]
     )
-    return PhysicsShape(kind, size, place, points, triangles, friction, restitution)
+    return PhysicsShape(kind, size, in_body, points, triangles, friction, restitution)
 
 
-def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
+def _joints(bodies: RigidBodies, joints: Joints) -> Iterator[PhysicsJoint]:
     names = {number: kind for kind, number in KINDS.items()}
     dynamic = bodies.dynamic
-    apart = {pair for a, b in joints.apart.tolist() for pair in ((a, b), (b, a))}
+    excluded = {
+        pair for a, b in joints.excluded_pairs.tolist() for pair in ((a, b), (b, a))
+    }
     for k, (row, numbers) in enumerate(zip(joints.rows, joints.numbers, strict=True)):
         first, second = row[1:].tolist()
         on_a, on_b = numbers[:7], in_body(bodies, second, numbers[7:14])
@@ -140,8 +142,8 @@ def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
         if numbers[23:25].any():
             stiffness, damping = numbers[23:25].tolist()
             strongest = None if most < 0 else most
-            turn, speed = numbers[19:23], float(numbers[26])
-            drive = JointDrive(stiffness, damping, target, turn, strongest, speed)
+            rotation, speed = numbers[19:23], float(numbers[26])
+            drive = JointDrive(stiffness, damping, target, rotation, strongest, speed)
         yield PhysicsJoint(
             joints.names[k],
             names[int(row[0])],
@@ -150,7 +152,7 @@ def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
             None if low > high else (low, high),
             None if swing[0] < 0 else (swing[0], swing[1]),
             drive,
-            above >= 0 and (above, int(dynamic[second])) not in apart,
+            above >= 0 and (above, int(dynamic[second])) not in excluded,
             (float(joints.breaks[k, 0]), float(joints.breaks[k, 1])),
         )
 
@@ -158,7 +160,7 @@ def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
 def body_entries(
     physics: Physics, entry: str
 ) -> tuple[list[BodyModel], list[dict[str, Any]]]:
-    """Return bodies as entries of a spec, and what their keys are read as.
+    """Return bodies as entries of a spec, with the parts of their keys.
 
     entry: The key of the spec that they are of.
 
@@ -188,8 +190,8 @@ def body_entries(
             keys["mass"] = body.mass
         if body.centre is not None:
             keys["centre"] = body.centre.tolist()
-        if body.moments is not None:
-            keys["inertia"] = body.moments.tolist()
+        if body.inertia is not None:
+            keys["inertia"] = body.inertia.tolist()
             keys["inertia_axes"] = body.axes[[3, 0, 1, 2]].tolist()
         if not body.kinematic:
             keys["velocity"] = body.velocity.tolist()
@@ -207,7 +209,7 @@ def body_entries(
 
 
 def _model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
-    """Return the entry of keys; what they cannot hold is refused (SIM051)."""
+    """Return the entry of some keys; unsupported ones are refused (SIM051)."""
     try:
         return BodyModel.model_validate(keys)
     except ValidationError as error:
@@ -220,7 +222,7 @@ def _model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
 
 
 def shape_of(shape: PhysicsShape) -> Shape:
-    """Return a shape in its own frame."""
+    """Return a shape in its local frame."""
     match shape.kind:
         case "sphere":
             return Sphere(shape.size[0])
@@ -233,26 +235,26 @@ def shape_of(shape: PhysicsShape) -> Shape:
     return Mesh(shape.points, shape.triangles, closed=True)
 
 
-def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
-    """Return the joints of a stage whose bodies begin at a number."""
-    place = {int(i): k for k, i in enumerate(bodies.dynamic)}
+def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
+    """Return the joints of a stage whose bodies start at a number."""
+    dynamic_numbers = {int(i): k for k, i in enumerate(bodies.dynamic)}
     rows, numbers, anchors, above, names, pairs = [], [], [], [], [], []
     breaks = []
     for joint in physics.joints:
         pair = [i if i < 0 else i + first for i in joint.bodies]
         frames, drive, limits = list(joint.frames), joint.drive, joint.limits
         target, speed = (0.0, 0.0) if drive is None else (drive.target, drive.speed)
-        turn = so3.IDENTITY if drive is None else drive.turn
-        if pair[1] not in place:
-            # What hangs on the other is the first, and is turned the other way.
+        rotation = so3.IDENTITY if drive is None else drive.rotation
+        if pair[1] not in dynamic_numbers:
+            # Swapped: the joint's second body becomes the first.
             pair.reverse()
             frames.reverse()
             limits = None if limits is None else (-limits[1], -limits[0])
-            target, speed, turn = -target, -speed, so3.conjugate(turn)
-        if pair[1] not in place:
+            target, speed, rotation = -target, -speed, so3.conjugate(rotation)
+        if pair[1] not in dynamic_numbers:
             continue
         on_b, other, anchor = _of_centre(bodies, pair[1], frames[1]), pair[0], Poses()
-        on_a, number = frames[0], place.get(other, -1)
+        on_a, number = frames[0], dynamic_numbers.get(other, -1)
         if number >= 0:
             on_a = _of_centre(bodies, other, on_a)
         elif other >= 0:
@@ -262,15 +264,15 @@ def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
         if drive is not None:
             most = -1.0 if drive.most is None else drive.most
             drives = [drive.stiffness, drive.damping, most, speed]
-        rows.append((KINDS[joint.kind], number, place[pair[1]]))
+        rows.append((KINDS[joint.kind], number, dynamic_numbers[pair[1]]))
         numbers.append(
-            [*on_a, *on_b, *(limits or (1.0, 0.0)), *swing, target, *turn, *drives]
+            [*on_a, *on_b, *(limits or (1.0, 0.0)), *swing, target, *rotation, *drives]
         )
         anchors.append(anchor)
         above.append(other)
         names.append(joint.name)
-        apart = other >= 0 and not joint.contacts
-        pairs.append((pair[1], other) if apart else (-1, -1))
+        excluded = other >= 0 and not joint.contacts
+        pairs.append((pair[1], other) if excluded else (-1, -1))
         breaks.append(joint.breaks)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
@@ -284,14 +286,14 @@ def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
     )
 
 
-def _of_centre(bodies: Bodies, i: int, frame: FloatArray) -> FloatArray:
-    """Return a frame of a body as its principal axes see it ``(7,)``."""
+def _of_centre(bodies: RigidBodies, i: int, frame: FloatArray) -> FloatArray:
+    """Return a body frame relative to its principal axes ``(7,)``."""
     kind = bodies.kinds[bodies.of[i]]
     return within(np.concatenate([kind.centre, kind.axes]), frame)
 
 
-def still_colliders(physics: Physics) -> list[Collider]:
-    """Return what never moves."""
+def static_colliders(physics: Physics) -> list[Collider]:
+    """Return bodies that never move, as colliders."""
     return [
         Collider(
             shape_of(one),

@@ -1,4 +1,4 @@
-"""Meshes that are not convex as convex pieces, by coacd where it is installed."""
+"""Convex decomposition of meshes, by coacd if installed."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Mesh
-from animtool.systems.rigid.cores import Core, Solid, core_of, filled
+from animtool.systems.rigid.cores import Core, SolidProperties, core_of, filled
 
-# How much pieces may differ from the mesh, over its size: the usual of coacd.
+# Largest deviation of pieces from the mesh, over its size: coacd's default.
 THRESHOLD = 0.05
-# Points of surfaces that are looked at to tell it.
+# Sampled surface points to measure it.
 SAMPLES = 400
 EXTRA = "pip install 'animtool[convex]'"
 
 
 def installed() -> bool:
-    """Return whether meshes can be taken apart."""
+    """Return whether convex decomposition is available."""
     return find_spec("coacd") is not None
 
 
 def pieces_of(mesh: Mesh) -> list[tuple[Mesh, Core]]:
-    """Return convex pieces of a mesh, the same on every run; none of what has holes.
+    """Return convex pieces of a mesh, deterministic; empty for open meshes.
 
     Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
     collision-aware concavity and tree search".
@@ -33,37 +33,37 @@ def pieces_of(mesh: Mesh) -> list[tuple[Mesh, Core]]:
     if not mesh.watertight:
         return []
     points, triangles = mesh.welded()
-    return _taken_apart(points.tobytes(), triangles.tobytes())
+    return _decomposed(points.tobytes(), triangles.tobytes())
 
 
 @lru_cache(maxsize=64)
-def _taken_apart(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Core]]:
-    """Return the pieces of points and triangles; one mesh may be asked for often."""
+def _decomposed(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Core]]:
+    """Return convex pieces of points and triangles (cached)."""
     import coacd
 
     points = np.frombuffer(point_bytes, np.float64).reshape(-1, 3)
     triangles = np.frombuffer(corner_bytes, np.int32).reshape(-1, 3)
     coacd.set_log_level("off")
-    found = coacd.run_coacd(
+    parts = coacd.run_coacd(
         coacd.Mesh(points, triangles),
         threshold=THRESHOLD,
         preprocess_mode="off",
         resolution=SAMPLES,
         seed=0,
     )
-    made = []
-    for own, faces in found:
-        piece = Mesh(np.asarray(own, np.float64), np.asarray(faces), closed=True)
+    pieces = []
+    for vertices, faces in parts:
+        piece = Mesh(np.asarray(vertices, np.float64), np.asarray(faces), closed=True)
         try:
-            made.append((piece, core_of(piece)))
+            pieces.append((piece, core_of(piece)))
         except ValueError:
-            # A piece so thin that it has no volume holds nothing up.
+            # Pieces without volume support nothing.
             continue
-    return made
+    return pieces
 
 
-def solid_of_mesh(mesh: Mesh) -> Solid:
-    """Return what is inside of a watertight mesh, with density 1."""
+def solid_of_mesh(mesh: Mesh) -> SolidProperties:
+    """Return the mass properties of a watertight mesh of density 1."""
     points, triangles = mesh.welded()
     inside = filled(points[triangles])
     if inside.volume > 0:
@@ -72,9 +72,9 @@ def solid_of_mesh(mesh: Mesh) -> Solid:
 
 
 def beyond(mesh: Mesh, cores: Sequence[Core]) -> float:
-    """Return how much more volume pieces have than the mesh, over its own [1]."""
-    whole = solid_of_mesh(mesh).volume
-    return sum(_volume(core) for core in cores) / whole - 1
+    """Return the excess volume of pieces over the mesh, relative to it [1]."""
+    volume = solid_of_mesh(mesh).volume
+    return sum(_volume(core) for core in cores) / volume - 1
 
 
 def _volume(core: Core) -> float:

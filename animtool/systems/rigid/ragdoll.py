@@ -1,4 +1,4 @@
-"""A rig as rigid bodies that fall: its colliders, joined as the rig joins them.
+"""Ragdolls: a rig's colliders as bodies, connected by its joints.
 
 Joints with colliders become bodies, joined as the rig joins them, with its limits; what
 is between two of them is stiff, and what is below the last of them moves on as the take
@@ -25,9 +25,9 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Capsule, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.framework.fields import ColliderEntries
-from animtool.systems.rigid.bodies import Bodies
-from animtool.systems.rigid.joints import NUMBERS, SWING, Joints, seen_by
-from animtool.systems.rigid.kind import Kind, kind_of
+from animtool.systems.rigid.bodies import RigidBodies
+from animtool.systems.rigid.joints import NUMBERS, SWING, Joints, in_principal_axes
+from animtool.systems.rigid.kind import BodyKind, kind_of
 from animtool.systems.rigid.masses import weighed
 from animtool.systems.rigid.spec import BodyModel
 from animtool.systems.rigid.tone import passive, with_digits
@@ -40,31 +40,31 @@ _TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class RagdollOptions:
-    """What falls, and when."""
+    """Options of a ragdoll."""
 
-    start: float | None = None  # frame that it begins in; None is the first
-    end: float | None = None  # frame from which the take comes back; None is never
-    # Frames over which it takes over, and the take behind `end` [frames].
+    start: float | None = None  # start frame; None for the first
+    end: float | None = None  # frame at which the take returns; None for never
+    # Blend frames at the start, and after `end` [frames].
     blend: Annotated[float, within(0.0, "SIM062", 1e6)] = 4.0
-    # Of all [kg], in the shares that the rig states.
+    # Total mass [kg], distributed as the rig states.
     mass: Annotated[float | None, within(0.0, "SIM062", reached=False)] = None
-    # Where neither this nor the rig gives a mass [kg/m³].
+    # Density if neither this nor the rig gives a mass [kg/m³].
     density: Annotated[float, within(0.0, "SIM062", reached=False)] = 1000.0
-    # How strongly joints are drawn to the pose of the take [N m/rad].
+    # Stiffness towards the pose of the take [N m/rad].
     stiffness: Annotated[float, within(0.0, "SIM062")] = 0.0
-    # What slows joints [N m s/rad].
+    # Damping of joints [N m s/rad].
     damping: Annotated[float, within(0.0, "SIM062")] = 0.5
-    # Passive stiffness and damping of joints towards the pose of `start`, as of muscles
-    # and ligaments [1]; 0 is limp.
+    # Passive stiffness and damping towards the pose of `start`, as of muscles and
+    # ligaments [1]; 0 is limp.
     tone: Annotated[float, within(0.0, "SIM062", 100.0)] = 1.0
-    # Whether fingers without colliders have some, that go with the hand.
+    # Whether fingers without colliders get capsules attached to the hand.
     fingers: bool = True
-    # Downwards along the rig's up axis [m/s²].
+    # Along the rig's negative up axis [m/s²].
     gravity: Annotated[float, within(-LARGEST, "SIM062")] = 9.81
-    friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # Coulomb's coefficient [1]
-    colliders: ColliderEntries = ()  # what it falls onto
+    friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # friction coefficient [1]
+    colliders: ColliderEntries = ()  # what it collides with
     step: Annotated[float, within(0.0, "SIM062", 1.0, reached=False)] = 0.005  # [s]
-    substeps: Annotated[int, within(1.0, "SIM062", 1000.0)] = 8  # small steps in each
+    substeps: Annotated[int, within(1.0, "SIM062", 1000.0)] = 8  # substeps of each step
 
 
 @dataclass(frozen=True)
@@ -73,20 +73,20 @@ class Ragdoll:
 
     Attributes:
         rig: With the colliders.
-        joints: That became bodies, ascending ``(N,)``.
-        above: Of each the body that it hangs on, -1 for none ``(N,)``.
+        joints: Joints with bodies, ascending ``(N,)``.
+        above: Parent body of each, -1 for none ``(N,)``.
         bodies: In the same order.
-        frames: Of each the frame of its joint at rest, as the body above sees it:
-            origin and quaternion, whose x is the joint's axis ``(N, 7)``.
-        turns: Of each its joint's own axes in its frame ``(N, 4)``.
+        frames: Rest frame of each joint relative to the parent body: origin and
+            quaternion, with x along the joint's axis ``(N, 7)``.
+        axes: Rotation of each body's frame to its joint's axes ``(N, 4)``.
     """
 
     rig: Rig
     joints: IntArray
     above: IntArray
-    bodies: Bodies
+    bodies: RigidBodies
     frames: FloatArray
-    turns: FloatArray
+    axes: FloatArray
 
 
 def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> Ragdoll:
@@ -100,14 +100,14 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
         capsules = with_digits(rig, world, capsules)
     joints = np.unique(capsules.joints)
     kinds = _kinds(rig, world, capsules, joints, options)
-    turns = so3.split_scale(world.linear[0])[0]
-    poses = [Poses.fixed(world.positions[0, j], turns[j]) for j in joints]
+    rotations = so3.split_scale(world.linear[0])[0]
+    poses = [Poses.fixed(world.positions[0, j], rotations[j]) for j in joints]
     count = len(joints)
-    bodies = Bodies(
+    bodies = RigidBodies(
         kinds, rig.names, np.arange(count), np.ones(count, np.bool_), poses, 0.0
     )
-    frames, own = _frames(rig, world.positions[0], turns, joints)
-    return Ragdoll(rig, joints, _above(rig, joints), bodies, frames, own)
+    frames, axes = _frames(rig, world.positions[0], rotations, joints)
+    return Ragdoll(rig, joints, _above(rig, joints), bodies, frames, axes)
 
 
 def _kinds(
@@ -116,11 +116,11 @@ def _kinds(
     capsules: Capsules,
     joints: IntArray,
     options: RagdollOptions,
-) -> list[Kind]:
-    """Return what the colliders of each joint weigh, as a body (SIM062)."""
+) -> list[BodyKind]:
+    """Return mass properties of each joint's colliders (SIM062)."""
     _, ends = capsules.turned(world)
     sizes = capsules.sizes(world)
-    kinds: list[Kind] = []
+    kinds: list[BodyKind] = []
     for j in joints.tolist():
         shapes = []
         for c in np.flatnonzero(capsules.joints == j).tolist():
@@ -147,21 +147,21 @@ def _kinds(
         kinds = weighed(rig, world, joints, kinds)
     if options.mass is None:
         return kinds
-    share = options.mass / sum(kind.mass for kind in kinds)
+    factor = options.mass / sum(kind.mass for kind in kinds)
     return [
-        replace(kind, mass=kind.mass * share, moments=kind.moments * share)
+        replace(kind, mass=kind.mass * factor, moments=kind.moments * factor)
         for kind in kinds
     ]
 
 
 def _above(rig: Rig, joints: IntArray) -> IntArray:
-    """Return the body that each hangs on, -1 for none ``(N,)``."""
-    place = {int(j): i for i, j in enumerate(joints)}
+    """Return the parent body of each body, -1 for none ``(N,)``."""
+    numbers = {int(j): i for i, j in enumerate(joints)}
     above = np.full(len(joints), -1)
     tops: dict[int, int] = {}
     for i, j in enumerate(joints.tolist()):
-        over = [place[k] for k in rig.upwards(j)[1:] if k in place]
-        # Branches below a joint that is no body hang on the first of them.
+        over = [numbers[k] for k in rig.upwards(j)[1:] if k in numbers]
+        # Branches below a joint without a body are attached to the first of them.
         above[i] = over[0] if over else tops.setdefault(movable(rig, j), i)
         if above[i] == i:
             above[i] = -1
@@ -169,36 +169,36 @@ def _above(rig: Rig, joints: IntArray) -> IntArray:
 
 
 def _frames(
-    rig: Rig, positions: FloatArray, turns: FloatArray, joints: IntArray
+    rig: Rig, positions: FloatArray, rotations: FloatArray, joints: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return frames of joints at rest ``(N, 7)``, and their own axes there ``(N, 4)``.
+    """Return rest frames of joints ``(N, 7)``, and their axes there ``(N, 4)``.
 
     Where all joints are: ``(J, 3)`` [m] and ``(J, 4)``.
     """
-    frames, own = np.zeros((len(joints), 7)), np.zeros((len(joints), 4))
+    frames, axes = np.zeros((len(joints), 7)), np.zeros((len(joints), 4))
     for i, j in enumerate(joints.tolist()):
         joint = rig.joints[j]
-        own[i] = _axes(joint)
-        at, turn = np.zeros(3), so3.IDENTITY
+        axes[i] = _axes(joint)
+        at, rotation = np.zeros(3), so3.IDENTITY
         if joint.parent >= 0:
-            at, turn = positions[joint.parent], turns[joint.parent]
-        rest = so3.multiply(turn, np.array(joint.rotation))
+            at, rotation = positions[joint.parent], rotations[joint.parent]
+        rest = so3.multiply(rotation, np.array(joint.rotation))
         frames[i, :3] = positions[j]
         if joint.type is JointType.PRISMATIC:
-            frames[i, :3] = at + so3.rotate(turn, np.array(joint.translation))
-        frames[i, 3:] = so3.multiply(rest, own[i])
-    return frames, own
+            frames[i, :3] = at + so3.rotate(rotation, np.array(joint.translation))
+        frames[i, 3:] = so3.multiply(rest, axes[i])
+    return frames, axes
 
 
 def movable(rig: Rig, joint: int) -> int:
-    """Return the joint that moves a body which hangs on none: a free one, or a root."""
+    """Return the joint that moves a root body: a free joint, or a root."""
     upwards = rig.upwards(joint)
     free = (k for k in upwards if rig.joints[k].type is JointType.FREE)
     return next(free, upwards[-1])
 
 
 def _axes(joint: Joint) -> FloatArray:
-    """Return the turn of x to a joint's axis, and of y and z to those of its swing."""
+    """Return the rotation of x to a joint's axis, and of y, z to its swing axes."""
     if isinstance(joint.limits, BallLimit):
         return so3.from_matrix(joint.limits.axes.T)
     x, y, z = np.asarray(joint.axis, np.float64)
@@ -212,34 +212,39 @@ def _axes(joint: Joint) -> FloatArray:
 def joints_of_rig(
     ragdoll: Ragdoll, options: RagdollOptions, targets: Callable[[float], FloatArray]
 ) -> Joints:
-    """Return the joints between bodies; ``targets`` are numbers of drives at a time."""
+    """Return the joints between bodies; ``targets`` give drive values at a time."""
     rig, bodies = ragdoll.rig, ragdoll.bodies
     hung = np.flatnonzero(ragdoll.above >= 0)
-    own = _passive(ragdoll, options)
+    tone = _passive(ragdoll, options)
     aims = targets(0.0) if options.tone else None
     rows, numbers = [], []
     for i in hung.tolist():
         joint = rig.joints[ragdoll.joints[i]]
         pose = bodies.poses[i].at(0.0)
-        frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.turns[i])])
+        frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.axes[i])])
         above = int(ragdoll.above[i])
         rows.append((_TYPES[joint.type], above, i))
-        drive = [options.stiffness + own[i, 0], options.damping + own[i, 1], -1.0, 0.0]
+        drive = [
+            options.stiffness + tone[i, 0],
+            options.damping + tone[i, 1],
+            -1.0,
+            0.0,
+        ]
         aim = [0.0, *so3.IDENTITY] if aims is None else aims[i]
-        on_a = seen_by(bodies, above, ragdoll.frames[i])
-        on_b = seen_by(bodies, i, frame)
+        on_a = in_principal_axes(bodies, above, ragdoll.frames[i])
+        on_b = in_principal_axes(bodies, i, frame)
         numbers.append([*on_a, *on_b, *_limits(joint), *aim, *drive])
-    made = np.array(numbers, np.float64).reshape(-1, NUMBERS)
+    table = np.array(numbers, np.float64).reshape(-1, NUMBERS)
 
     def driven(t: float) -> FloatArray:
-        now: FloatArray = made.copy()
+        now: FloatArray = table.copy()
         now[:, 18:23] = targets(t)[hung]
         return now
 
     joined = np.array([row[1:] for row in rows], np.int64).reshape(-1, 2)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
-        made,
+        table,
         [Poses()] * len(hung),
         pairs=joined,
         others=_overlapping(ragdoll),
@@ -249,16 +254,16 @@ def joints_of_rig(
 
 
 def _passive(ragdoll: Ragdoll, options: RagdollOptions) -> FloatArray:
-    """Return stiffness and damping of tone in the joints of bodies ``(N, 2)``."""
+    """Return passive stiffness and damping of bodies' joints ``(N, 2)``."""
     bodies, rig = ragdoll.bodies, ragdoll.rig
     if not options.tone:
         return np.zeros((len(ragdoll.joints), 2))
-    own = passive(
+    tone = passive(
         ragdoll.above, bodies.masses, bodies.start[:, :3], ragdoll.frames[:, :3]
     )
     turning = [rig.joints[j].type is not JointType.PRISMATIC for j in ragdoll.joints]
     shares = np.array([options.tone, np.sqrt(options.tone)])
-    return np.asarray(own * shares * np.array(turning)[:, None])
+    return np.asarray(tone * shares * np.array(turning)[:, None])
 
 
 def _limits(joint: Joint) -> list[float]:
@@ -273,18 +278,18 @@ def _limits(joint: Joint) -> list[float]:
 
 
 def _overlapping(ragdoll: Ragdoll) -> IntArray:
-    """Return pairs of bodies that are in each other where they begin ``(P, 2)``."""
+    """Return pairs of bodies that overlap at the start ``(P, 2)``."""
     placed = []
     for kind, poses in zip(ragdoll.bodies.kinds, ragdoll.bodies.poses, strict=True):
         pose = poses.at(0.0)
         placed.append([core.placed(pose[:3], pose[3:]) for core in kind.cores])
-    share = np.linspace(0, 1, 9)[:, None]
+    fraction = np.linspace(0, 1, 9)[:, None]
 
     def line(points: FloatArray) -> FloatArray:
-        way: FloatArray = points[0] + share * (points[-1] - points[0])
-        return way
+        samples: FloatArray = points[0] + fraction * (points[-1] - points[0])
+        return samples
 
-    found = []
+    pairs = []
     for i, j in combinations(range(len(placed)), 2):
         gaps = [
             np.linalg.norm(line(a.points)[:, None] - line(b.points), axis=2).min()
@@ -294,5 +299,5 @@ def _overlapping(ragdoll: Ragdoll) -> IntArray:
             for b in placed[j]
         ]
         if min(gaps) < 0:
-            found.append((i, j))
-    return np.array(found, np.int64).reshape(-1, 2)
+            pairs.append((i, j))
+    return np.array(pairs, np.int64).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""A ragdoll in motion: its bodies in steps, from poses of the rig and back to them."""
+"""Ragdoll simulation from poses of a rig, and its results as transforms."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def ragdoll_simulation(
     name: str,
     **keys: float,
 ) -> RigidSimulation:
-    """Return the bodies of a rig in steps, pulled by gravity ``(3,)`` [m/s²].
+    """Return a rigid simulation of a ragdoll, with gravity ``(3,)`` [m/s²].
 
     ``name`` is for messages; ``keys`` of rigid bodies say how they step.
     """
     force: Any = find_force("gravity")
-    # Its own bodies are those of the rig: a spec has one at least.
+    # The spec needs one body; the simulation's bodies are the rig's.
     body = {"name": "body", "shape": {"sphere": {"radius": 1}}}
     spec = RigidModel.model_validate(
         {"name": name, "bodies": [body], "sleep": {"speed": 0}, **keys}
@@ -44,66 +44,66 @@ def ragdoll_simulation(
 
 
 @dataclass(frozen=True)
-class Targets:
-    """The take's own pose, as drives see it."""
+class DriveTargets:
+    """The take's pose as drive targets."""
 
     ragdoll: Ragdoll
     times: FloatArray  # of frames (F,) [s]
     coordinates: FloatArray  # (F, Q)
-    places: Sequence[slice] = field(default=())
+    coordinate_slices: Sequence[slice] = field(default=())
 
     def __call__(self, t: float) -> FloatArray:
-        """Return target and rotation of each body's drive ``(N, 5)`` at a time [s]."""
-        made = np.tile([0.0, *so3.IDENTITY], (len(self.ragdoll.joints), 1))
+        """Return target and rotation of each drive ``(N, 5)`` at a time [s]."""
+        targets = np.tile([0.0, *so3.IDENTITY], (len(self.ragdoll.joints), 1))
         k = int(np.clip(np.searchsorted(self.times, t) - 1, 0, len(self.times) - 2))
         span = self.times[k + 1] - self.times[k]
-        share = float(np.clip((t - self.times[k]) / span, 0, 1))
+        fraction = float(np.clip((t - self.times[k]) / span, 0, 1))
         for i, j in enumerate(self.ragdoll.joints.tolist()):
-            joint, place = self.ragdoll.rig.joints[j], self.places[j]
-            before, after = self.coordinates[k : k + 2, place]
+            joint, coordinate = self.ragdoll.rig.joints[j], self.coordinate_slices[j]
+            before, after = self.coordinates[k : k + 2, coordinate]
             if joint.type in (JointType.PIN, JointType.PRISMATIC):
-                made[i, 0] = (before + share * (after - before))[0]
+                targets[i, 0] = (before + fraction * (after - before))[0]
             elif joint.type in (JointType.BALL, JointType.FREE):
-                turn = so3.slerp(before[-4:], after[-4:], share)
-                own = self.ragdoll.turns[i]
-                back = so3.multiply(so3.conjugate(own), turn)
-                made[i, 1:] = so3.multiply(back, own)
-        return made
+                rotation = so3.slerp(before[-4:], after[-4:], fraction)
+                axes = self.ragdoll.axes[i]
+                back = so3.multiply(so3.conjugate(axes), rotation)
+                targets[i, 1:] = so3.multiply(back, axes)
+        return targets
 
 
 def ragdoll_speeds(
     bodies: Ragdoll, world: WorldTransforms, times: FloatArray, first: int
 ) -> FloatArray:
-    """Return velocities of centres of mass and angular momenta ``(N, 6)``."""
+    """Return linear velocities and angular momenta of bodies ``(N, 6)``."""
     k = max(first - 1, 0)
     pair = slice(k, k + 2)
     span = float(times[k + 1] - times[k])
     positions = world.positions[pair, bodies.joints]
-    turns = so3.split_scale(world.linear[pair, bodies.joints])[0]
-    spins = so3.log(so3.multiply(turns[1], so3.conjugate(turns[0]))) / span
+    rotations = so3.split_scale(world.linear[pair, bodies.joints])[0]
+    spins = so3.log(so3.multiply(rotations[1], so3.conjugate(rotations[0]))) / span
     all_of_them = bodies.bodies
-    arms = so3.rotate(turns[1], all_of_them.centres)
+    arms = so3.rotate(rotations[1], all_of_them.centres)
     velocities = (positions[1] - positions[0]) / span + np.cross(spins, arms)
     axes = all_of_them.start[:, 3:7]
-    own = so3.rotate(so3.conjugate(axes), spins) * all_of_them.moments
-    return np.concatenate([velocities, so3.rotate(axes, own)], axis=1)
+    momenta_local = so3.rotate(so3.conjugate(axes), spins) * all_of_them.moments
+    return np.concatenate([velocities, so3.rotate(axes, momenta_local)], axis=1)
 
 
 def ragdoll_transforms(
     bodies: Ragdoll,
     origins: FloatArray,
-    turns: FloatArray,
+    body_rotations: FloatArray,
     translations: FloatArray,
     rotations: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return local transforms of all joints: bones keep their lengths.
+    """Return local transforms of all joints, with constant bone lengths.
 
-    What is between two bodies stays as it was at the beginning; what is below the last
-    one goes on as the take has it.
+    Joints between two bodies keep their initial transform; joints below the last body
+    follow the take.
     """
     rig = bodies.rig
-    place = {int(j): i for i, j in enumerate(bodies.joints)}
-    stiff = {k for j in place for k in rig.upwards(j)[1:]} - place.keys()
+    numbers = {int(j): i for i, j in enumerate(bodies.joints)}
+    stiff = {k for j in numbers for k in rig.upwards(j)[1:]} - numbers.keys()
     moved, turned = translations.copy(), rotations.copy()
     tops = np.flatnonzero(bodies.above < 0).tolist()
     movers = {movable(rig, int(bodies.joints[i])): i for i in tops}
@@ -113,15 +113,15 @@ def ragdoll_transforms(
         if j in stiff:
             moved[:, j], turned[:, j] = translations[0, j], rotations[0, j]
         above = joint.parent
-        if j in place or j in movers:
-            i = movers[j] if j in movers else place[j]
+        if j in numbers or j in movers:
+            i = movers[j] if j in movers else numbers[j]
             on = _on_body(rig, int(bodies.joints[i]), j, translations[0], rotations[0])
-            own = so3.multiply(turns[:, i], on[3:])
+            joint_rotations = so3.multiply(body_rotations[:, i], on[3:])
             back = so3.IDENTITY if above < 0 else so3.conjugate(world[:, above])
-            turned[:, j] = so3.multiply(back, own)
+            turned[:, j] = so3.multiply(back, joint_rotations)
             moved[:, j] = translations[0, j]
             if j in movers or joint.type is JointType.PRISMATIC:
-                origin = origins[:, i] + so3.rotate(turns[:, i], on[:3])
+                origin = origins[:, i] + so3.rotate(body_rotations[:, i], on[:3])
                 off = origin - (0 if above < 0 else at[:, above])
                 moved[:, j] = so3.rotate(back, off)
         if above < 0:
@@ -135,15 +135,15 @@ def ragdoll_transforms(
 def _on_body(
     rig: Rig, body: int, joint: int, translations: FloatArray, rotations: FloatArray
 ) -> FloatArray:
-    """Return a joint ``(7,)`` above a body, or its own, as the body sees it in a pose.
+    """Return a joint frame ``(7,)`` relative to the body that carries it.
 
     Local transforms are ``(J, 3)`` [m] and ``(J, 4)``.
     """
-    at, turn = np.zeros(3), so3.IDENTITY
+    at, rotation = np.zeros(3), so3.IDENTITY
     for k in rig.upwards(body):
         if k == joint:
             break
         at = translations[k] + so3.rotate(rotations[k], at)
-        turn = so3.multiply(rotations[k], turn)
-    back = so3.conjugate(turn)
+        rotation = so3.multiply(rotations[k], rotation)
+    back = so3.conjugate(rotation)
     return np.concatenate([-so3.rotate(back, at), back])

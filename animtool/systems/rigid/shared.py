@@ -1,4 +1,4 @@
-"""Rigid bodies as others see them, run into them, push them and hang on them."""
+"""Rigid bodies as colliders and attachments of other simulations."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.systems.framework.simulation import added, growing
 from animtool.systems.framework.surfaces import SystemBodies
-from animtool.systems.rigid.bodies import Bodies
+from animtool.systems.rigid.bodies import RigidBodies
 
 
 @dataclass(frozen=True, slots=True)
 class RigidState:
-    """Where bodies are, and what contacts and joints hold.
+    """The state of bodies, and the impulses of contacts and joints.
 
     Attributes:
         motion: Of N bodies centre of mass [m], attitude of the principal axes (x, y, z,
@@ -56,36 +56,36 @@ class RigidState:
 
 
 class SharedBodies:
-    """Bodies in states, for simulations that run into them and push them.
+    """Bodies in states, for simulations that collide with and push them.
 
     Attributes:
         bodies: What they are, whatever their state.
     """
 
-    bodies: Bodies
+    bodies: RigidBodies
 
     def frames(self, state: RigidState, t: float) -> FloatArray:
-        """Return where the frames of all bodies are ``(B, 7)`` at a time [s]."""
+        """Return body frames ``(B, 7)`` at a time [s]."""
         bodies = self.bodies
         frames = np.zeros((len(bodies.names), 7))
-        places, turns = bodies.placed(state.motion)
-        frames[bodies.dynamic] = np.concatenate([places, turns], axis=1)
+        origins, rotations = bodies.placed(state.motion)
+        frames[bodies.dynamic] = np.concatenate([origins, rotations], axis=1)
         for i in np.flatnonzero(~bodies.moved).tolist():
             frames[i] = bodies.poses[i].at(t)
         return frames
 
     def poses(self, state: RigidState, t: float) -> FloatArray:
-        """Return where the frames of all shapes are ``(C, 7)`` at a time [s]."""
+        """Return shape frames ``(C, 7)`` at a time [s]."""
         bodies = self.bodies
         frames = self.frames(state, t)[bodies.outlines.of]
-        at, turn = bodies.outlines.at, bodies.outlines.turns
-        places = frames[:, :3] + so3.rotate(frames[:, 3:], at)
-        turns = so3.multiply(frames[:, 3:], turn)
-        return np.concatenate([places, turns], axis=1)
+        at, rotation = bodies.outlines.at, bodies.outlines.rotations
+        origins = frames[:, :3] + so3.rotate(frames[:, 3:], at)
+        rotations = so3.multiply(frames[:, 3:], rotation)
+        return np.concatenate([origins, rotations], axis=1)
 
     @cached_property
     def shared(self) -> SystemBodies:
-        """They as others run into them."""
+        """The bodies as colliders."""
         bodies, outlines = self.bodies, self.bodies.outlines
         return SystemBodies(
             bodies.names,
@@ -97,22 +97,22 @@ class SharedBodies:
         )
 
     def speeds(self, state: RigidState) -> FloatArray:
-        """Return velocities of centres and angular ones ``(count, 6)``."""
+        """Return linear and angular velocities ``(count, 6)``."""
         spins = self.bodies.spins(state.motion)
         return np.concatenate([state.motion[:, 7:10], spins], axis=1)
 
     def pushed(self, state: RigidState, wrenches: Wrenches) -> RigidState:
-        """Return a state after impulses on its bodies."""
+        """Return a state after impulses on the bodies."""
         bodies, motion = self.bodies, state.motion.copy()
 
         def changes(pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
             moments = pushes[:, 3:] - np.cross(state.motion[:, :3], pushes[:, :3])
             return pushes[:, :3] / bodies.masses[:, None], moments
 
-        ways, twist = changes(wrenches.moved)
+        displacement, twist = changes(wrenches.moved)
         turned = motion.copy()
         turned[:, 10:13] = twist
-        motion[:, :3] += ways
+        motion[:, :3] += displacement
         motion[:, 3:7] = so3.multiply(so3.exp(bodies.spins(turned)), motion[:, 3:7])
         speeds, momenta = changes(wrenches.now)
         motion[:, 7:10] += speeds
@@ -121,14 +121,16 @@ class SharedBodies:
         return replace(state, motion=motion)
 
     def push_between(self, state: RigidState, other: RigidState) -> Wrenches:
-        """Return the push that leads from a state to another of the same time."""
+        """Return the impulses that lead from one state to another."""
         before, after, masses = state.motion, other.motion, self.bodies.masses[:, None]
         turned = so3.log(so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7])))
-        own = so3.rotate(so3.conjugate(before[:, 3:7]), turned) * self.bodies.moments
-        twist = so3.rotate(before[:, 3:7], own)
+        momentum_local = (
+            so3.rotate(so3.conjugate(before[:, 3:7]), turned) * self.bodies.moments
+        )
+        twist = so3.rotate(before[:, 3:7], momentum_local)
 
-        def push(ways: FloatArray, turning: FloatArray) -> FloatArray:
-            impulses = masses * ways
+        def push(displacement: FloatArray, turning: FloatArray) -> FloatArray:
+            impulses = masses * displacement
             moments = turning + so3.cross(before[:, :3], impulses)
             return np.concatenate([impulses, moments], axis=1)
 
@@ -138,18 +140,24 @@ class SharedBodies:
         )
 
     def inverse_masses(
-        self, state: RigidState, owners: IntArray, points: FloatArray, ways: FloatArray
+        self,
+        state: RigidState,
+        owners: IntArray,
+        points: FloatArray,
+        directions: FloatArray,
     ) -> FloatArray:
         """Return inverse effective masses ``(K,)`` [1/kg].
 
         Of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
         """
         motion, moments = state.motion[owners], self.bodies.moments[owners]
-        arms = np.cross(points - motion[:, :3], ways)
-        own = so3.rotate(so3.conjugate(motion[:, 3:7]), arms) ** 2
-        turning = np.divide(own, moments, out=np.zeros_like(own), where=moments > 0)
-        found: FloatArray = 1 / self.bodies.masses[owners] + turning.sum(axis=1)
-        return found
+        arms = np.cross(points - motion[:, :3], directions)
+        squares = so3.rotate(so3.conjugate(motion[:, 3:7]), arms) ** 2
+        turning = np.divide(
+            squares, moments, out=np.zeros_like(squares), where=moments > 0
+        )
+        inverse: FloatArray = 1 / self.bodies.masses[owners] + turning.sum(axis=1)
+        return inverse
 
     def inertias(self, state: RigidState) -> tuple[FloatArray, FloatArray]:
         """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
@@ -158,5 +166,5 @@ class SharedBodies:
         """
         motion, moments = state.motion, self.bodies.moments
         ease = np.divide(1.0, moments, out=np.zeros_like(moments), where=moments > 0)
-        turns = so3.to_matrix(motion[:, 3:7])
-        return motion[:, :3], (turns * ease[:, None]) @ turns.swapaxes(1, 2)
+        axes = so3.to_matrix(motion[:, 3:7])
+        return motion[:, :3], (axes * ease[:, None]) @ axes.swapaxes(1, 2)

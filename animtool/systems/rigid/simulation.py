@@ -1,4 +1,4 @@
-"""Rigid bodies in steps: forces, contacts, joints, and how they turn."""
+"""Rigid body simulation: forces, contacts and joints."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.system import Energy
 from animtool.systems.framework.simulation import Diagnostics, SimContext
 from animtool.systems.particles.forces.base import Force
-from animtool.systems.rigid.bodies import Bodies
+from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.joints import (
     Joints,
     check_joints,
@@ -32,27 +32,60 @@ from animtool.systems.rigid.joints import (
     joints_of,
     together,
 )
-from animtool.systems.rigid.loads import BodyLoads, Loads
+from animtool.systems.rigid.loads import BodyLoads, StepForces
 from animtool.systems.rigid.locked import locked_notices
 from animtool.systems.rigid.notices import (
     break_notices,
     depth_notices,
     swing_notices,
 )
-from animtool.systems.rigid.phases import Phase, Phases, held_states
+from animtool.systems.rigid.phases import BodyPhase, BodyPhases, kinematic_states
 from animtool.systems.rigid.physics import (
     body_entries,
     described,
     stage_joints,
-    still_colliders,
+    static_colliders,
 )
 from animtool.systems.rigid.shared import RigidState, SharedBodies
 from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.rigid.surroundings import BodyForces
 
-# Beyond these a simulation blew up: keys hold 1e18, and squares are held by float64.
-FARTHEST = 1e24  # of places [m] and velocities [m/s]
-FASTEST = 1e100  # of angular momenta [kg m²/s]
+# Beyond these a simulation diverged: keys allow 1e18, and squares must be finite.
+FARTHEST = 1e24  # positions [m] and velocities [m/s]
+FASTEST = 1e100  # angular momenta [kg m²/s]
+
+
+def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
+    """Return the simulation of a spec.
+
+    Raises:
+        OptionError: Something of it makes no sense (SIM020, SIM061).
+    """
+    parts, colliders = context.parts, context.colliders
+    stages: Sequence[Physics] = parts.get("stages", ())
+    models, entries = list(spec.bodies), list(parts.get("bodies", ()))
+    for k, stage in enumerate(stages):
+        more = body_entries(stage, f"stages[{k}].prim")
+        models += more[0]
+        entries += more[1]
+    refusals = Refusals()
+    with refusals.collect():
+        bodies = RigidBodies.of_models(models, entries, context.begin)
+    with refusals.collect():
+        check_joints(spec.joints, models)
+    refusals.check()
+    joints = [joints_of(spec.joints, parts.get("joints", ()), bodies)]
+    first = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
+    static: list[Collider] = []
+    for stage in stages:
+        joints.append(stage_joints(stage, bodies, first))
+        first += len(stage.bodies)
+        static += static_colliders(stage)
+    forces = parts.get("forces", ())
+    joined = together(joints) if stages else joints[0]
+    return RigidSimulation(
+        spec, context.begin, bodies, joined, colliders, forces, static
+    )
 
 
 class RigidSimulation(SharedBodies):
@@ -62,26 +95,26 @@ class RigidSimulation(SharedBodies):
         self,
         spec: RigidModel,
         begin: float,
-        bodies: Bodies,
+        bodies: RigidBodies,
         joints: Joints,
         colliders: Colliders,
         forces: Sequence[Force] = (),
-        still: Sequence[Collider] = (),
+        static: Sequence[Collider] = (),
     ) -> None:
-        """Begin at a time [s]; ``still`` are colliders behind those of bodies."""
+        """Start at a time [s]; ``static`` colliders follow those of bodies."""
         self._spec, self._begin = spec, begin
         self.bodies, self.joints = bodies, joints
-        self._phases = Phases(
+        self._phases = BodyPhases(
             bodies,
-            lambda own: joints_in(joints, bodies, own),
+            lambda phase_bodies: joints_in(joints, bodies, phase_bodies),
             list(colliders),
-            still,
+            static,
             colliders,
         )
         self._forces = BodyForces(bodies, forces, begin)
         self._loads = BodyLoads(spec.name, bodies, self._forces)
-        whole = self._phases.at(self._phases.last, np.zeros(0, np.bool_))
-        self._colliders = whole.surroundings.colliders
+        last = self._phases.at(self._phases.last, np.zeros(0, np.bool_))
+        self._colliders = last.surroundings.colliders
         self._locked = locked_notices(joints.rows, joints.numbers, joints.names, bodies)
         self._settings = (
             spec.methods.index(spec.method),
@@ -92,39 +125,8 @@ class RigidSimulation(SharedBodies):
             spec.sleep.time,
         )
 
-    @staticmethod
-    def of(spec: RigidModel, context: SimContext) -> RigidSimulation:
-        """Return the bodies of a spec.
-
-        Raises:
-            OptionError: Something of it makes no sense (SIM020, SIM061).
-        """
-        parts, given = context.parts, context.colliders
-        stages: Sequence[Physics] = parts.get("stages", ())
-        models, entries = list(spec.bodies), list(parts.get("bodies", ()))
-        for k, stage in enumerate(stages):
-            more = body_entries(stage, f"stages[{k}].prim")
-            models += more[0]
-            entries += more[1]
-        refusals = Refusals()
-        with refusals.collect():
-            bodies = Bodies.of_models(models, entries, context.begin)
-        with refusals.collect():
-            check_joints(spec.joints, models)
-        refusals.check()
-        joints = [joints_of(spec.joints, parts.get("joints", ()), bodies)]
-        first = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
-        still: list[Collider] = []
-        for stage in stages:
-            joints.append(stage_joints(stage, bodies, first))
-            first += len(stage.bodies)
-            still += still_colliders(stage)
-        forces = parts.get("forces", ())
-        whole = together(joints) if stages else joints[0]
-        return RigidSimulation(spec, context.begin, bodies, whole, given, forces, still)
-
     def initial(self) -> RigidState:
-        """Return where all begin."""
+        """Return the initial state."""
         count = len(self.joints.rows)
         return RigidState(
             self.bodies.start,
@@ -138,7 +140,7 @@ class RigidSimulation(SharedBodies):
         )
 
     def misfit(self, state: RigidState, t: float) -> str:
-        """Return why a state of a file cannot be resumed from; empty where it can."""
+        """Return why a saved state cannot be resumed; empty if it can."""
         del t
         sizes = np.linalg.norm(np.clip(state.motion[:, 3:7], -2, 2), axis=1)
         if not (sizes > 0.5).all():
@@ -151,7 +153,7 @@ class RigidSimulation(SharedBodies):
         return ""
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
-        """Return where bodies are a step [s] later.
+        """Return the state after a step [s].
 
         Raises:
             ToleranceError: Forces are not finite, swing bodies too fast, or bodies
@@ -159,8 +161,10 @@ class RigidSimulation(SharedBodies):
         """
         parts = self._loads.parts(t, dt, state.motion)
         if self._forces.vary:
-            held = self._held(state, t, dt)
-            parts = self._loads.parts_of_held(t, dt, parts, state.motion, held)
+            constrained = self._constrained(state, t, dt)
+            parts = self._loads.parts_of_constrained(
+                t, dt, parts, state.motion, constrained
+            )
         while True:
             after, more = self._in_parts(state, t, dt, parts)
             if more == parts:
@@ -170,48 +174,50 @@ class RigidSimulation(SharedBodies):
     def _in_parts(
         self, state: RigidState, t: float, dt: float, parts: int
     ) -> tuple[RigidState, int]:
-        """Return where bodies are after a step in parts, and how many it ought to have.
+        """Return the state after substeps, and how many are needed.
 
         More than there are where one that drag makes heavy met something.
         """
         each = dt / parts
         for k in range(parts):
             now, motion = t + k * each, state.motion
-            held = self._held(state, now, each)
+            constrained = self._constrained(state, now, each)
             flight = self._loads.fly(now, each, motion)
-            loads = self._loads.over(now, each, motion, held, flight)
+            loads = self._loads.over(now, each, motion, constrained, flight)
             after = self._solved(state, loads, now, each)
-            missed = loads.missed(after.motion[:, 7:10], held)
+            missed = loads.missed(after.motion[:, 7:10], constrained)
             if missed.any():
                 more = loads.parts(parts, missed)
                 if more > parts:
                     return state, more
-                loads = self._loads.over(now, each, motion, held | missed, flight)
+                loads = self._loads.over(
+                    now, each, motion, constrained | missed, flight
+                )
                 after = self._solved(state, loads, now, each)
             state = after
         return state, parts
 
-    def _phase(self, state: RigidState, t: float, dt: float) -> Phase:
+    def _phase(self, state: RigidState, t: float, dt: float) -> BodyPhase:
         broken = np.isfinite(state.broken[:, 0])
         return self._phases.at(self._phases.number(t, dt), broken)
 
-    def _held(self, state: RigidState, t: float, dt: float) -> BoolArray:
-        """Return who is held by contacts or joints, or sleeps ``(N,)``."""
-        held = state.motion[:, 13] >= self._spec.sleep.time
+    def _constrained(self, state: RigidState, t: float, dt: float) -> BoolArray:
+        """Return bodies with contacts or joints, or asleep ``(N,)``."""
+        constrained = state.motion[:, 13] >= self._spec.sleep.time
         if not self._forces.vary:
-            return held
+            return constrained
         phase = self._phase(state, t - dt, dt)
         owners = np.append(self.bodies.shapes[1], -1)
         pressing = phase.shapes_of(state.pairs[state.contacts[:, 3:].any(axis=1)])
         bodies = owners[np.minimum(pressing, len(owners) - 1)].ravel()
         bodies = np.concatenate([bodies, self.joints.rows[:, 1:].ravel()])
-        held[bodies[bodies >= 0]] = True
-        return held
+        constrained[bodies[bodies >= 0]] = True
+        return constrained
 
     def _solved(
-        self, state: RigidState, loads: Loads, t: float, dt: float
+        self, state: RigidState, loads: StepForces, t: float, dt: float
     ) -> RigidState:
-        """Return where bodies come under loads, with contacts and joints."""
+        """Return the state after contacts and joints are solved."""
         motion = self._woken(state.motion, loads, t, dt)
         if loads.velocities is not None:
             motion = motion.copy()
@@ -231,14 +237,14 @@ class RigidSimulation(SharedBodies):
             dt,
             *self._settings,
         )
-        moved, pairs, contacts, held, depth, residual, pressing, _, awake, _ = stepped[
-            :10
-        ]
-        if not phase.whole:
+        moved, pairs, contacts, impulses, depth, residual, pressing, _, awake, _ = (
+            stepped[:10]
+        )
+        if not phase.full:
             motion = motion.copy()
             motion[free] = moved
-            told = np.flatnonzero(~free)
-            motion[told] = held_states(self.bodies, told, t + dt, dt)
+            kinematic = np.flatnonzero(~free)
+            motion[kinematic] = kinematic_states(self.bodies, kinematic, t + dt, dt)
             moved = motion
         self._check(moved, t + dt)
         deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
@@ -247,14 +253,14 @@ class RigidSimulation(SharedBodies):
                 pair = np.array(stepped[10:12])
                 deepest[k] = depth
                 deepest_pairs[k] = np.where(pair < 0, pair, phase.shapes_of(pair))
-        broken, held = self._broken(state, phase, held, t + dt)
+        broken, impulses = self._broken(state, phase, impulses, t + dt)
         follows, swinging = stepped[12] * self._spec.step / dt, stepped[13]
         worse = swinging >= 0 and (state.swinging < 0 or follows < state.follows)
         return RigidState(
             moved,
             pairs,
             contacts,
-            held,
+            impulses,
             deepest,
             deepest_pairs,
             broken,
@@ -266,7 +272,7 @@ class RigidSimulation(SharedBodies):
         )
 
     def _check(self, motion: FloatArray, t: float) -> None:
-        """Refuse a state that no body can be in (SIM102)."""
+        """Refuse an impossible state (SIM102)."""
         sound = np.abs(motion[:, :10]).max(axis=1, initial=0.0) <= FARTHEST
         sound &= np.abs(motion[:, 10:13]).max(axis=1, initial=0.0) <= FASTEST
         if sound.all():
@@ -279,8 +285,8 @@ class RigidSimulation(SharedBodies):
         hint = f"do joints start within their limits? if so, use step: {step}"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
-    def _weighed(self, phase: Phase, loads: Loads, t: float) -> Any:
-        """Return bodies as the kernel takes them, with what loads make of them."""
+    def _weighed(self, phase: BodyPhase, loads: StepForces, t: float) -> Any:
+        """Return kernel arrays, with step forces and inertia factors."""
         joints, inertias = self.joints, loads.inertias
         if joints.driven is None and inertias is None:
             return phase.kernel
@@ -290,26 +296,26 @@ class RigidSimulation(SharedBodies):
         )
 
     def _broken(
-        self, state: RigidState, phase: Phase, held: FloatArray, t: float
+        self, state: RigidState, phase: BodyPhase, impulses: FloatArray, t: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return when joints broke, and what all of them hold, at a time [s]."""
-        whole = held
+        """Return break times and impulses of joints, at a time [s]."""
+        all_impulses = impulses
         if len(phase.holding) < len(self.joints.rows):
-            whole = np.zeros_like(state.held)
-            whole[phase.holding] = held
+            all_impulses = np.zeros_like(state.held)
+            all_impulses[phase.holding] = impulses
         if not len(state.broken):
-            return state.broken, whole
-        found = joint_loads(phase.joints, held)
-        over = (found > phase.joints.breaks).any(axis=1)
+            return state.broken, all_impulses
+        loads = joint_loads(phase.joints, impulses)
+        over = (loads > phase.joints.breaks).any(axis=1)
         broken = state.broken.copy()
         broken[phase.holding[over], 0] = t
-        broken[phase.holding[over], 1:] = found[over]
-        return broken, whole
+        broken[phase.holding[over], 1:] = loads[over]
+        return broken, all_impulses
 
     def _woken(
-        self, motion: FloatArray, loads: Loads, t: float, dt: float
+        self, motion: FloatArray, loads: StepForces, t: float, dt: float
     ) -> FloatArray:
-        """Return bodies, those awake whose forces change."""
+        """Return states, with sleepers woken whose forces change."""
         sleeping = motion[:, 13] >= self._spec.sleep.time
         if not sleeping.any():
             return motion
@@ -324,7 +330,7 @@ class RigidSimulation(SharedBodies):
         return motion
 
     def frame(self, state: RigidState, t: float) -> TransformsFrame:
-        """Return where bodies are."""
+        """Return the bodies at a time."""
         bodies, motion = self.bodies, state.motion
         count = len(bodies.names)
         points, velocities, spins = np.zeros((3, count, 3))
@@ -342,8 +348,8 @@ class RigidSimulation(SharedBodies):
             )
             points[i], rotations[i] = row[:3], row[3:]
             velocities[i] = (after[:3] - before[:3]) / step
-            turn = so3.multiply(after[3:], so3.conjugate(before[3:]))
-            spins[i] = so3.log(turn) / step
+            rotation = so3.multiply(after[3:], so3.conjugate(before[3:]))
+            spins[i] = so3.log(rotation) / step
         meshes = tuple(kind.meshes[0] for kind in bodies.kinds)
         return TransformsFrame(
             np.arange(count),
@@ -356,33 +362,33 @@ class RigidSimulation(SharedBodies):
             meshes,
             names=tuple(bodies.names),
             xforms=self._spec.prims == "xforms",
-            still=bodies.still,
+            static=bodies.static,
             physics=self._physics,
         )
 
     def free(self, t: float) -> BoolArray:
-        """Return which bodies move by themselves from a time [s] on ``(count,)``."""
+        """Return which bodies are dynamic from a time [s] on ``(count,)``."""
         return self._phases.free(t, self._spec.step)
 
     @cached_property
     def _physics(self) -> Physics | None:
-        """What other engines go on from, if it is to be written."""
+        """Physics records for the output, if requested."""
         if not self._spec.physics:
             return None
         return described(self.bodies, self.joints, self._colliders, self._forces.forces)
 
     def energy(self, state: RigidState) -> Energy:
-        """Return the energy of a state, potential where forces have one."""
+        """Return the energy of a state; potential if forces have one."""
         bodies, motion = self.bodies, state.motion
-        own = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
+        local = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
         moments = bodies.moments
         ease = np.divide(1.0, moments, out=np.zeros_like(moments), where=moments > 0)
         kinetic = 0.5 * float(bodies.masses @ (motion[:, 7:10] ** 2).sum(axis=1))
-        kinetic += 0.5 * float((own**2 * ease).sum())
+        kinetic += 0.5 * float((local**2 * ease).sum())
         return Energy(kinetic, self._forces.potential(motion))
 
     def diagnostics(self, state: RigidState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return energy, contacts and how deep bodies have been in each other."""
+        """Return energy, contacts and penetration depths."""
         values = {
             "bodies": float(len(self.bodies.names)),
             "awake": float(state.awake),
@@ -390,19 +396,21 @@ class RigidSimulation(SharedBodies):
             "deepest": float(state.deepest[0]),
             "residual": state.residual,
         }
-        found = [*self.joints.notices, *self._locked, *self._colliders.notices()]
-        found += swing_notices(state, self.joints, self._spec.step)
+        notices = [*self.joints.notices, *self._locked, *self._colliders.notices()]
+        notices += swing_notices(state, self.joints, self._spec.step)
         for kind in self.bodies.kinds:
-            found += kind.notices
-        found += break_notices(state, self.joints)
+            notices += kind.notices
+        notices += break_notices(state, self.joints)
         size = float(self.bodies.reaches.min(initial=np.inf))
-        found += depth_notices(state, size, self._shape_names)
-        return Diagnostics(self.energy(state), values, found)
+        notices += depth_notices(state, size, self._shape_names)
+        return Diagnostics(self.energy(state), values, notices)
 
     def _shape_names(self) -> list[str]:
-        """Return the bodies of shapes, and colliders behind them, by name."""
+        """Return names of shapes' bodies, then of colliders."""
         bodies, around = self.bodies, self._colliders
         names = [bodies.names[bodies.dynamic[i]] for i in bodies.shapes[1]]
         names += [one.name or f"colliders[{i}]" for i, one in enumerate(around)]
         names += [sheet.name for sheet in around.sheets]
-        return names + [one.name for own in around.bodies for one in own.colliders]
+        return names + [
+            one.name for system in around.bodies for one in system.colliders
+        ]

@@ -1,9 +1,9 @@
-"""The keys of rigid bodies in a scene file, as models."""
+"""Keys of rigid bodies in scene files."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, TypeAlias, get_args
 
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field
@@ -22,18 +22,17 @@ from animtool.documents.fields import (
 )
 from animtool.systems.framework.fields import (
     ArrayEntry,
-    Characters,
-    Colliders,
     Forces,
-    Meshes,
     PhysicsStageModel,
     PlacedModel,
     PrototypeModel,
     ShapeEntry,
-    Surfaces,
 )
-from animtool.systems.framework.spec import SystemSpec
+from animtool.systems.framework.spec import CollidingSpec
 
+RotationMethod: TypeAlias = Literal[
+    "splitting", "rk4", "symplectic_euler", "explicit_euler"
+]
 Angles = Annotated[list[Annotated[Real, Ge(-180), Le(180)]], Len(2, 2)]
 
 
@@ -282,15 +281,10 @@ class SleepModel(FileModel):
     time: Positive = key("Time below that speed [s].", 1, default=0.5)
 
 
-class RigidModel(SystemSpec):
+class RigidModel(CollidingSpec):
     """Rigid bodies of a scene, and joints; forces act at their centres of mass."""
 
-    methods: ClassVar[Sequence[str]] = (
-        "splitting",
-        "rk4",
-        "symplectic_euler",
-        "explicit_euler",
-    )
+    methods: ClassVar[Sequence[str]] = get_args(RotationMethod)
     code: ClassVar[str] = "SIM061"
 
     bodies: Annotated[list[BodyModel], Len(0, 100_000)] = key(
@@ -310,11 +304,7 @@ class RigidModel(SystemSpec):
         default=[],
     )
     forces: Forces = Field([{"gravity": None}])
-    colliders: Colliders = Field([])
-    characters: Characters = Field([])
-    systems: Surfaces = Field([])
-    meshes: Meshes = Field([])
-    method: Literal["splitting", "rk4", "symplectic_euler", "explicit_euler"] = key(
+    method: RotationMethod = key(
         "Integrator of free rotation: `splitting` conserves energy and momentum.",
         "rk4",
         default="splitting",

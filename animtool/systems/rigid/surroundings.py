@@ -1,4 +1,4 @@
-"""What acts on rigid bodies in a step: forces, pushes, and what they run into."""
+"""Forces, pushes and colliders of rigid bodies in a step."""
 
 from __future__ import annotations
 
@@ -14,19 +14,21 @@ from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Poses, Sheet
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.state import ParticleState
-from animtool.systems.rigid.bodies import Bodies
+from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.spec import PushModel
 
-# A force that changes by more of itself in a step wakes who sleeps.
+# Forces that change by more, relative, in a step wake sleepers.
 CHANGES = 1e-9
 
 
 class BodyForces:
-    """Forces on N bodies that are moved, from a time on."""
+    """Forces on N dynamic bodies, from a start time."""
 
-    def __init__(self, bodies: Bodies, forces: Sequence[Force], begin: float) -> None:
+    def __init__(
+        self, bodies: RigidBodies, forces: Sequence[Force], begin: float
+    ) -> None:
         self._bodies, self.forces, self._begin = bodies, forces, begin
-        # Whether forces depend on where bodies are, how fast, or when.
+        # Whether forces depend on position, velocity or time.
         self.vary = any(force.varies for force in forces)
         self._pushes = [
             (number, push)
@@ -39,52 +41,52 @@ class BodyForces:
 
         Those of `forces` are as they are where it begins.
         """
-        made, x, v = self.pushes_over(t, dt, motion), motion[:, :3], motion[:, 7:10]
+        wrenches, x, v = self.pushes_over(t, dt, motion), motion[:, :3], motion[:, 7:10]
         for force in self.forces:
-            made[:, :3] += force.force(t, x, v, self._particles)
-        return made
+            wrenches[:, :3] += force.force(t, x, v, self._particles)
+        return wrenches
 
     def pushes_over(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return the forces and torques of pushes alone in a step ``(N, 6)``.
+        """Return forces and torques of pushes in a step ``(N, 6)``.
 
         Bodies are turned as in the middle of it, so that the energy of what swings
         under them neither grows nor falls.
         """
-        made = np.zeros((len(motion), 6))
+        wrenches = np.zeros((len(motion), 6))
         if not self._pushes:
-            return made
+            return wrenches
         middle = motion.copy()
         spins = self._bodies.spins(motion)
         middle[:, 3:7] = so3.multiply(so3.exp(spins * (dt / 2)), motion[:, 3:7])
         for number, push in self._pushes:
-            made[number] += self._pushed(number, push, (t, t + dt), middle)
-        return made
+            wrenches[number] += self._pushed(number, push, (t, t + dt), middle)
+        return wrenches
 
     def accelerations(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return what forces do at positions and velocities ``(N, 3)`` [m/s²]."""
-        made = np.zeros_like(x)
+        """Return accelerations at positions and velocities ``(N, 3)``."""
+        forces = np.zeros_like(x)
         for force in self.forces:
-            made += force.force(t, x, v, self._particles)
-        return made / self._bodies.masses[:, None]
+            forces += force.force(t, x, v, self._particles)
+        return forces / self._bodies.masses[:, None]
 
     def slopes(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how these grow with positions and velocities ``(N, 3, 3)``."""
-        made = np.zeros((2, len(x), 3, 3))
+        """Return Jacobians of the accelerations ``(N, 3, 3)``."""
+        slopes = np.zeros((2, len(x), 3, 3))
         for force in self.forces:
             if force.varies:
-                made += force.slopes(t, x, v, self._particles)
-        by_place, by_speed = made / self._bodies.masses[:, None, None]
-        return by_place, by_speed
+                slopes += force.slopes(t, x, v, self._particles)
+        by_position, by_speed = slopes / self._bodies.masses[:, None, None]
+        return by_position, by_speed
 
     def turning(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return how fast pushes turn bodies to and fro, or turn with them ``(2, N)``.
+        """Return oscillation and spin rates under pushes ``(2, N)``.
 
         The first as a pendulum swings [rad/s], of the force at its arm; the second as
         they spin, where what pushes them turns with that.
         """
-        made = np.zeros((2, len(motion)))
+        rates = np.zeros((2, len(motion)))
         moments = self._bodies.moments
         for number, push in self._pushes:
             if not self._lasts(push, (t, t + dt)):
@@ -93,31 +95,31 @@ class BodyForces:
             pull = float(np.linalg.norm(arm) * np.linalg.norm(push.force))
             some = moments[number][moments[number] > 0]
             if pull and not push.local and len(some):
-                made[0, number] += pull / some.min()
+                rates[0, number] += pull / some.min()
             if pull or push.local:
                 spin = self._bodies.spins(motion)[number]
-                made[1, number] = np.linalg.norm(spin)
-        made[0] = np.sqrt(made[0])
-        return made
+                rates[1, number] = np.linalg.norm(spin)
+        rates[0] = np.sqrt(rates[0])
+        return rates
 
     def change(
         self, forces: FloatArray, t: float, dt: float, motion: FloatArray
     ) -> BoolArray:
-        """Return whose forces are others in the next step ``(N,)``."""
+        """Return which bodies' forces change in the next step ``(N,)``."""
         later = self.over(t + dt, dt, motion)
         size = np.linalg.norm(forces, axis=1)
         return np.asarray(np.linalg.norm(later - forces, axis=1) > CHANGES * size)
 
     def potential(self, motion: FloatArray) -> float:
-        """Return the potential energy of forces that have one [J]."""
+        """Return the potential energy of conservative forces [J]."""
         potential = 0.0
         for force in self.forces:
-            found = force.potential(motion[:, :3], self._particles)
-            potential += 0.0 if found is None else float(found.sum())
+            energies = force.potential(motion[:, :3], self._particles)
+            potential += 0.0 if energies is None else float(energies.sum())
         return potential
 
     def _lasts(self, push: PushModel, span: tuple[float, float]) -> float:
-        """Return the share of a span of time that a push lasts [1]."""
+        """Return the fraction of an interval that a push lasts [1]."""
         t, end = span
         start = self._begin if push.start is None else push.start
         last = np.inf if push.end is None else push.end
@@ -130,17 +132,17 @@ class BodyForces:
         span: tuple[float, float],
         motion: FloatArray,
     ) -> FloatArray:
-        """Return force and torque of a push ``(6,)``, less where it lasts less."""
-        share = self._lasts(push, span)
-        if not share:
+        """Return force and torque of a push ``(6,)``, scaled by its duration."""
+        fraction = self._lasts(push, span)
+        if not fraction:
             return np.zeros(6)
-        bodies, turn = self._bodies, motion[number, 3:7]
-        frame = so3.multiply(turn, so3.conjugate(bodies.axes[number]))
+        bodies, axes = self._bodies, motion[number, 3:7]
+        frame = so3.multiply(axes, so3.conjugate(bodies.axes[number]))
         force, torque = np.array(push.force), np.array(push.torque)
         if push.local:
             force, torque = so3.rotate(frame, force), so3.rotate(frame, torque)
         arm = so3.rotate(frame, np.array(push.at) - bodies.centres[number])
-        return np.concatenate([force, torque + np.cross(arm, force)]) * share
+        return np.concatenate([force, torque + np.cross(arm, force)]) * fraction
 
     @cached_property
     def _particles(self) -> ParticleState:
@@ -157,43 +159,43 @@ class BodyForces:
         )
 
 
-class Surroundings:
-    """Colliders as the kernel takes them.
+class StepColliders:
+    """Colliders in the kernel's layout.
 
     Attributes:
         colliders: All of them.
-        first: How many come before those of bodies that go as they are told.
+        first: Number of colliders before those of kinematic bodies.
     """
 
     def __init__(self, colliders: Colliders, first: int = 0) -> None:
         self.colliders, self.first = colliders, first
-        # Points of surfaces in the last step, and these as colliders.
+        # Surface points of the last step, and their colliders.
         self._known: tuple[list[FloatArray], Colliders] | None = None
 
     def arrays(self, t: float, end: float) -> tuple[Any, ...]:
-        """Return what bodies run into through a step."""
+        """Return collider arrays for a step."""
         sheets = self.colliders.sheets
         if not sheets:
             return self.colliders.arrays(t, end)
-        places = [point for one in sheets for point in _ends(one, t, end)]
+        positions = [point for one in sheets for point in _ends(one, t, end)]
         known = self._known
         if known is None or any(
-            old is not new for old, new in zip(known[0], places, strict=True)
+            old is not new for old, new in zip(known[0], positions, strict=True)
         ):
             moving = [_going(one, t, end) for one in sheets]
             around = Colliders([*self.colliders, *moving], (), self.colliders.bodies)
-            known = self._known = places, around
+            known = self._known = positions, around
         return known[1].arrays(t, end)
 
 
 def _ends(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatArray]:
-    """Return the points of a surface at both ends of a step; none before again."""
+    """Return a surface's points at both ends of a step; constant after a teleport."""
     sheet.motion.forget(t)
     return sheet.motion.points(t), sheet.motion.points(end)
 
 
 def _going(sheet: Sheet, t: float, end: float) -> Collider:
-    """Return a surface through a step: as it begins, and as nearly as it goes as one.
+    """Return a surface over a step: its start shape, and the nearest rigid motion.
 
     The rotation is that of Kabsch (1976): points that change shape differ from it.
     """
@@ -203,10 +205,10 @@ def _going(sheet: Sheet, t: float, end: float) -> Collider:
         return collider
     middle, goal = begin.mean(axis=0), after.mean(axis=0)
     u, _, v = np.linalg.svd((after - goal).T @ (begin - middle))
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     poses = Poses(
         (t, end),
-        np.stack([np.zeros(3), goal - turn @ middle]),
-        np.stack([so3.IDENTITY, so3.from_matrix(turn)]),
+        np.stack([np.zeros(3), goal - rotation @ middle]),
+        np.stack([so3.IDENTITY, so3.from_matrix(rotation)]),
     )
     return replace(collider, poses=poses)

@@ -1,4 +1,4 @@
-"""The pass `ragdoll`: from a frame on, a rig's colliders are bodies that fall."""
+"""The pass `ragdoll`: a rig falls as a ragdoll from a frame on."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from animtool.systems.rigid.ragdoll import (
     joints_of_rig,
 )
 from animtool.systems.rigid.ragdoll_motion import (
-    Targets,
+    DriveTargets,
     ragdoll_simulation,
     ragdoll_speeds,
     ragdoll_transforms,
 )
 from animtool.systems.rigid.shared import RigidState
 
-# A limit that a joint is beyond by less is kept [rad].
+# Tolerance of limits, as their overshoot [rad].
 KEPT = math.radians(1.0)
-KEPT_SLIDE = 0.001  # likewise of a slide [m]
+KEPT_SLIDE = 0.001  # likewise of slides [m]
 
 
 def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
@@ -79,54 +79,56 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
     )
     bodies = bodies_of_rig(rig, pose, options)
     coordinates = coordinates_from_local(rig, LocalTransforms(translations, rotations))
-    targets = Targets(bodies, times - times[first], coordinates, coordinate_slices(rig))
+    targets = DriveTargets(
+        bodies, times - times[first], coordinates, coordinate_slices(rig)
+    )
     around = [_later(one, float(times[first])) for one in options.colliders]
     speeds = ragdoll_speeds(bodies, world, times, first)
     run = _run(bodies, options, targets, speeds, Colliders(around))
-    origins, turns = [], []
+    origins, frame_rotations = [], []
     for k in range(first, clock.count):
         frame = run.at(float(times[k] - times[first]))
         assert isinstance(frame, TransformsFrame)
         origins.append(frame.points)
-        turns.append(frame.rotations)
+        frame_rotations.append(frame.rotations)
         if context.progress is not None:
             context.progress((k + 1 - first) / (clock.count - first))
     fallen = ragdoll_transforms(
         bodies,
         np.array(origins),
-        np.array(turns),
+        np.array(frame_rotations),
         translations[first:],
         rotations[first:],
     )
     weights = _weights(codes, first, last, options)[first:]
-    made = [translations.copy(), rotations.copy()]
-    made[0][first:] += weights[:, None, None] * (fallen[0] - translations[first:])
-    made[1][first:] = so3.slerp(
+    blended = [translations.copy(), rotations.copy()]
+    blended[0][first:] += weights[:, None, None] * (fallen[0] - translations[first:])
+    blended[1][first:] = so3.slerp(
         rotations[first:],
         so3.align_signs(fallen[1], rotations[first]),
         np.broadcast_to(weights[:, None], fallen[1].shape[:2]),
     )
     motion = replace(
         take.motion,
-        translations=Channel.from_dense(made[0]),
-        rotations=Channel.from_dense(so3.align_signs(made[1])),
+        translations=Channel.from_dense(blended[0]),
+        rotations=Channel.from_dense(so3.align_signs(blended[1])),
     )
     context.notices.extend(_notices(bodies, run, fallen, float(codes[first])))
     return replace(take, motion=motion)
 
 
 def _later(collider: Collider, t: float) -> Collider:
-    """Return a collider as seen by a clock that begins at a time [s]."""
+    """Return a collider with its clock shifted to start at a time [s]."""
     poses = collider.poses
-    if len(poses.moments) == 1:
+    if len(poses.sample_times) == 1:
         return collider
-    return replace(collider, poses=replace(poses, times=poses.moments - t))
+    return replace(collider, poses=replace(poses, times=poses.sample_times - t))
 
 
 def _run(
     bodies: Ragdoll,
     options: RagdollOptions,
-    targets: Targets,
+    targets: DriveTargets,
     start: FloatArray,
     colliders: Colliders,
 ) -> SimulationRun:
@@ -153,12 +155,12 @@ def _run(
 def _weights(
     codes: FloatArray, first: int, last: int, options: RagdollOptions
 ) -> FloatArray:
-    """Return how much of the fall each frame shows ``(F,)``, smooth at both ends."""
+    """Return blend weights of the fall by frame ``(F,)``, eased at both ends."""
 
     def ramp(frames: FloatArray) -> FloatArray:
-        whole = np.clip(frames / options.blend, 0, 1) if options.blend else frames >= 0
-        share = np.asarray(whole, np.float64)
-        return share * share * (3 - 2 * share)
+        linear = np.clip(frames / options.blend, 0, 1) if options.blend else frames >= 0
+        fraction = np.asarray(linear, np.float64)
+        return fraction * fraction * (3 - 2 * fraction)
 
     rising = ramp(codes - codes[first])
     if options.end is None:
@@ -166,14 +168,14 @@ def _weights(
     return np.asarray(rising * (1 - ramp(codes - codes[last])))
 
 
-def _index(frame: float | None, codes: FloatArray, option: str, usual: int) -> int:
+def _index(frame: float | None, codes: FloatArray, option: str, default: int) -> int:
     if frame is None:
-        return usual
-    found = np.flatnonzero(np.abs(codes - frame) < 1e-6)
-    if not len(found):
+        return default
+    matches = np.flatnonzero(np.abs(codes - frame) < 1e-6)
+    if not len(matches):
         message = f"{option} is frame {frame:g}, but the take has {codes[0]:g} to "
         raise OptionError(Fault("SIM062", f"{message}{codes[-1]:g}", where=option))
-    return int(found[0])
+    return int(matches[0])
 
 
 def _notices(
@@ -182,7 +184,7 @@ def _notices(
     fallen: tuple[FloatArray, FloatArray],
     begin: float,
 ) -> list[Fault]:
-    """Return what became of it, and the limit that was broken most.
+    """Return warnings, with the limit that was exceeded most.
 
     ``fallen``: local transforms of all joints; ``begin``: a frame.
     """
@@ -191,19 +193,19 @@ def _notices(
     message = f"{counted(len(bodies.joints), 'body', 'bodies')} of {mass:.3g} kg "
     message += f"fell from frame {begin:g} on"
     worst, name, text = 0.0, "", ""
-    own = coordinates_from_local(rig, LocalTransforms(*fallen))
+    coordinates = coordinates_from_local(rig, LocalTransforms(*fallen))
     hung = bodies.joints[bodies.above >= 0].tolist()
-    for j, place in enumerate(coordinate_slices(rig)):
-        limits, values = rig.joints[j].limits, own[:, place]
+    for j, coordinate in enumerate(coordinate_slices(rig)):
+        limits, values = rig.joints[j].limits, coordinates[:, coordinate]
         if j not in hung or limits is None:
             continue
         if isinstance(limits, RangeLimit):
             values = values[:, 0]
         beyond = float(np.abs(limits.excess(values)).max(initial=0.0))
         slides = rig.joints[j].type is JointType.PRISMATIC
-        share = beyond / (KEPT_SLIDE if slides else KEPT)
-        if share > worst:
-            worst, name = share, rig.joints[j].name
+        excess = beyond / (KEPT_SLIDE if slides else KEPT)
+        if excess > worst:
+            worst, name = excess, rig.joints[j].name
             size = (
                 f"{1000 * beyond:.2g} mm" if slides else f"{math.degrees(beyond):.2g}°"
             )

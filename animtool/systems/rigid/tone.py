@@ -1,4 +1,4 @@
-"""What a rig that falls has of itself: tone in its joints, fingers on its hands."""
+"""Ragdoll extras: passive muscle tone, and capsules for fingers."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import Capsules
 
-# Of the torque that the weight of what hangs on a joint has on it when it is level, the
-# share that tone has a radian away from the pose; and the damping ratio of that spring.
-SHARE, RATIO = 0.15, 0.35
+# Passive stiffness per radian, as a fraction of the gravity torque of a level limb, and
+# the damping ratio of that spring.
+STIFFNESS_FRACTION, DAMPING_RATIO = 0.15, 0.35
 GRAVITY = 9.81  # [m/s²]
-# Radius of a finger over the mean length of its bones; how much longer the last one is
-# than the bone above, where no joint ends it.
+# Radius of a finger over its mean bone length, and length of its last bone over the
+# previous one if no joint ends it.
 THICKNESS, TIP = 0.2, 0.8
-# A joint with so many chains of two joints or more below it is a hand, by any name.
+# A joint with this many chains of two or more joints is a hand, whatever its name.
 DIGITS = 3
 _NAMES = re.compile(r"thumb|finger|index|middle|ring|pinky|little|digit", re.IGNORECASE)
 
 
 def with_digits(rig: Rig, world: WorldTransforms, capsules: Capsules) -> Capsules:
-    """Return capsules, and those of fingers that have none, carried by their hand.
+    """Return capsules, with added ones for fingers, attached to their hand.
 
     A hand is a joint with capsules, and none below it, from which fingers go out.
 
@@ -70,7 +70,7 @@ def with_digits(rig: Rig, world: WorldTransforms, capsules: Capsules) -> Capsule
 
 
 def _chain(below: dict[int, list[int]], joint: int) -> list[int]:
-    """Return a joint and those below it, up to where they branch."""
+    """Return a joint and its descendants, up to the first branch."""
     chain = [joint]
     while len(below.get(chain[-1], ())) == 1:
         chain.append(below[chain[-1]][0])
@@ -97,6 +97,6 @@ def passive(
             weights[above[i]] += weights[i]
             firsts[above[i]] += firsts[i]
     arms = np.linalg.norm(firsts / weights[:, None] - pivots, axis=1)
-    stiffness = SHARE * weights * GRAVITY * arms
-    damping = 2 * RATIO * np.sqrt(stiffness * weights) * arms
+    stiffness = STIFFNESS_FRACTION * weights * GRAVITY * arms
+    damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * weights) * arms
     return np.stack([stiffness, damping], axis=1)

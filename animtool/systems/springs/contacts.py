@@ -78,7 +78,7 @@ def cell_colliders(
 
 def _ends(collider: Collider, edges: FloatArray) -> FloatArray:
     """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
-    moments, rows = collider.poses.moments, collider.poses.rows
+    moments, rows = collider.poses.sample_times, collider.poses.rows
     before = np.clip(np.searchsorted(moments, edges, "right") - 1, 0, len(moments) - 1)
     after = np.minimum(before + 1, len(moments) - 1)
     gaps = np.where(after > before, moments[after] - moments[before], 1.0)

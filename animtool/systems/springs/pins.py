@@ -221,11 +221,13 @@ def ties_of(pins: Framed, points: FloatArray) -> list[Pins | Targets]:
     for pin, frame in pins:
         places, model = frame.to_world(pin.inside(frame, points)), pin.model
         if model.stiffness is None:
-            ties.append(Pins(pin.particles, places, frame.moments))
+            ties.append(Pins(pin.particles, places, frame.sample_times))
             continue
         each = np.ones(len(pin.particles))
         stiffness, damping = model.stiffness * each, model.damping * each
-        ties.append(Targets(pin.particles, places, stiffness, damping, frame.moments))
+        ties.append(
+            Targets(pin.particles, places, stiffness, damping, frame.sample_times)
+        )
     return ties
 
 

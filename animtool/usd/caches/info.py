@@ -1,4 +1,4 @@
-"""What a stage shows of points that move: meshes, curves, particles, over time."""
+"""Describes the animated points of a stage: meshes, curves, particles."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _PIECES = {
 
 @dataclass(frozen=True, slots=True)
 class PointPrim:
-    """A prim of points."""
+    """Summary of one prim with points."""
 
     path: str  # of the prim
     type: str  # of the prim; empty of one that only goes over another layer's
@@ -55,8 +55,8 @@ class PointPrim:
     # `meshes` of a PointInstancer; empty where there is none.
     pieces: str
     piece_count: tuple[int, int]  # least and most of these
-    samples: int  # of the points, and of what places them; 0 where they never move
-    first: float | None  # time code of the first; None where there is none
+    samples: int  # of points and transforms; 0 if static
+    first: float | None  # time code of the first sample; None without
     last: float | None  # time code of the last; likewise
     # Whether the same points stay, joined alike, as far as numbers of points, ids at
     # both ends and what may change tell.
@@ -74,7 +74,7 @@ class PointPrim:
 
 @dataclass(frozen=True, slots=True)
 class ChunkSet:
-    """Files that hold the samples of a prim and what is below it, in turn."""
+    """Clip files that hold the samples of a prim and its descendants."""
 
     path: str  # of the prim
     name: str  # of the set
@@ -84,7 +84,7 @@ class ChunkSet:
 
 @dataclass(frozen=True, slots=True)
 class PointsDescription:
-    """A USD file of points in numbers."""
+    """Summary of the animated points in a USD file."""
 
     path: str  # the file
     format: str  # USD
@@ -95,15 +95,15 @@ class PointsDescription:
     duration: Fraction  # from the first to the last [s]
     types: dict[str, int]  # how many prims there are, by type
     prims: list[PointPrim]  # what there is of each
-    chunks: list[ChunkSet]  # files that hold its samples in turn
+    chunks: list[ChunkSet]  # clip files in time order
     units: str  # unit of the file
     up: str  # up axis of the file
-    notices: list[Fault]  # what is odd
+    notices: list[Fault]  # warnings and notes
     json_keys: ClassVar[str] = "* rate=fps#"
 
 
 def describe_points(path: Path) -> PointsDescription | None:
-    """Describe a USD file that has points and no character; None of others.
+    """Describe a USD file that has points and no character; otherwise None.
 
     Arrays of crates are looked at, not read: only their lengths and the extents are
     taken of each sample.
@@ -150,9 +150,9 @@ def displaced_points(path: Path) -> list[PointPrim]:
 def _described(prim: Any) -> PointPrim:
     reader = PointReader(prim)
     times, copies, has = reader.times, reader.copies, reader.has
-    moments = reader.moments
-    codes = codes_of(times)
-    counts = lengths(reader.attr, codes)
+    codes = reader.codes
+    rows_at = codes_of(times)
+    counts = lengths(reader.attr, rows_at)
     kind = str(prim.GetTypeName())
     pieces, name = ("meshes", "") if copies else _PIECES.get(kind, ("", ""))
     shape = prim.GetAttribute(name) if name else None
@@ -167,9 +167,9 @@ def _described(prim: Any) -> PointPrim:
         _span(counts),
         pieces,
         _span(many),
-        len(moments),
-        moments[0] if moments else None,
-        moments[-1] if moments else None,
+        len(codes),
+        codes[0] if codes else None,
+        codes[-1] if codes else None,
         len({*counts} - {None}) < 2
         and not (shape and shape.ValueMightBeTimeVarying())
         and _same_ids(prim, times),
@@ -179,7 +179,7 @@ def _described(prim: Any) -> PointPrim:
         has("normals"),
         has("orientations") or has("orientationsf"),
         sorted(str(primvar.GetPrimvarName()) for primvar in primvars),
-        _extent(prim, [code for code, n in zip(codes, counts, strict=True) if n]),
+        _extent(prim, [code for code, n in zip(rows_at, counts, strict=True) if n]),
     )
 
 
@@ -189,7 +189,7 @@ def _span(counts: Sequence[int | None]) -> tuple[int, int]:
 
 
 def _same_ids(prim: Any, times: Sequence[float]) -> bool:
-    """Return whether points have no ids, or at the last sample those of the first."""
+    """Return whether ids are absent, or equal at the first and last sample."""
     ids = prim.GetAttribute("ids")
     if not (ids and times):
         return True
@@ -198,7 +198,7 @@ def _same_ids(prim: Any, times: Sequence[float]) -> bool:
 
 
 def _extent(prim: Any, codes: Sequence[Any]) -> tuple[list[float], list[float]] | None:
-    """Return the bounds of all extents that are stated, None where one makes none."""
+    """Return the union of all authored extents; None if any of them is invalid."""
     attribute = prim.GetAttribute("extent")
     stated = [array_value(attribute, code) for code in codes] if attribute else []
     pairs = [np.array(two) for two in stated if len(two) == 2]
@@ -210,7 +210,7 @@ def _extent(prim: Any, codes: Sequence[Any]) -> tuple[list[float], list[float]] 
 
 
 def _gone(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
-    """Name the files of chunks that are not there."""
+    """Report missing chunk files."""
     return [
         Fault(
             "USD276",
@@ -225,7 +225,7 @@ def _gone(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
 
 
 def _chunks(prim: Any) -> Iterator[ChunkSet]:
-    """Yield the value clips that a prim states."""
+    """Yield the value clips of a prim."""
     if not prim.HasAuthoredMetadata("clips"):
         return
     clips = Usd.ClipsAPI(prim)

@@ -1,4 +1,4 @@
-"""What joints deform as point caches: a stage of meshes, or overs on a rig."""
+"""Bakes joint deformation to point caches: a stage of meshes, or overs on a rig."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from animtool.usd.caches.writer import (
 )
 from animtool.usd.layers.chunks import (
     Chunks,
-    Whole,
+    OneLayer,
     author_span,
     point_files,
     write_frames,
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CacheJob:
-    """What `author_cache` needs beside the blocks."""
+    """Settings of `author_cache`."""
 
     output: Path | None  # the file; None is usda for stdout
     paths: RigPaths
@@ -74,7 +74,7 @@ class CacheJob:
 def mesh_paths(
     surfaces: Sequence[Surface], strands: Sequence[Strands], paths: RigPaths
 ) -> tuple[str, ...]:
-    """Return where a stage has meshes, then strands: as a stage with a skeleton."""
+    """Return prim paths of meshes, then strands, as in a stage with a skeleton."""
     return (*mesh_names(surfaces, paths)[0], *strand_paths(strands, paths))
 
 
@@ -85,7 +85,7 @@ def round_points(
     meters_per_unit: float,
     space: PointSpace,
 ) -> Block:
-    """Return frames of a mesh rounded to what USD holds, and what the rounding did.
+    """Return frames of a mesh rounded to float32, and the rounding error.
 
     codes: time codes ``(F,)``; deformed: its frames [m]; meters_per_unit: unit of the
     layer [m].
@@ -103,21 +103,21 @@ def round_points(
         points, meters_per_unit, Labels("points", "point"), codes
     )
 
-    def alike(name: str, values: FloatArray, unit: float) -> Float32Array:
+    def same_order(name: str, values: FloatArray, unit: float) -> Float32Array:
         return rounded(values, unit, Labels(name, "point"), codes)[0]
 
-    extent = alike("extent", extents, meters_per_unit)
+    extent = same_order("extent", extents, meters_per_unit)
     values = {"points": rounded_points, "extent": _widened(extent, space.margin)}
     if normals is not None:
-        values["normals"] = alike("normals", normals, 1.0)
+        values["normals"] = same_order("normals", normals, 1.0)
     if velocities is not None:
-        values["velocities"] = alike("velocities", velocities, meters_per_unit)
+        values["velocities"] = same_order("velocities", velocities, meters_per_unit)
     code = float(codes[frame])
     return Block(mesh, codes, values, points.shape[1], error, code, vertex)
 
 
 def _widened(extents: Float32Array, margin: float) -> Float32Array:
-    """Return bounds of what is drawn about points, as `UsdGeom.Curves` has them."""
+    """Return bounds of points widened by the curve width, as `UsdGeom.Curves` does."""
     with np.errstate(over="ignore"):
         return extents + np.array([[-margin], [margin]], np.float32)
 
@@ -131,7 +131,7 @@ def _turned(normals: FloatArray, linear: FloatArray) -> FloatArray:
 def author_cache(
     job: CacheJob, blocks: Iterator[Block]
 ) -> tuple[Any, list[CachedMesh]]:
-    """Author a layer in memory; nothing is written yet.
+    """Author the cache layer in memory; nothing is saved yet.
 
     A stage has ``Xform`` prims where one with a skeleton has the model and the
     SkelRoot, and meshes and strands at the same paths, bound to nothing. A layer makes
@@ -141,20 +141,22 @@ def author_cache(
     layer = new_layer(job.output or Path("stdout.usda"))
     reports = [CachedMesh(path) for path in job.meshes]
     writers = [PointWriter(layer, report) for report in reports]
-    whole = Whole(writers)
+    layer_writer = OneLayer(writers)
     with Sdf.ChangeBlock():
         _author_prims(layer, job)
-        write_frames(blocks, whole, reports)
+        write_frames(blocks, layer_writer, reports)
         for writer in writers:
             writer.finish(rest=job.target is None)
-        author_metadata(layer, cache_metadata(job, whole.first, whole.last))
+        author_metadata(
+            layer, cache_metadata(job, layer_writer.first, layer_writer.last)
+        )
     if job.target is not None:
         job.target.check(layer)
     return layer, reports
 
 
 def _author_prims(layer: Any, job: CacheJob) -> None:
-    """Write everything but points."""
+    """Author everything except the points."""
     if job.target is not None:
         job.target.author(layer, normals=job.normals)
         return
@@ -166,7 +168,7 @@ def _author_prims(layer: Any, job: CacheJob) -> None:
 
 
 def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
-    """Return what a layer of a cache states, for frames from first to last."""
+    """Return the layer metadata of a cache with frames from first to last."""
     frames = job.frames or (Fraction(first), Fraction(last))
     default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
     unit, up = job.meters_per_unit, job.up
@@ -177,7 +179,7 @@ def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
 
 @dataclass(frozen=True, slots=True)
 class ChunkedCache:
-    """A cache whose chunks are written, and a layer in memory that joins them."""
+    """A cache whose chunks are written, and the in-memory layer that joins them."""
 
     layer: Any
     reports: list[CachedMesh]
@@ -211,7 +213,9 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
     metadata = cache_metadata(job, chunks.starts[0], chunks.last)
     with Sdf.ChangeBlock():
         for mesh in chunked:
-            mesh.author(layer.GetPrimAtPath(mesh.report.path), whole=job.target is None)
+            mesh.author(
+                layer.GetPrimAtPath(mesh.report.path), with_defaults=job.target is None
+            )
         author_metadata(layer, metadata)
 
     def declare(manifest: Any) -> None:
@@ -232,7 +236,7 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
 def _chunk(
     job: CacheJob, path: Path, reports: Sequence[CachedMesh], *, rest: bool
 ) -> Iterator[list[PointWriter]]:
-    """Give the writers of a file, with defaults of points if asked."""
+    """Return the writers of one chunk file, optionally with default points."""
     layer = new_layer(path)
     for mesh in job.meshes:
         prim(layer, mesh, over=True)
@@ -247,36 +251,36 @@ def _chunk(
 
 
 class _ChunkedMesh:
-    """What the layer that joins chunks has of a mesh, and its report."""
+    """A mesh of the joining layer, and its report."""
 
     def __init__(self, path: str) -> None:
         self.report = CachedMesh(path)
         # Values of the first frame, while points are where they are there.
-        self._still: dict[str, Float32Array] | None = None
+        self._static: dict[str, Float32Array] | None = None
 
     def count(self, block: Block) -> None:
-        """Note which attributes frames have, and whether points move."""
+        """Record which attributes occur, and whether points change."""
         values = block.values
         if not self.report.sampled:
-            self._still = {name: rows[0].copy() for name, rows in values.items()}
+            self._static = {name: rows[0].copy() for name, rows in values.items()}
         self.report.count(block)
         self.report.sampled = list(values)
-        still = self._still
-        if still is not None and (values["points"] != still["points"]).any():
-            self._still = None
+        static = self._static
+        if static is not None and (values["points"] != static["points"]).any():
+            self._static = None
 
-    def author(self, spec: Any, *, whole: bool) -> None:
-        """Declare what the files hold; what never moves has its value here, which wins.
+    def author(self, spec: Any, *, with_defaults: bool) -> None:
+        """Declare the attributes of the chunks; author constant ones as defaults here.
 
-        whole: whether the first chunk, a sublayer for its defaults, has zeros there.
+        with_defaults: author first values here, where no rig has them.
         """
         for name in self.report.sampled:
-            if self._still is None:
+            if self._static is None:
                 empty_attribute(spec, name)
             elif name != "velocities":
-                empty_attribute(spec, name).finish(self._still[name])
-            elif whole:
+                empty_attribute(spec, name).finish(self._static[name])
+            elif with_defaults:
                 kind = Sdf.ValueTypeNames.Vector3fArray
                 attribute(spec, name, kind, Sdf.ValueBlock())
-        if self._still is not None:
+        if self._static is not None:
             self.report.sampled, self.report.samples, self.report.bytes = [], 0, 0

@@ -1,4 +1,4 @@
-"""Points of prims over time: of meshes, curves, particles and copies, on any stage.
+"""Reads points of prims over time: meshes, curves, particles, instances.
 
 Whoever reads points, faces or when they move does it by `PointReader`.
 """
@@ -18,7 +18,7 @@ from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.prims import (
@@ -53,21 +53,21 @@ class PointReader:
         return list(self.attr.GetTimeSamples())
 
     @property
-    def moments(self) -> list[float]:
-        """Time codes of the samples of its points and of what places it."""
+    def codes(self) -> list[float]:
+        """Time codes at which points or transforms have samples."""
         return sorted({*self.times, *placing_times(self.prim)})
 
     def has(self, name: str) -> bool:
-        """Return whether the prim states values of an attribute."""
+        """Return whether the prim authors values of an attribute."""
         attribute = self.prim.GetAttribute(name)
         return bool(attribute and attribute.HasAuthoredValue())
 
     def at(self, time: Any) -> FloatArray:
-        """Return the points at a time ``(N, 3)``, in the prim's own space and unit."""
+        """Return the points at a time ``(N, 3)``, in local space and stage units."""
         return numbers(self.attr, 3, time)
 
     def count(self) -> int:
-        """Return how many points there are at the earliest time."""
+        """Return the number of points at the earliest time."""
         return len(self.attr.Get(Usd.TimeCode.EarliestTime()) or ())
 
     def world_from_prim(self, time: Any) -> FloatArray:
@@ -76,14 +76,14 @@ class PointReader:
         return np.array(world, np.float64)
 
     def faces(self, time: Any) -> tuple[IntArray, IntArray]:
-        """Return corners of each face of a mesh ``(M,)``, and them face by face."""
+        """Return vertex counts per face ``(M,)`` and the face vertex indices."""
         mesh = UsdGeom.Mesh(self.prim)
         counts = integers(mesh.GetFaceVertexCountsAttr(), time)
         return counts, integers(mesh.GetFaceVertexIndicesAttr(), time)
 
 
 def transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return points ``(N, 3)`` placed by a transform of row vectors ``(4, 4)``.
+    """Return points ``(N, 3)`` transformed by a row-vector matrix ``(4, 4)``.
 
     What is not finite there is for callers to find.
     """
@@ -93,18 +93,18 @@ def transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def codes_of(times: Sequence[float]) -> list[Any]:
-    """Return samples as time codes, the default where there are none."""
+    """Return samples as time codes; the default time code without samples."""
     return [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
 
 
 def lengths(attribute: Any, codes: Sequence[Any]) -> list[int | None]:
-    """Return how many values an array has at each of some times, None of none."""
+    """Return the array length at each time; None without a value."""
     values = (attribute.Get(code) for code in codes)
     return [None if value is None else len(array_of(value)) for value in values]
 
 
 def all_prims(stage: Any) -> Iterator[Any]:
-    """Yield every prim, overs of an animation layer and those of instances too."""
+    """Yield every prim, including overs and instance proxies."""
     yield from Usd.PrimRange.Stage(
         stage, Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)
     )
@@ -117,7 +117,7 @@ def has_character(stage: Any) -> bool:
 
 
 def point_prims(stage: Any) -> Iterator[Any]:
-    """Yield the prims of points, but those of which a PointInstancer shows copies."""
+    """Yield prims with points, except prototypes of a PointInstancer."""
     prims = [prim for prim in all_prims(stage) if _has_points(prim)]
     copied = {
         path
@@ -132,7 +132,7 @@ def point_prims(stage: Any) -> Iterator[Any]:
 
 
 def copied_meshes(instancer: Any) -> list[Any]:
-    """Return the paths of what a PointInstancer shows copies of."""
+    """Return the paths of the prototypes of a PointInstancer."""
     prototypes = UsdGeom.PointInstancer(instancer).GetPrototypesRel()
     return list(prototypes.GetForwardedTargets())
 
@@ -149,7 +149,7 @@ def _has_points(prim: Any) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class PointSample:
-    """What a prim of points has at a time code, in the world."""
+    """Points and other values of a prim at one time code, world space."""
 
     points: FloatArray  # (N, 3) [m]
     ids: IntArray | None  # (N,); None where there are none
@@ -159,7 +159,7 @@ class PointSample:
 
 
 class PointSource:
-    """The prims of points of a stage that is open, to be looked at over time."""
+    """The prims with points of an open stage, sampled by time."""
 
     def __init__(self, path: Path, stage: Any) -> None:
         self._path, self._stage = path, stage
@@ -184,11 +184,11 @@ class PointSource:
         return str(self._readers[name].prim.GetTypeName())
 
     def codes(self, name: str) -> list[float]:
-        """Return the time codes of a prim's samples; none where it never moves."""
-        return [float(code) for code in self._readers[name].moments]
+        """Return the time codes of a prim's samples; none if it is static."""
+        return [float(code) for code in self._readers[name].codes]
 
     def at(self, name: str, code: float | None) -> PointSample:
-        """Return what a prim has at a time code; None is the default.
+        """Return the sample of a prim at a time code; None is the default time.
 
         Copies without orientations or scales are as if these changed nothing.
 
@@ -198,15 +198,15 @@ class PointSource:
         """
         reader = self._readers[name]
         time = Usd.TimeCode.Default() if code is None else Usd.TimeCode(code)
-        prim, spot = reader.prim, Spot.of(self._path, reader.prim)
-        own, matrix = reader.at(time), reader.world_from_prim(time)
-        if not (np.isfinite(own).all() and np.isfinite(matrix).all()):
+        prim, spot = reader.prim, PrimLocation.of(self._path, reader.prim)
+        points_local, matrix = reader.at(time), reader.world_from_prim(time)
+        if not (np.isfinite(points_local).all() and np.isfinite(matrix).all()):
             spot.fail("USD265", "points are not finite")
-        points = transformed(own, matrix) * self.unit
+        points = transformed(points_local, matrix) * self.unit
         count = len(points)
 
         def each(*names: str, width: int = 0) -> Any:
-            """Return rows of an attribute, whole numbers without a width, or None."""
+            """Return rows of an attribute, integers without a width; None if absent."""
             attr = next((prim.GetAttribute(n) for n in names if reader.has(n)), None)
             if attr is None:
                 return None
@@ -218,13 +218,13 @@ class PointSource:
         ids = each("ids")
         if not reader.copies:
             return PointSample(points, ids)
-        turns = each("orientationsf", "orientations", width=4)
-        if turns is None:
-            turns = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-        sizes = np.linalg.norm(turns, axis=1, keepdims=True)
+        orientations = each("orientationsf", "orientations", width=4)
+        if orientations is None:
+            orientations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+        sizes = np.linalg.norm(orientations, axis=1, keepdims=True)
         if not (np.abs(sizes - 1) < UNIT_TOLERANCE).all():
             spot.fail("USD288", "a quaternion is not of length 1")
-        turns = so3.multiply(decompose(matrix[None])[1][0], turns / sizes)
+        orientations = so3.multiply(decompose(matrix[None])[1][0], orientations / sizes)
         scales = each("scales", width=3)
         if scales is None:
             scales = np.ones((count, 3))
@@ -233,11 +233,11 @@ class PointSource:
         copied = each("protoIndices")
         if copied is None:
             copied = np.full(count, -1)
-        return PointSample(points, ids, turns, scales, copied)
+        return PointSample(points, ids, orientations, scales, copied)
 
 
 def open_points(path: Path) -> PointSource | None:
-    """Return a stage that has points and no character; None of others."""
+    """Return the source of a stage that has points and no character, else None."""
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         source = None if has_character(stage) else PointSource(path, stage)
@@ -245,21 +245,21 @@ def open_points(path: Path) -> PointSource | None:
 
 
 @dataclass(frozen=True, slots=True)
-class StillMesh:
-    """Points and faces in the world."""
+class StaticMesh:
+    """Points and faces of a mesh at one time, world space."""
 
     points: FloatArray  # ``(N, 3)`` [m]
     counts: IntArray  # corners of each face ``(M,)``
     indices: IntArray  # corners, face by face
 
 
-def read_still_mesh(path: Path, prim: str, up: UpAxis) -> StillMesh:
-    """Return a mesh as it is at the earliest time that its file has."""
+def read_static_mesh(path: Path, prim: str, up: UpAxis) -> StaticMesh:
+    """Return a mesh at its earliest time sample."""
     return open_mesh(path, prim, up).at(None)
 
 
 class MeshSource:
-    """A mesh of a stage that is open.
+    """A mesh of an open stage, sampled by time.
 
     span: first and last time code at which it is told to move, in shape or place; None
     where it never does.
@@ -269,16 +269,16 @@ class MeshSource:
         # A prim lives no longer than its stage.
         self._stage, self._reader = stage, PointReader(prim)
         self._unit = UsdGeom.GetStageMetersPerUnit(stage)
-        self._turn = up_from_up(up, up_axis(stage))
+        self._up_rotation = up_from_up(up, up_axis(stage))
         self.fps = float(stage.GetTimeCodesPerSecond())
-        times = self._reader.moments
+        times = self._reader.codes
         self.span = (float(times[0]), float(times[-1])) if times else None
 
-    def at(self, code: float | None) -> StillMesh:
-        """Return it at a time code; None is the earliest that there is.
+    def at(self, code: float | None) -> StaticMesh:
+        """Return the mesh at a time code; None is the earliest sample.
 
         Raises:
-            OptionError: It makes no sense (SIM051).
+            OptionError: The value is invalid (SIM051).
         """
         time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
         points, (counts, indices) = self._reader.at(time), self._reader.faces(time)
@@ -290,13 +290,13 @@ class MeshSource:
             raise OptionError(
                 Fault("SIM051", message, hint="check the transforms above it")
             )
-        if self._turn is not None:
-            placed = so3.rotate(np.array(self._turn), placed)
-        return StillMesh(np.asarray(placed, np.float64), counts, indices)
+        if self._up_rotation is not None:
+            placed = so3.rotate(np.array(self._up_rotation), placed)
+        return StaticMesh(np.asarray(placed, np.float64), counts, indices)
 
 
 def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
-    """Return a mesh that can be looked at over time."""
+    """Return a mesh source that can be sampled over time."""
     with usd_errors(path):
         stage = open_stage(path)
         mesh = find_prim(stage, prim)
@@ -309,7 +309,7 @@ def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
 
 
 def mesh_fault(points: FloatArray, counts: IntArray, indices: IntArray) -> str:
-    """Return what makes points ``(N, 3)`` and faces no mesh; nothing of a good one."""
+    """Return why points ``(N, 3)`` and faces are no valid mesh; empty if they are."""
     if not len(points) or not len(counts):
         return "has no points or no faces"
     if not np.isfinite(points).all():

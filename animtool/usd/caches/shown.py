@@ -1,4 +1,4 @@
-"""What a stage shows beside its characters: meshes, curves, points, copies, cameras."""
+"""The visible prims of a stage besides characters: meshes, curves, points, cameras."""
 
 from __future__ import annotations
 
@@ -53,20 +53,20 @@ _GPRIMS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Faces:
-    """A mesh in its own space [m], as its axes are."""
+class ShownFaces:
+    """A mesh in local space [m], with the stage's axes."""
 
     points: FloatArray  # ``(N, 3)``
     counts: IntArray  # corners of each face ``(M,)``
     indices: IntArray  # corners, face by face
     color: tuple[float, float, float] | None  # None where none is stated
     double_sided: bool
-    # Linear, of each point ``(N, 3)``; None where they have none of their own.
+    # Linear, per point ``(N, 3)``; None without point colors.
     colors: FloatArray | None = None
 
 
 class ShownPrim:
-    """A prim of points, or an implicit shape, over time.
+    """A prim with points, or an implicit shape, over time.
 
     Attributes:
         name: Its path below the default prim.
@@ -79,30 +79,30 @@ class ShownPrim:
 
     @cached_property
     def deforms(self) -> bool:
-        """Whether its points move in its own space, or their number changes."""
+        """Whether its local points or their number change."""
         attr = self._reader.attr
         return bool(attr and attr.ValueMightBeTimeVarying())
 
     @cached_property
     def travels(self) -> bool:
-        """Whether what is above it moves it."""
+        """Whether its world transform changes over time."""
         for prim in upwards(self.prim):
-            place = UsdGeom.Xformable(prim)
-            if place and place.TransformMightBeTimeVarying():
+            xformable = UsdGeom.Xformable(prim)
+            if xformable and xformable.TransformMightBeTimeVarying():
                 return True
-            if place and place.GetResetXformStack():
+            if xformable and xformable.GetResetXformStack():
                 return False
         return False
 
     @cached_property
     def changes_faces(self) -> bool:
-        """Whether its faces or curves are others at another time."""
+        """Whether its topology changes over time."""
         names = ("faceVertexIndices", "faceVertexCounts", "curveVertexCounts")
         attributes = (self.prim.GetAttribute(name) for name in names)
         return any(a and a.ValueMightBeTimeVarying() for a in attributes)
 
     def world(self, code: float) -> FloatArray:
-        """Return where it is, for column vectors, Y up ``(4, 4)`` [m]."""
+        """Return its world transform, column vectors, Y up ``(4, 4)`` [m]."""
         matrix = self._reader.world_from_prim(Usd.TimeCode(code)).T.copy()
         matrix[:3, 3] *= self._stage.meters
         return self._stage.turned_matrix(matrix)
@@ -113,8 +113,8 @@ class ShownPrim:
         placed = transformed(self._reader.at(time), self._reader.world_from_prim(time))
         return self._stage.turned(placed * self._stage.meters)
 
-    def faces(self) -> Faces | None:
-        """Return it in its own space at the earliest time; None of no sound mesh."""
+    def faces(self) -> ShownFaces | None:
+        """Return its local mesh at the earliest time; None if invalid."""
         time = Usd.TimeCode.EarliestTime()
         if self.prim.IsA(UsdGeom.Mesh):
             points = self._reader.at(time)
@@ -126,9 +126,9 @@ class ShownPrim:
             points, counts, indices = _solid(self.prim)
             sided = False
         colors = self.colors(self._stage.stage.GetStartTimeCode())
-        own = colors if len(colors) == len(points) > 1 else None
-        place = points * self._stage.meters
-        return Faces(place, counts, indices, self.color, sided, own)
+        vertex_colors = colors if len(colors) == len(points) > 1 else None
+        scaled = points * self._stage.meters
+        return ShownFaces(scaled, counts, indices, self.color, sided, vertex_colors)
 
     def counts(self) -> IntArray:
         """Return how many points each curve has ``(C,)``."""
@@ -136,25 +136,25 @@ class ShownPrim:
         return np.array(counts.Get(Usd.TimeCode.EarliestTime()) or (), np.int64)
 
     def widths(self, code: float) -> FloatArray:
-        """Return the widths that it states ``(N,)`` or ``(1,)`` [m]; none without."""
+        """Return its authored widths ``(N,)`` or ``(1,)`` [m]; none if absent."""
         attr = self.prim.GetAttribute("widths")
         if not attr or not attr.HasAuthoredValue():
             return np.zeros(0)
         return numbers(attr, 1, Usd.TimeCode(code)) * self._stage.meters
 
     def ids(self, code: float) -> IntArray | None:
-        """Return the ids of its points ``(N,)``; None without."""
+        """Return point ids ``(N,)``; None if absent."""
         attr = self.prim.GetAttribute("ids")
         value = attr.Get(Usd.TimeCode(code)) if attr else None
         return None if value is None else np.array(value, np.int64)
 
     def colors(self, code: float) -> FloatArray:
-        """Return linear colours, of points or of all ``(N or 1, 3)``; none without."""
+        """Return linear colors, per point or one ``(N or 1, 3)``; none if absent."""
         return _colors(self.prim, code)
 
     @cached_property
     def color(self) -> tuple[float, float, float] | None:
-        """Its colour as a whole; None where none is stated."""
+        """Its constant color; None if none is authored."""
         time = self._stage.stage.GetStartTimeCode()
         rows = self.colors(time)
         if not len(rows):
@@ -163,14 +163,14 @@ class ShownPrim:
         return red, green, blue
 
     def copies(self, code: float) -> PointSample:
-        """Return what copies there are, in the world, Y up."""
+        """Return its instances in world space, Y up."""
         source = self._stage.source
         sample = source.at(self.name, code)
-        turn = self._stage.turn
+        up_rotation = self._stage.up_rotation
         assert sample.orientations is not None
         rotations = sample.orientations
-        if turn is not None:
-            rotations = so3.multiply(turn, rotations)
+        if up_rotation is not None:
+            rotations = so3.multiply(up_rotation, rotations)
         return PointSample(
             self._stage.turned(sample.points),
             sample.ids,
@@ -179,8 +179,8 @@ class ShownPrim:
             sample.copied,
         )
 
-    def prototypes(self) -> list[list[tuple[Faces, FloatArray]]]:
-        """Return the meshes of what it copies, each with its place ``(4, 4)`` [m]."""
+    def prototypes(self) -> list[list[tuple[ShownFaces, FloatArray]]]:
+        """Return its prototype meshes, each with its transform ``(4, 4)`` [m]."""
         stage = self._stage.stage
         prototypes = []
         for path in copied_meshes(self.prim):
@@ -198,12 +198,12 @@ class ShownPrim:
         return prototypes
 
     def visible(self, codes: FloatArray) -> BoolArray:
-        """Return at which time codes it is not hidden ``(F,)``."""
+        """Return whether it is visible at each time code ``(F,)``."""
         return _visible(self.prim, codes)
 
 
 def _colors(prim: Any, code: float) -> FloatArray:
-    """Return linear colours that a prim or one above it states; none without."""
+    """Return the inherited linear display color of a prim; none if absent."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
     value = primvar.ComputeFlattened(Usd.TimeCode(code)) if primvar else None
     if value is None:
@@ -213,7 +213,7 @@ def _colors(prim: Any, code: float) -> FloatArray:
 
 
 class StageContents:
-    """A stage that is open, to be looked at over time.
+    """The visible contents of an open stage over time.
 
     Attributes:
         stage: It.
@@ -228,33 +228,35 @@ class StageContents:
         self.meters = float(UsdGeom.GetStageMetersPerUnit(stage))
         self.up = up_axis(stage)
         self.fps = rate_from_float(stage.GetTimeCodesPerSecond())
-        turn = up_from_up(UpAxis.Y, self.up)
-        self.turn = None if turn is None else np.array(turn)
+        up_rotation = up_from_up(UpAxis.Y, self.up)
+        self.up_rotation = None if up_rotation is None else np.array(up_rotation)
         self._below = below
 
     @property
     def unit(self) -> str:
-        """Name of its length unit."""
+        """Name of the stage's length unit."""
         return unit_name(self.meters)
 
     @cached_property
     def source(self) -> PointSource:
-        """Its prims of points."""
+        """Source of the prims with points."""
         return PointSource(self.path, self.stage)
 
     def turned(self, points: FloatArray) -> FloatArray:
-        """Return points ``(N, 3)``, Y up."""
-        return points if self.turn is None else so3.rotate(self.turn, points)
+        """Return points ``(N, 3)`` rotated to Y up."""
+        return (
+            points if self.up_rotation is None else so3.rotate(self.up_rotation, points)
+        )
 
     def turned_matrix(self, matrix: FloatArray) -> FloatArray:
-        """Return a placement of column vectors ``(4, 4)``, Y up."""
-        if self.turn is not None:
-            matrix[:3] = so3.to_matrix(self.turn) @ matrix[:3]
+        """Return a column-vector transform ``(4, 4)`` rotated to Y up."""
+        if self.up_rotation is not None:
+            matrix[:3] = so3.to_matrix(self.up_rotation) @ matrix[:3]
         return matrix
 
     @cached_property
     def prims(self) -> list[ShownPrim]:
-        """What is visible and no skeleton carries."""
+        """Visible prims that no skeleton deforms."""
         skinned = {
             query.GetPrim().GetPath()
             for skeleton in find_skeletons(self.stage)
@@ -267,7 +269,7 @@ class StageContents:
             for path in copied_meshes(prim)
         }
         root = self.stage.GetDefaultPrim()
-        found = []
+        shown = []
         for prim in self._visible_prims():
             kind, path = _kind(prim), prim.GetPath()
             if not kind or path in skinned or is_bones(prim):
@@ -276,8 +278,8 @@ class StageContents:
                 continue
             above = root.GetPath() if root else path.absoluteRootPath
             name = str(path.MakeRelativePath(above))
-            found.append(ShownPrim(self, prim, name, kind))
-        return found
+            shown.append(ShownPrim(self, prim, name, kind))
+        return shown
 
     def _visible_prims(self) -> Iterator[Any]:
         start = self.stage.GetPrimAtPath(self._below)
@@ -293,11 +295,11 @@ class StageContents:
             yield prim
 
     def visible(self, path: str, codes: FloatArray) -> BoolArray:
-        """Return at which time codes a prim is not hidden ``(F,)``."""
+        """Return whether a prim is visible at each time code ``(F,)``."""
         return _visible(self.stage.GetPrimAtPath(path), codes)
 
     def visible_meshes(self, path: str, codes: FloatArray) -> dict[str, BoolArray]:
-        """Return the same of the meshes of a Skeleton, by their names."""
+        """Return visibility by mesh name for the meshes of a Skeleton."""
         skeleton = UsdSkel.Skeleton(self.stage.GetPrimAtPath(path))
         return {
             name: _visible(query.GetPrim(), codes)
@@ -305,7 +307,7 @@ class StageContents:
         }
 
     def is_animation(self) -> bool:
-        """Return whether it has an animation of joints and no Skeleton."""
+        """Whether the stage has a joint animation but no Skeleton."""
         prims = all_prims(self.stage)
         return not find_skeletons(self.stage) and any(
             prim.IsA(UsdSkel.Animation) for prim in prims
@@ -313,37 +315,37 @@ class StageContents:
 
     @cached_property
     def bone_names(self) -> set[str]:
-        """Names of meshes that were written for bones of skeletons."""
+        """Names of meshes that visualize the bones of skeletons."""
         return {str(p.GetName()) for p in all_prims(self.stage) if is_bones(p)}
 
     def turned_surfaces(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
-        """Return meshes, Y up: joints carry those with a skin."""
-        if self.turn is None:
+        """Return meshes rotated to Y up; skinned ones follow their joints."""
+        if self.up_rotation is None:
             return tuple(surfaces)
-        whole = np.eye(4)
-        whole[:3, :3] = so3.to_matrix(self.turn)
+        matrix = np.eye(4)
+        matrix[:3, :3] = so3.to_matrix(self.up_rotation)
         return tuple(
             surface
             if surface.skin is not None
-            else replace(surface, geom_bind=whole @ surface.geom_bind)
+            else replace(surface, geom_bind=matrix @ surface.geom_bind)
             for surface in surfaces
         )
 
     def bound_colors(self, skeleton: str) -> dict[str, FloatArray]:
-        """Return linear colours of meshes that a Skeleton moves, by their names.
+        """Return linear colors of skinned meshes by name.
 
         They are of points or of all ``(N or 1, 3)``; those that animtool gives what has
         none are left out.
         """
         prim = self.stage.GetPrimAtPath(skeleton)
-        found = {}
+        colors_by_name = {}
         code = self.stage.GetStartTimeCode()
         for name, query in bound_meshes(UsdSkel.Skeleton(prim)):
             colors = _colors(query.GetPrim(), code)
             plain = len(colors) == 1 and np.isclose(colors, COLORS, atol=1e-6).all(1)
             if len(colors) and not np.any(plain):
-                found[name] = colors
-        return found
+                colors_by_name[name] = colors
+        return colors_by_name
 
     def cameras(self) -> list[str]:
         """Return the paths of its cameras."""
@@ -355,7 +357,7 @@ class StageContents:
 
     @property
     def stated_span(self) -> tuple[Fraction, Fraction] | None:
-        """The time codes that the stage states; None where it states none."""
+        """Authored start and end time codes of the stage; None if not authored."""
         if not self.stage.HasAuthoredTimeCodeRange():
             return None
         ends = self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()
@@ -364,16 +366,16 @@ class StageContents:
 
     @property
     def span(self) -> tuple[Fraction, Fraction]:
-        """The first and the last time code of the stage, or of its samples."""
+        """First and last time code, authored or of the samples."""
         if self.stage.HasAuthoredTimeCodeRange():
             ends = [self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()]
         else:
-            ends = [t for p in self.prims for t in PointReader(p.prim).moments] or [1.0]
+            ends = [t for p in self.prims for t in PointReader(p.prim).codes] or [1.0]
         return time_fraction(min(ends)), time_fraction(max(ends))
 
 
 def open_contents(path: Path, prim_path: str | None = None) -> StageContents:
-    """Open a stage to be looked at; prim_path: what of it."""
+    """Open the visible contents of a stage; prim_path limits them to one subtree."""
     note_input(path)
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
@@ -382,7 +384,7 @@ def open_contents(path: Path, prim_path: str | None = None) -> StageContents:
 
 
 def _visible(prim: Any, codes: FloatArray) -> BoolArray:
-    """Return at which time codes a prim is not hidden ``(F,)``."""
+    """Return whether a prim is visible at each time code ``(F,)``."""
     image, hidden = UsdGeom.Imageable(prim), UsdGeom.Tokens.invisible
     if not any(
         UsdGeom.Imageable(one).GetVisibilityAttr().ValueMightBeTimeVarying()
@@ -405,21 +407,21 @@ def _kind(prim: Any) -> str:
 
 
 def _below(prim: Any, root: Any, meters: float) -> FloatArray:
-    """Return where a prim is in the space of the prototype that it is part of."""
-    own = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(0)
-    # The transform of the prototype itself counts; what is above it does not.
+    """Return the transform of a prim relative to its prototype root."""
+    world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(0)
+    # The transform of the prototype itself counts, those above it do not.
     above = UsdGeom.Imageable(root).ComputeParentToWorldTransform(0)
-    matrix = np.array(own * above.GetInverse(), np.float64).T.copy()
+    matrix = np.array(world * above.GetInverse(), np.float64).T.copy()
     matrix[:3, 3] *= meters
     return matrix
 
 
-# Of an implicit shape: what turns the z axis to its own.
+# Rotations from z to the axis of an implicit shape.
 _AXES = {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}
 
 
 def _solid(prim: Any) -> solids.Solid:
-    """Return the mesh of an implicit shape, in units of the stage."""
+    """Return the mesh of an implicit shape in stage units."""
 
     def value(name: str) -> float:
         return float(prim.GetAttribute(name).Get(Usd.TimeCode.EarliestTime()))

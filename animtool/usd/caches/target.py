@@ -1,4 +1,4 @@
-"""The meshes and strands of a rig layer that a point cache goes over."""
+"""The meshes and strands of a rig layer that a point cache overrides."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.core.units import UpAxis
 from animtool.rig.parts import Attachment
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.caches.writer import PointSpace
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import attribute, author_order, prim
 from animtool.usd.rigs.mesh_read import bound_meshes, bound_strands
 from animtool.usd.rigs.skinned import MAX_NAMED
@@ -28,7 +28,7 @@ SAME = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class TargetMesh:
-    """A mesh of a rig layer, or strands."""
+    """A mesh or strands of a rig layer."""
 
     name: str  # as the rig names it
     path: str  # its prim, as a layer over the rig names it
@@ -39,12 +39,12 @@ class TargetMesh:
 
 @dataclass(frozen=True, slots=True)
 class CacheTarget:
-    """A rig whose meshes and strands a cache moves in UsdSkel's place."""
+    """A rig whose meshes and strands a cache animates instead of UsdSkel."""
 
     rig: RigTarget  # the rig's stage
     meshes: tuple[TargetMesh, ...]  # those that the cache has points of
     strands: tuple[TargetMesh, ...]
-    notices: tuple[Fault, ...]  # what is odd
+    notices: tuple[Fault, ...]  # warnings and notes
 
     @property
     def prims(self) -> tuple[TargetMesh, ...]:
@@ -53,12 +53,12 @@ class CacheTarget:
 
     @property
     def unit(self) -> float:
-        """Length unit that the stage states [m]."""
+        """Length unit of the stage [m]."""
         return self.rig.unit
 
     @property
     def up(self) -> UpAxis:
-        """Up axis that the stage states."""
+        """Up axis of the stage."""
         return self.rig.up
 
     def author(self, layer: Any, *, normals: bool) -> None:
@@ -77,7 +77,7 @@ class CacheTarget:
                 attribute(spec, name, kind, Sdf.ValueBlock())
 
     def check(self, layer: Any, *, points: bool = True) -> None:
-        """Compose the layer with its rig, and see that its points are what shows.
+        """Compose the layer with its rig, and verify that its points win.
 
         points: whether it holds the points itself.
         """
@@ -108,7 +108,7 @@ class CacheTarget:
 def open_cache_target(
     rig: RigTarget, counts: Mapping[str, int], curves: Mapping[str, tuple[int, ...]]
 ) -> CacheTarget:
-    """Find the meshes and strands of a rig by the names that a cache has for them."""
+    """Match the meshes and strands of a rig by the names of a cache."""
     at = rig.stage.GetPrimAtPath(rig.on_stage(rig.paths.skeleton))
     skeleton = UsdSkel.Skeleton(at)
     root = UsdSkel.Root.Find(at).GetPrim()
@@ -152,7 +152,7 @@ def _misfits(mesh: Any, name: str, count: int, rig: RigTarget) -> list[Fault]:
         return []
     message = f"mesh {name!r} has {points} points here, but {count} in the take's rig"
     hint = "the cache would not match its faces"
-    return [Spot.of(rig.path, mesh).fault("USD041", message, hint)]
+    return [PrimLocation.of(rig.path, mesh).fault("USD041", message, hint)]
 
 
 def _uneven(
@@ -165,11 +165,11 @@ def _uneven(
     message = f"{entry.name!r} has {here[0]} strands of {here[1]} points here, but "
     message += f"{shape[0]} of {shape[1]} in the take's rig"
     hint = "the cache would not match its curves"
-    return [Spot.of(rig.path, curves).fault("USD041", message, hint)]
+    return [PrimLocation.of(rig.path, curves).fault("USD041", message, hint)]
 
 
 def _moving(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]:
-    at, faults = Spot.of(rig.path, mesh), []
+    at, faults = PrimLocation.of(rig.path, mesh), []
     between = mesh.GetPrim()
     while between.GetPath().HasPrefix(Sdf.Path("/")) and between:
         if skeleton.GetPath().HasPrefix(between.GetPath()):
@@ -210,13 +210,13 @@ def _strands(curves: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMes
 def _placement(mesh: Any, skeleton: Any) -> FloatArray | None:
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
-    own = cache.GetLocalToWorldTransform(mesh.GetPrim())
-    placement = np.array(world * own.GetInverse(), np.float64).T
+    mesh_world = cache.GetLocalToWorldTransform(mesh.GetPrim())
+    placement = np.array(world * mesh_world.GetInverse(), np.float64).T
     return None if np.abs(placement - np.eye(4)).max() <= SAME else placement
 
 
 def _blocked(mesh: Any, *, followed: bool) -> tuple[str, ...]:
-    """Return the normals of a prim that would not fit points which move."""
+    """Return authored normals that would not fit the animated points."""
     blocked = []
     if mesh.GetNormalsAttr().HasAuthoredValue() and not followed:
         blocked.append("normals")
@@ -229,7 +229,7 @@ def _blocked(mesh: Any, *, followed: bool) -> tuple[str, ...]:
 def _notice(
     code: str, names: Sequence[str], what: str, hint: str, path: Path
 ) -> list[Fault]:
-    """Return a warning of how many of what there are, and their names; none of none."""
+    """Return a warning with counts and names; None if there are no names."""
     if not names:
         return []
     message = f"{len(names)} {what}: {listed(names, MAX_NAMED)}"
@@ -237,7 +237,7 @@ def _notice(
 
 
 def _left_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault]:
-    """Name what UsdSkel moved below the SkelRoot, and nothing moves now."""
+    """Report meshes that UsdSkel animated and the cache leaves static."""
     cache = UsdSkel.Cache()
     cache.Populate(UsdSkel.Root(root), Usd.TraverseInstanceProxies())
     bindings = cache.ComputeSkelBindings(

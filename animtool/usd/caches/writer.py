@@ -1,4 +1,4 @@
-"""PointBased prims: their attributes, blocks of their frames, and the one writer.
+"""Writer of PointBased prims: attributes, and blocks of their frames.
 
 What joints deform and what is simulated both come as blocks of named values; prims of
 every kind state their types in one table.
@@ -18,7 +18,7 @@ from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.usd.layers.finite import Labels
-from animtool.usd.layers.sdf import Samples, attribute, quaternion, vector
+from animtool.usd.layers.sdf import SampleWriter, attribute, quaternion, vector
 
 if TYPE_CHECKING:
     from animtool.motion.frames import (
@@ -33,8 +33,8 @@ _TYPES = Sdf.ValueTypeNames
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
-    """Type of an attribute, how a value becomes USD's, and its interpolation."""
+class AttributeKind:
+    """Type, value conversion and interpolation of an attribute."""
 
     type_name: Any
     make: Callable[[Any], Any]
@@ -42,51 +42,51 @@ class Kind:
     uniform: bool = False
 
 
-_INTEGERS = Kind(_TYPES.IntArray, Vt.IntArray.FromNumpy)
-_TOKEN = Kind(_TYPES.Token, str, uniform=True)
+_INTEGERS = AttributeKind(_TYPES.IntArray, Vt.IntArray.FromNumpy)
+_TOKEN = AttributeKind(_TYPES.Token, str, uniform=True)
 ATTRIBUTES = {
-    "points": Kind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
-    "velocities": Kind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
-    "extent": Kind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
-    "normals": Kind(_TYPES.Normal3fArray, Vt.Vec3fArray.FromNumpy, "vertex"),
-    "ids": Kind(_TYPES.Int64Array, Vt.Int64Array.FromNumpy),
-    "positions": Kind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
-    "orientationsf": Kind(_TYPES.QuatfArray, Vt.QuatfArray.FromNumpy),
-    "angularVelocities": Kind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
-    "scales": Kind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
+    "points": AttributeKind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
+    "velocities": AttributeKind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
+    "extent": AttributeKind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
+    "normals": AttributeKind(_TYPES.Normal3fArray, Vt.Vec3fArray.FromNumpy, "vertex"),
+    "ids": AttributeKind(_TYPES.Int64Array, Vt.Int64Array.FromNumpy),
+    "positions": AttributeKind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
+    "orientationsf": AttributeKind(_TYPES.QuatfArray, Vt.QuatfArray.FromNumpy),
+    "angularVelocities": AttributeKind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
+    "scales": AttributeKind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
     "protoIndices": _INTEGERS,
-    "widths": Kind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex"),
+    "widths": AttributeKind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex"),
     "curveVertexCounts": _INTEGERS,
     "faceVertexCounts": _INTEGERS,
     "faceVertexIndices": _INTEGERS,
     "subdivisionScheme": _TOKEN,
-    "doubleSided": Kind(_TYPES.Bool, bool, uniform=True),
+    "doubleSided": AttributeKind(_TYPES.Bool, bool, uniform=True),
     "purpose": _TOKEN,
     "type": _TOKEN,
     "wrap": _TOKEN,
-    "xformOp:translate": Kind(_TYPES.Double3, vector),
-    "xformOp:orient": Kind(_TYPES.Quatd, quaternion),
+    "xformOp:translate": AttributeKind(_TYPES.Double3, vector),
+    "xformOp:orient": AttributeKind(_TYPES.Quatd, quaternion),
 }
 
 
-def kind_of(name: str, values: npt.NDArray[Any]) -> Kind:
-    """Return how an attribute is written: a primvar as its values ``(…, N[, 3])`` are.
+def kind_of(name: str, values: npt.NDArray[Any]) -> AttributeKind:
+    """Return how an attribute is written; primvars by the shape of their values.
 
-    name: as `place_of` reads it.
+    name: as `split_attribute` reads it.
     """
     if not name.startswith("primvars:"):
         return ATTRIBUTES[name.rpartition(".")[2]]
     if np.issubdtype(values.dtype, np.integer):
-        return Kind(_TYPES.IntArray, Vt.IntArray.FromNumpy, "vertex")
+        return AttributeKind(_TYPES.IntArray, Vt.IntArray.FromNumpy, "vertex")
     if values.ndim == 1:
-        return Kind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex")
+        return AttributeKind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex")
     color = name == "primvars:displayColor"
     kind = _TYPES.Color3fArray if color else _TYPES.Float3Array
-    return Kind(kind, Vt.Vec3fArray.FromNumpy, "vertex")
+    return AttributeKind(kind, Vt.Vec3fArray.FromNumpy, "vertex")
 
 
 def author_values(spec: Any, values: Mapping[str, Any]) -> None:
-    """Write values of `ATTRIBUTES` that never change, in their order."""
+    """Author constant values of `ATTRIBUTES`, in order."""
     for name, value in values.items():
         kind = ATTRIBUTES[name]
         attribute(
@@ -104,40 +104,40 @@ LINEAR = {"type": "linear", "wrap": "nonperiodic"}
 
 
 def author_width(spec: Any, width: float) -> None:
-    """State one width of all curves, in the layer's unit."""
+    """Author one constant width for all curves, in stage units."""
     widths = Vt.FloatArray([width])
     attribute(spec, "widths", _TYPES.FloatArray, widths, interpolation="constant")
 
 
-def place_of(path: str, name: str) -> tuple[str, str]:
-    """Return the prim that has an attribute of a prim at a path, and its name there.
+def split_attribute(path: str, name: str) -> tuple[str, str]:
+    """Return the prim path and attribute name of a dotted attribute below a path.
 
-    >>> place_of("/it", "points"), place_of("/it", "brick_3.xformOp:orient")
-    (('/it', 'points'), ('/it/brick_3', 'xformOp:orient'))
+    >>> split_attribute("/it", "brick_3.xformOp:orient")
+    ('/it/brick_3', 'xformOp:orient')
     """
-    part, _, own = name.rpartition(".")
-    return f"{path}/{part}" if part else path, own
+    part, _, leaf = name.rpartition(".")
+    return f"{path}/{part}" if part else path, leaf
 
 
 @dataclass(slots=True)
 class CharactersReport:
-    """What was written of characters."""
+    """Numbers of written characters, samples and errors."""
 
-    own: int = 0  # with an animation of their own
+    own: int = 0  # characters with a separate animation
     shared: int = 0  # with a part in one that others have, too
     samples: int = 0  # poses of those with their own
     frames: int = 0  # of these
     error: float = 0.0  # most that a joint is off between samples [m]
-    slide: float = 0.0  # likewise a foot that stands [m]
+    slide: float = 0.0  # likewise of a planted foot [m]
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Frames of one prim as the layer will hold them, in its unit."""
+    """Frames of one prim as written, in stage units."""
 
-    prim: int  # place among those that are written
+    prim: int  # index of the written prim
     codes: FloatArray  # time codes (F,)
-    # By attribute, as `place_of` reads its name, in order (F, …).
+    # By attribute, as `split_attribute` reads its name, in order (F, …).
     values: Mapping[str, npt.NDArray[Any]]
     vertices: int  # of its points, the most at any frame
     error: float = 0.0  # largest distance that rounding moved a point [m]
@@ -150,14 +150,14 @@ class Block:
         return sum(rows.nbytes for rows in self.values.values())
 
     def some(self, frames: slice) -> Block:
-        """Return some of the frames; the error stays that of all."""
+        """Return a subset of the frames; the error is that of all."""
         values = {name: rows[frames] for name, rows in self.values.items()}
         return replace(self, codes=self.codes[frames], values=values)
 
 
 @dataclass(frozen=True, slots=True)
 class PointSpace:
-    """Where the points of a mesh are written."""
+    """Space in which the points of a mesh are written."""
 
     # Mesh from skeleton space, in the layer's unit (4, 4); None where they are one.
     placement: FloatArray | None = None
@@ -166,7 +166,7 @@ class PointSpace:
 
 @dataclass(slots=True)
 class CachedMesh:
-    """What was written of a PointBased prim."""
+    """What was written for one PointBased prim."""
 
     path: str
     vertices: int = 0  # of its points, the most at any frame
@@ -181,7 +181,7 @@ class CachedMesh:
     characters: CharactersReport | None = None  # where it has these
 
     def count(self, block: Block) -> None:
-        """Add a block of frames; of errors the larger is kept."""
+        """Add a block of frames; keeps the larger error."""
         self.vertices = max(self.vertices, block.vertices)
         self.samples += len(block.codes)
         self.bytes += block.bytes
@@ -191,15 +191,15 @@ class CachedMesh:
 
 
 def labels_of(report: CachedMesh, name: str) -> Labels:
-    """Return what the values of an attribute of a prim are of."""
+    """Return labels for messages about an attribute's values."""
     names = () if name == "extent" else report.names
     of = "body" if names else "point"
-    place = ".".join(place_of(report.path, name))
-    return Labels(place, "" if "." in name else of, names)
+    location = ".".join(split_attribute(report.path, name))
+    return Labels(location, "" if "." in name else of, names)
 
 
 class PointWriter:
-    """Writes blocks of one prim, which is there already, to a layer.
+    """Writes blocks of frames of one existing prim to a layer.
 
     It has samples of what changes, and a default of what does not. With `every`, each
     frame of attributes that are there is a sample, as in what is simulated, and with
@@ -217,7 +217,7 @@ class PointWriter:
     ) -> None:
         self._layer, self._report = layer, report
         self._every, self._first, self._added = every, first, added
-        self._channels: dict[str, Samples] = {}
+        self._channels: dict[str, SampleWriter] = {}
 
     def add(self, block: Block) -> None:
         """Write a block of frames."""
@@ -229,13 +229,13 @@ class PointWriter:
         if self._added is not None:
             self._added(block.bytes)
 
-    def _channel(self, name: str, rows: npt.NDArray[Any]) -> Samples:
+    def _channel(self, name: str, rows: npt.NDArray[Any]) -> SampleWriter:
         if not self._every:
             return empty_attribute(self._spec, name)
         labels = labels_of(self._report, name)
         attr = self._layer.GetAttributeAtPath(labels.attribute)
         make = kind_of(name, rows[0]).make
-        return Samples(
+        return SampleWriter(
             attr,
             make,
             every=True,
@@ -249,9 +249,9 @@ class PointWriter:
         return self._layer.GetPrimAtPath(self._report.path)
 
     def release(self, *, rest: bool) -> None:
-        """Sample everything, whether it changes or not.
+        """Sample every attribute, whether it changes or not.
 
-        With ``rest``, there are defaults too, but for velocities: a mesh at no time.
+        With ``rest``, author defaults too, except velocities: the mesh without a time.
         """
         for name, channel in self._channels.items():
             channel.release()
@@ -259,16 +259,16 @@ class PointWriter:
                 channel.rest()
 
     def finish(self, *, rest: bool) -> None:
-        """Write the defaults of what never changed, and report what does.
+        """Author constant values as defaults, and report what is sampled.
 
-        With ``rest``, what has samples has a default too; a rig has its own.
+        With ``rest``, sampled attributes get a default too; a rig already has them.
         """
         channels, report = self._channels, self._report
         velocities = channels.pop("velocities", None)
         moves = bool(channels) and channels["points"].sampled
         if velocities is not None:
             if moves:
-                # UsdGeomPointBased uses them beside points of the same times only.
+                # UsdGeomPointBased uses them only with points at the same times.
                 velocities.release()
                 channels["velocities"] = velocities
             else:
@@ -279,30 +279,30 @@ class PointWriter:
         nothing = np.zeros((0, 3), np.float32)
         for channel in channels.values():
             channel.finish(nothing)
-        report.sampled = [name for name, made in channels.items() if made.sampled]
+        report.sampled = [name for name, each in channels.items() if each.sampled]
         if not moves:
             report.samples = report.bytes = 0
 
 
-def empty_attribute(spec: Any, name: str) -> Samples:
-    """Return an attribute without value in place of what a mesh at rest has."""
+def empty_attribute(spec: Any, name: str) -> SampleWriter:
+    """Replace an attribute of the rest mesh by one without a value."""
     remove_attribute(spec, name)
     kind = ATTRIBUTES[name]
     attr = attribute(spec, name, kind.type_name, interpolation=kind.interpolation)
-    return Samples(attr, kind.make)
+    return SampleWriter(attr, kind.make)
 
 
 def remove_attribute(spec: Any, name: str) -> None:
-    """Remove an attribute, if the prim has it."""
+    """Remove an attribute from the prim if present."""
     if name in spec.attributes:
         spec.RemoveProperty(spec.attributes[name])
 
 
 class FramePrim(Protocol):
-    """A prim of frames, as their form needs it."""
+    """Interface of a prim that frame forms write to."""
 
     unit: float  # of the layer [m]
-    turn: FloatArray  # how the prim stands in the layer (4,)
+    rotation: FloatArray  # orientation of the prim in the layer (4,)
 
     @property
     def triangles(self) -> IntArray:
@@ -310,59 +310,59 @@ class FramePrim(Protocol):
 
     @property
     def parts(self) -> list[str]:
-        """Names of the prims below, of a frame that has names."""
+        """Names of the child prims of a frame with names."""
 
     def narrowed(
         self, name: str, values: npt.NDArray[Any], code: float
     ) -> Float32Array:
-        """Return values ``(N,)`` or ``(N, 3)`` of an attribute in float32."""
+        """Return values ``(N,)`` or ``(N, 3)`` of an attribute as float32."""
 
-    def write_still(self, layer: Any, path: str, frame: Frame) -> None:
-        """Write a frame as a prim that never moves."""
+    def write_static(self, layer: Any, path: str, frame: Frame) -> None:
+        """Write a frame as a static prim."""
 
 
 FrameT = TypeVar("FrameT", "CurvesFrame", "MeshFrame", "PointsFrame", "TransformsFrame")
 
 
 class FrameForm(Generic[FrameT]):
-    """How a type of frame is written: its prim, attributes and values."""
+    """How one type of frame is written: prim, attributes and values."""
 
     type_name: ClassVar[str]
     sampled: ClassVar[tuple[str, ...]]  # attributes that every frame has, in order
     points: ClassVar[str] = "points"  # what the prim calls its points
 
     def shape(self, frame: FrameT) -> Mapping[str, IntArray]:  # noqa: ARG002
-        """Return attributes of whole numbers that say how points are joined."""
+        """Return the integer topology attributes of a frame."""
         return {}
 
     def tears(self, frame: FrameT) -> bool:  # noqa: ARG002
-        """Return whether the shape may be another at another frame."""
+        """Return whether the topology may change between frames."""
         return False
 
-    def kinds(self, frame: FrameT) -> dict[str, Kind]:
-        """Return what has samples, in order, by name, as `place_of` reads them."""
+    def kinds(self, frame: FrameT) -> dict[str, AttributeKind]:
+        """Return the sampled attributes, in order, by name; see `split_attribute`."""
         arrays = {f"primvars:{name}": rows for name, rows in frame.primvars.items()}
         kinds = {name: ATTRIBUTES[name] for name in self.sampled}
         kinds |= {name: kind_of(name, rows) for name, rows in arrays.items()}
         return {**kinds, "extent": ATTRIBUTES["extent"]}
 
     def divide(self, spec: Any, frame: FrameT) -> None:
-        """Write prims below the prim that have samples."""
+        """Create the child prims that have samples."""
 
     def describe(self, writer: FramePrim, spec: Any, frame: FrameT) -> None:
-        """Write what else the prim is, which no frame changes."""
+        """Author the constant attributes of the prim."""
 
     def values(
         self, writer: FramePrim, frame: FrameT, points: Float32Array, code: float
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return what a frame has beside points ``(N, 3)`` and velocities."""
+        """Return the values of a frame besides points ``(N, 3)`` and velocities."""
         raise NotImplementedError
 
 
 def bounds(
     points: Float32Array, margin: float | FloatArray | Float32Array
 ) -> Float32Array:
-    """Return bounds ``(2, 3)`` of points and what is about them; zeros of none."""
+    """Return padded bounds ``(2, 3)`` of points; zeros without points."""
     if not len(points):
         return np.zeros((2, 3), np.float32)
     if isinstance(margin, float):

@@ -1,4 +1,4 @@
-"""What is wrong with a USD layer: our checks, and those that USD brings along."""
+"""Validation of USD layers: our checks, and the validators that ship with USD."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["check_layer", "inspect_layer"]
 
 
 def __getattr__(name: str) -> object:
-    """Import the functions when they are first used."""
+    """Import the functions on first use."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from animtool.usd.checks import run

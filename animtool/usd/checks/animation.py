@@ -1,4 +1,4 @@
-"""Checks on SkelAnimation prims, and on what skel relationships lead to."""
+"""Checks on SkelAnimation prims and on targets of skel relationships."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pxr import UsdSkel
 from animtool.core.array_types import BoolArray
 from animtool.core.errors import Fault, counted, excerpt, listed
 from animtool.core.rules import finding
-from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
+from animtool.usd.checks.subject import AnyArray, SampledArray, StageSubject, at_samples
 from animtool.usd.layers.faults import (
     UNIT_TOLERANCE,
     missing_parts,
@@ -22,7 +22,7 @@ from animtool.usd.layers.faults import (
 )
 from animtool.usd.rigs.skinned import is_shown_mesh
 
-_WANTED = {
+_SCHEMAS = {
     "skel:animationSource": UsdSkel.Animation,
     "skel:skeleton": UsdSkel.Skeleton,
     "skel:blendShapeTargets": UsdSkel.BlendShape,
@@ -34,13 +34,13 @@ _NAMES = {
 }
 
 
-def check_bindings(subject: Subject) -> Iterator[Fault]:
-    """Check that bindings lead to prims of their kind.
+def check_bindings(subject: StageSubject) -> Iterator[Fault]:
+    """Check that skel bindings target prims of the right type.
 
-    In a layer whose rig is elsewhere, prims that it lacks may be there.
+    In a layer over another file's rig, missing targets may be in that file.
     """
     for prim in subject.prims:
-        for name, schema in _WANTED.items():
+        for name, schema in _SCHEMAS.items():
             relationship = prim.GetRelationship(name)
             if not relationship:
                 continue
@@ -69,8 +69,8 @@ def _target(
 SAME_SIDE = 0.7
 
 
-def check_animations(subject: Subject) -> Iterator[Fault]:
-    """Check counts, numbers and rotations of every SkelAnimation, in every sample."""
+def check_animations(subject: StageSubject) -> Iterator[Fault]:
+    """Check array lengths, values and rotations of every SkelAnimation sample."""
     for animation in subject.of_type(UsdSkel.Animation):
         joints = tokens(animation.GetJointsAttr())
         yield from names_twice(animation.GetJointsAttr())
@@ -81,7 +81,9 @@ def check_animations(subject: Subject) -> Iterator[Fault]:
         yield from _weights(subject, animation.GetBlendShapeWeightsAttr(), shapes)
 
 
-def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator[Fault]:
+def _transforms(
+    subject: StageSubject, animation: Any, joints: list[str]
+) -> Iterator[Fault]:
     faults = list(missing_parts(animation, joints))
     yield from faults
     if any(fault.code == "USD150" for fault in faults):
@@ -103,7 +105,7 @@ def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator
 
 
 def _counts(
-    code: str, attr: Any, sampled: Sampled, expected: int, noun: str
+    code: str, attr: Any, sampled: SampledArray, expected: int, noun: str
 ) -> Iterator[Fault]:
     wrong = sampled.counts != expected
     if wrong.any():
@@ -114,7 +116,7 @@ def _counts(
 
 
 def _not_finite(
-    attr: Any, sampled: Sampled, which: Any, bad: BoolArray, names: list[str]
+    attr: Any, sampled: SampledArray, which: Any, bad: BoolArray, names: list[str]
 ) -> Fault:
     rows = bad.any(axis=1)
     first = int(np.flatnonzero(bad[np.flatnonzero(rows)[0]])[0])
@@ -124,7 +126,7 @@ def _not_finite(
     return finding("USD202", attr.GetPath(), message)
 
 
-def _weights(subject: Subject, attr: Any, shapes: list[str]) -> Iterator[Fault]:
+def _weights(subject: StageSubject, attr: Any, shapes: list[str]) -> Iterator[Fault]:
     sampled = subject.sampled(attr)
     yield from _counts("USD206", attr, sampled, len(shapes), "blendShapes")
     which, values = sampled.rows(len(shapes), 1)
@@ -135,7 +137,7 @@ def _weights(subject: Subject, attr: Any, shapes: list[str]) -> Iterator[Fault]:
 
 def _rotations(
     attr: Any,
-    sampled: Sampled,
+    sampled: SampledArray,
     which: Any,
     values: AnyArray,
     joints: list[str],
@@ -159,8 +161,8 @@ def _rotations(
         yield finding("USD204", attr.GetPath(), message)
 
 
-def check_known_joints(subject: Subject) -> Iterator[Fault]:
-    """Check that a Skeleton has the joints of its animation, and meshes its shapes."""
+def check_known_joints(subject: StageSubject) -> Iterator[Fault]:
+    """Check that a Skeleton has its animation's joints, and meshes its shapes."""
     shapes: dict[Any, set[str]] = {}
     bound: dict[Any, Any] = {}
     for prim in subject.prims:
@@ -171,10 +173,12 @@ def check_known_joints(subject: Subject) -> Iterator[Fault]:
             continue
         source = binding.GetInheritedAnimationSource()
         if not source and names:
-            held = binding.GetInheritedSkeleton()
+            inherited = binding.GetInheritedSkeleton()
             source = (
-                held
-                and UsdSkel.BindingAPI(held.GetPrim()).GetInheritedAnimationSource()
+                inherited
+                and UsdSkel.BindingAPI(
+                    inherited.GetPrim()
+                ).GetInheritedAnimationSource()
             )
         if not source or not source.IsA(UsdSkel.Animation):
             continue

@@ -1,8 +1,8 @@
 """Checks on extents, over all samples.
 
-What a SkelRoot with one skeleton spans is the bounds of its joints and a padding that
-does not change, so that all samples are compared at once and USD itself is asked only
-about those that stand out. Of others, it is asked about `MAX_ASKED` samples.
+The extent of a SkelRoot with one skeleton is the bounds of its joints plus a constant
+padding, so all samples are compared at once and USD computes only the outliers. For
+other prims USD computes `MAX_ASKED` samples.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from animtool.core.errors import Fault
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.checks.skinned_bounds import SkinnedBounds, overhang
-from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
+from animtool.usd.checks.subject import AnyArray, SampledArray, StageSubject, at_samples
 from animtool.usd.layers.faults import (
     joint_parents,
-    own_matrices,
+    matrix_array,
     tokens,
     transform_attributes,
 )
@@ -39,8 +39,8 @@ BLOCK = 2048
 _PLACING = ("positions", "protoIndices", "orientations", "orientationsf", "scales")
 
 
-def check_extents(subject: Subject) -> Iterator[Fault]:
-    """Check that prims have an extent, and that it is what USD computes."""
+def check_extents(subject: StageSubject) -> Iterator[Fault]:
+    """Check that prims have an extent equal to the one USD computes."""
     if subject.alone:
         return
     for prim in subject.prims:
@@ -53,8 +53,8 @@ def check_extents(subject: Subject) -> Iterator[Fault]:
         if source is None or not (source or attr.HasAuthoredValue()):
             continue
         # That of an instance holds whatever its rig is ever seen to do.
-        held = prim.IsInstance() or prim.IsAbstract()
-        if held and attr.HasAuthoredValue():
+        inherited = prim.IsInstance() or prim.IsAbstract()
+        if inherited and attr.HasAuthoredValue():
             continue
         if not attr.HasAuthoredValue():
             yield finding(
@@ -65,8 +65,8 @@ def check_extents(subject: Subject) -> Iterator[Fault]:
             yield from _compare(subject, bounded, attr, source)
 
 
-def extent_sources(subject: Subject, prim: Any) -> list[Any] | None:
-    """Return the attributes that an extent follows; None where it has none to follow.
+def extent_sources(subject: StageSubject, prim: Any) -> list[Any] | None:
+    """Return the attributes that determine an extent; None if there are none.
 
     Where points or joints are no numbers, there is nothing to compare with.
     """
@@ -89,15 +89,15 @@ def extent_sources(subject: Subject, prim: Any) -> list[Any] | None:
     if prim.IsA(UsdGeom.PointBased):
         attr = PointReader(prim).attr
         # Points that move are checked as they are read, and a mesh's extent with them.
-        apart = prim.IsA(UsdGeom.Mesh) and bool(subject.times(attr))
-        return [attr] if attr.HasAuthoredValue() and not apart else None
+        sampled_points = prim.IsA(UsdGeom.Mesh) and bool(subject.times(attr))
+        return [attr] if attr.HasAuthoredValue() and not sampled_points else None
     if prim.IsA(UsdGeom.PointInstancer):
         return _copied_sources(subject, UsdGeom.PointInstancer(prim))
     return None
 
 
-def _copied_sources(subject: Subject, instancer: Any) -> list[Any] | None:
-    """Return what the extent of copies follows.
+def _copied_sources(subject: StageSubject, instancer: Any) -> list[Any] | None:
+    """Return the attributes that determine the extent of instances.
 
     None of copies of copies: USD would go on for ever where these hold themselves.
     """
@@ -117,7 +117,7 @@ def _copied_sources(subject: Subject, instancer: Any) -> list[Any] | None:
 
 
 def _joints_below(root: Any) -> bool:
-    """Return whether a Skeleton of a SkelRoot has joints."""
+    """Return whether a Skeleton below a SkelRoot has joints."""
     return any(
         tokens(UsdSkel.Skeleton(prim).GetJointsAttr())
         for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())
@@ -126,7 +126,7 @@ def _joints_below(root: Any) -> bool:
 
 
 def _compare(
-    subject: Subject, bounded: Any, attr: Any, source: list[Any]
+    subject: StageSubject, bounded: Any, attr: Any, source: list[Any]
 ) -> Iterator[Fault]:
     sampled = subject.sampled(attr)
     wrong = sampled.counts != 2
@@ -137,16 +137,16 @@ def _compare(
         return
     extents = sampled.rows(2, 3)[1].astype(np.float64)
     moving = sorted({time for one in source for time in subject.times(one)})
-    own = extents if sampled.animated else None
-    times = sampled.times if own is not None else np.array(moving or [np.nan])
+    authored = extents if sampled.animated else None
+    times = sampled.times if authored is not None else np.array(moving or [np.nan])
     expected = _joint_bounds(subject, bounded, source, times)
-    exact = own is not None or not moving
+    exact = authored is not None or not moving
     suspects, flagged = _chosen(len(times)), None
     if expected is not None:
-        beyond, _ = bounds_apart(extents, expected, exact=exact)
+        beyond, _ = bounds_difference(extents, expected, exact=exact)
         flagged = np.flatnonzero(~(beyond <= 0))
         suspects = np.sort(flagged[np.argsort(-beyond[flagged])[:MAX_ASKED]])
-    skinned = _Skinned(bounded)
+    skinned = _SkinnedRoot(bounded)
     bad = []
     for i in suspects.tolist():
         code = Usd.TimeCode.Default() if np.isnan(times[i]) else Usd.TimeCode(times[i])
@@ -159,8 +159,8 @@ def _compare(
         if (bounds[0, 0] > bounds[0, 1]).all():
             # Of no points: USD computes the bounds of nothing, and none is wrong.
             continue
-        mine = extents[i : i + 1] if own is not None else extents
-        beyond, off = bounds_apart(mine, bounds, exact=exact)
+        mine = extents[i : i + 1] if authored is not None else extents
+        beyond, off = bounds_difference(mine, bounds, exact=exact)
         if beyond[0] > 0 and not skinned.holds(code, mine, bounds):
             bad.append((i, off[0]))
     if not bad:
@@ -170,10 +170,10 @@ def _compare(
         # Those that USD was asked about are the farthest off of all.
         frames = flagged
     worst, when = max((gap, -i) for i, gap in bad)
-    places = Sampled(times, [], np.zeros(len(times), np.int64))
+    sampled_at = SampledArray(times, [], np.zeros(len(times), np.int64))
     more = " or more" if flagged is None and len(suspects) < len(times) else ""
     lead = "off by" if exact else "what moves exceeds it by"
-    message = f"{lead} {worst:.3g}{more} {at_samples(places, frames)}"
+    message = f"{lead} {worst:.3g}{more} {at_samples(sampled_at, frames)}"
     if len(frames) > 1:
         message += f", most at {frame_label(times[-when])}"
     if skinned.bounds is not None:
@@ -181,28 +181,28 @@ def _compare(
     yield finding("USD251", attr.GetPath(), message)
 
 
-class _Skinned:
-    """What a SkelRoot skins, looked at where its extent is not the one expected."""
+class _SkinnedRoot:
+    """Skinned points of a SkelRoot, read only if its extent is unexpected."""
 
     def __init__(self, bounded: Any) -> None:
         self._prim = bounded.GetPrim()
 
     @cached_property
     def bounds(self) -> SkinnedBounds | None:
-        """Bounds of its points; None of another prim."""
+        """Bounds of its points; None for other prims."""
         return SkinnedBounds(self._prim) if self._prim.IsA(UsdSkel.Root) else None
 
     def holds(self, code: Any, extent: FloatArray, computed: FloatArray) -> bool:
-        """Return whether an extent is that of USD, widened by points that leave it."""
+        """Return whether an extent is USD's, widened by points outside it."""
         posed = None if self.bounds is None else self.bounds.at(code)
         if posed is None:
             return False
         widened = joined_bounds(computed[0], posed)[None]
-        return bool(bounds_apart(extent, widened, exact=True)[0][0] <= 0)
+        return bool(bounds_difference(extent, widened, exact=True)[0][0] <= 0)
 
 
 def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the bounds ``(2, 3)`` of two.
+    """Return the union of two bounds ``(2, 3)``.
 
     >>> joined_bounds(np.array([[0.0], [2.0]]), np.array([[1.0], [3.0]])).tolist()
     [[0.0], [3.0]]
@@ -212,9 +212,9 @@ def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
-    """Say how far skinned points leave the extents of a SkelRoot at most, and when."""
+    """Describe how far skinned points leave the extents of a SkelRoot, and when."""
     over = overhang(root, extents, times.tolist())
-    # What rounding moves is no overhang, as of `bounds_apart`.
+    # What rounding moves is no overhang, as of `bounds_difference`.
     reach = float(np.abs(extents).max(initial=0.0))
     if over is None or over[0] <= 1e-6 * (1 + reach):
         return "; no skinned point exceeds it"
@@ -224,10 +224,10 @@ def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
     return f"; skinned points exceed it by {most:.4g}{more}{at}"
 
 
-def bounds_apart(
+def bounds_difference(
     extents: FloatArray, bounds: FloatArray, *, exact: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far extents are from bounds: beyond the tolerance, and in full.
+    """Return how far extents differ from bounds: beyond the tolerance, and in total.
 
     The first is at most 0 where they are within it.
 
@@ -241,7 +241,7 @@ def bounds_apart(
 
 
 def _computed(bounded: Any, code: Any) -> Any:
-    """Return what USD computes; None where it cannot, as of a broken Skeleton."""
+    """Return the extent USD computes; None if it cannot, as for a broken Skeleton."""
     try:
         return UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
     except Tf.ErrorException:
@@ -249,14 +249,14 @@ def _computed(bounded: Any, code: Any) -> Any:
 
 
 def _chosen(count: int) -> IntArray:
-    """Return evenly spaced numbers below a count, `MAX_ASKED` at most."""
+    """Return up to `MAX_ASKED` evenly spaced indices below a count."""
     return np.unique(np.linspace(0, count - 1, min(count, MAX_ASKED)).astype(np.int64))
 
 
 def _joint_bounds(
-    subject: Subject, bounded: Any, source: list[Any], times: FloatArray
+    subject: StageSubject, bounded: Any, source: list[Any], times: FloatArray
 ) -> FloatArray | None:
-    """Return what a SkelRoot with one skeleton spans at every time ``(F, 2, 3)``.
+    """Return the joint bounds of a one-skeleton SkelRoot per sample ``(F, 2, 3)``.
 
     None where only USD can tell: more skeletons or one that is placed, attributes
     sampled at other times, values that other checks refuse.
@@ -285,49 +285,53 @@ def _joint_bounds(
 
 
 def _locals(
-    subject: Subject, skeleton: Any, source: list[Any], times: FloatArray
+    subject: StageSubject, skeleton: Any, source: list[Any], times: FloatArray
 ) -> tuple[AnyArray, AnyArray, AnyArray] | None:
     """Return local translations, rotations and scales ``(F or 1, J, …)``."""
     joints = tokens(skeleton.GetJointsAttr())
     parents = joint_parents(joints)
-    rest = own_matrices(skeleton.GetRestTransformsAttr())
-    own = tokens(UsdSkel.Animation(source[0].GetPrim()).GetJointsAttr())
-    places = np.array([joints.index(n) if n in joints else -1 for n in own], np.int64)
-    whole = len(own) == len(joints) and (places == np.arange(len(joints))).all()
-    if (parents >= np.arange(len(joints))).any() or (places < 0).any():
+    rest = matrix_array(skeleton.GetRestTransformsAttr())
+    animated = tokens(UsdSkel.Animation(source[0].GetPrim()).GetJointsAttr())
+    columns = np.array(
+        [joints.index(n) if n in joints else -1 for n in animated], np.int64
+    )
+    complete = (
+        len(animated) == len(joints) and (columns == np.arange(len(joints))).all()
+    )
+    if (parents >= np.arange(len(joints))).any() or (columns < 0).any():
         return None
-    if not whole and len(rest) != len(joints):
+    if not complete and len(rest) != len(joints):
         return None
-    resting = () if whole else decompose(rest)
+    resting = () if complete else decompose(rest)
     parts = []
     for part, (attr, width) in enumerate(zip(source, (3, 4, 3), strict=True)):
         sampled = subject.sampled(attr)
-        if (sampled.counts != len(own)).any() or not len(sampled.times):
+        if (sampled.counts != len(animated)).any() or not len(sampled.times):
             return None
         if sampled.animated and not np.array_equal(sampled.times, times):
             return None
-        values = sampled.rows(len(own), width)[1]
+        values = sampled.rows(len(animated), width)[1]
         if not np.isfinite(values).all():
             return None
-        if not whole:
+        if not complete:
             filled = np.repeat(resting[part][None], len(values), axis=0)
-            filled[:, places] = values
+            filled[:, columns] = values
             values = filled
         parts.append(values)
     return parts[0], parts[1], parts[2]
 
 
 def _bounds(
-    parents: IntArray, moves: AnyArray, turns: AnyArray, sizes: AnyArray
+    parents: IntArray, moves: AnyArray, rotations: AnyArray, sizes: AnyArray
 ) -> FloatArray:
-    """Return the bounds of the joints' origins ``(F, 2, 3)``."""
-    count = max(len(moves), len(turns), len(sizes))
+    """Return the bounds of the joint origins ``(F, 2, 3)``."""
+    count = max(len(moves), len(rotations), len(sizes))
     bounds = np.zeros((count, 2, 3))
     plain = bool((sizes == 1).all())
     for begin in range(0, count, BLOCK):
         part = slice(begin, min(begin + BLOCK, count))
         frames = part.stop - begin
-        t, r, s = (_block(values, part, frames) for values in (moves, turns, sizes))
+        t, r, s = (_block(values, part, frames) for values in (moves, rotations, sizes))
         positions = np.zeros((frames, len(parents), 3))
         linear = np.zeros((frames, len(parents), 3, 3))
         scales = None if plain else s

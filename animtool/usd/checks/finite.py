@@ -1,4 +1,4 @@
-"""Checks on every attribute: its type, its numbers, its splines.
+"""Checks on every attribute: type, finite values, splines.
 
 It reads layers, not the stage: what a stronger opinion hides, and the variants that are
 not selected, are in the file too.
@@ -19,12 +19,12 @@ from pxr import Sdf, Tf, Usd
 
 from animtool.core.errors import Fault, counted
 from animtool.core.rules import finding
-from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.subject import StageSubject
 from animtool.usd.layers.finite import floats_of, largest
 
 
-def check_types(subject: Subject) -> Iterator[Fault]:
-    """Check that the strongest opinion on an attribute is of its schema's type.
+def check_types(subject: StageSubject) -> Iterator[Fault]:
+    """Check that the strongest opinion of an attribute has its schema's type.
 
     Properties of SkelBindingAPI count where it is not applied, too, and inbetweens.
     """
@@ -39,20 +39,20 @@ def check_types(subject: Subject) -> Iterator[Fault]:
 
 
 def _expected_type(attr: Any) -> Any:
-    """Return the type that an attribute should have, None where any will do."""
+    """Return the type that an attribute should have; None if any is allowed."""
     name = attr.GetName()
     if name.startswith("inbetweens:"):
         return Sdf.ValueTypeNames.Vector3fArray
     binding = Usd.SchemaRegistry().FindAppliedAPIPrimDefinition("SkelBindingAPI")
     for definition in (attr.GetPrim().GetPrimDefinition(), binding):
-        own = definition.GetAttributeDefinition(name)
-        if own:
-            return own.GetTypeName()
+        attribute_definition = definition.GetAttributeDefinition(name)
+        if attribute_definition:
+            return attribute_definition.GetTypeName()
     return None
 
 
-def check_splines(subject: Subject) -> Iterator[Fault]:
-    """Check that splines go forward in time, and that no samples hide them.
+def check_splines(subject: StageSubject) -> Iterator[Fault]:
+    """Check that spline knots increase in time, and that no samples hide them.
 
     A knot that is not finite is refused by USD as the layer is read.
     """
@@ -75,8 +75,8 @@ def check_splines(subject: Subject) -> Iterator[Fault]:
             yield finding("USD275", attr.GetPath(), message)
 
 
-def check_uniform(subject: Subject) -> Iterator[Fault]:
-    """Check that no uniform attribute has samples."""
+def check_uniform(subject: StageSubject) -> Iterator[Fault]:
+    """Check that no uniform attribute has time samples."""
     for attr in subject.attributes:
         if attr.GetVariability() != Sdf.VariabilityUniform:
             continue
@@ -113,7 +113,7 @@ NO_NUMBERS = frozenset(
 )
 
 
-def check_finite(subject: Subject) -> Iterator[Fault]:
+def check_finite(subject: StageSubject) -> Iterator[Fault]:
     """Check that no number in any layer of a stage is NaN or infinite.
 
     An infinity that a schema itself has as its fallback, such as the limits of a
@@ -122,8 +122,8 @@ def check_finite(subject: Subject) -> Iterator[Fault]:
     root = subject.stage.GetRootLayer()
     used = [layer for layer in subject.stage.GetUsedLayers() if layer != root]
     for layer in (root, *sorted(used, key=lambda layer: str(layer.identifier))):
-        places = _of_layer(subject, layer, is_root=layer == root)
-        for _, group in groupby(places, key=lambda item: item[0].GetPrimPath()):
+        specs = _of_layer(subject, layer, is_root=layer == root)
+        for _, group in groupby(specs, key=lambda item: item[0].GetPrimPath()):
             yield from _limited(list(group), "" if layer == root else _named(layer))
 
 
@@ -132,7 +132,7 @@ def _named(layer: Any) -> str:
 
 
 def _limited(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
-    """Yield the findings on one prim, the last of many with how many more there are."""
+    """Yield the first findings of a prim; the last one counts the rest."""
     for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
         rest = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
         more = f"; so are {rest} more values of this prim" if rest > 0 else ""
@@ -140,9 +140,9 @@ def _limited(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
 
 
 def _of_layer(
-    subject: Subject, layer: Any, *, is_root: bool
+    subject: StageSubject, layer: Any, *, is_root: bool
 ) -> Iterator[tuple[Any, str]]:
-    """Yield the paths of specs with numbers that are not finite, prim by prim."""
+    """Yield spec paths with non-finite numbers, grouped by prim."""
     paths: list[Any] = []
     layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
     for path in sorted(paths, key=lambda path: (str(path.GetPrimPath()), str(path))):
@@ -164,7 +164,7 @@ def _of_layer(
 
 
 def _of_data(value: Any, name: str) -> str:
-    """Return what is wrong with a number of metadata; empty for nothing."""
+    """Return the fault of a metadata value; empty if valid."""
     if isinstance(value, Mapping):
         parts = (_of_data(item, f"{name}:{key}") for key, item in value.items())
         return next(filter(None, parts), "")
@@ -184,8 +184,8 @@ def _of_data(value: Any, name: str) -> str:
     return f"its metadata {name} is {_worst(numbers)}"
 
 
-def _of_attribute(subject: Subject, layer: Any, spec: Any) -> str:
-    """Return what is wrong with values of an attribute; empty for nothing."""
+def _of_attribute(subject: StageSubject, layer: Any, spec: Any) -> str:
+    """Return the fault of an attribute's values; empty if valid."""
     default = floats_of(spec.default) if spec.HasDefaultValue() else None
     problems = []
     if default is not None and not _is_allowed(subject, spec, default):
@@ -208,8 +208,8 @@ def _of_attribute(subject: Subject, layer: Any, spec: Any) -> str:
     return "; ".join(filter(None, (*problems, first)))
 
 
-def _is_known(subject: Subject, path: Any) -> bool:
-    """Return whether another check read these samples, which are the only ones."""
+def _is_known(subject: StageSubject, path: Any) -> bool:
+    """Return whether another check already covers the attribute's only samples."""
     if path not in subject.finite:
         return False
     stack = subject.stage.GetAttributeAtPath(path).GetPropertyStack()
@@ -224,7 +224,7 @@ def _is_finite(numbers: npt.NDArray[Any]) -> bool:
     return bool(numbers.min() > -math.inf and numbers.max() < math.inf)
 
 
-def _is_allowed(subject: Subject, spec: Any, numbers: npt.NDArray[Any]) -> bool:
+def _is_allowed(subject: StageSubject, spec: Any, numbers: npt.NDArray[Any]) -> bool:
     if _is_finite(numbers):
         return True
     if np.isnan(numbers).any():
@@ -234,16 +234,16 @@ def _is_allowed(subject: Subject, spec: Any, numbers: npt.NDArray[Any]) -> bool:
     if not prim:
         return False
     fallback = prim.GetPrimDefinition().GetAttributeFallbackValue(path.name)
-    own = None if fallback is None else floats_of(fallback)
-    if own is None:
+    fallback_values = None if fallback is None else floats_of(fallback)
+    if fallback_values is None:
         # An attribute of a schema that the prim does not name, as some exporters write.
         return any(name.fullmatch(path.name) for name in _infinite_names())
-    return not _is_finite(own)
+    return not _is_finite(fallback_values)
 
 
 @cache
 def _infinite_names() -> tuple[re.Pattern[str], ...]:
-    """Return the names of attributes whose fallback an applied schema has infinite."""
+    """Return attributes whose schema fallback is infinite."""
     registry, names = Usd.SchemaRegistry(), set()
     for schema in Tf.Type.Find(Usd.APISchemaBase).GetAllDerivedTypes():
         name = Usd.SchemaRegistry.GetSchemaTypeName(schema)
@@ -267,6 +267,6 @@ def _worst(numbers: npt.NDArray[Any]) -> str:
 
 
 def _element(numbers: npt.NDArray[Any]) -> str:
-    """Say at which place of an array the first number is that is not finite."""
-    place = _bad(numbers)
-    return f", element {place[0]}" if len(place) else ""
+    """Return the array index of the first non-finite number as text."""
+    index = _bad(numbers)
+    return f", element {index[0]}" if len(index) else ""

@@ -1,4 +1,4 @@
-"""Our checks as a validator of `pxr.UsdValidation`.
+"""Registers our checks as a validator of `pxr.UsdValidation`.
 
 USD loads this module by itself where ``PXR_PLUGINPATH_NAME`` names the folder that it
 is in, which holds ``plugInfo.json``. In Python, `register` does without. Its errors are
@@ -12,9 +12,9 @@ from typing import Any
 from pxr import Sdf, UsdValidation
 
 from animtool.core.errors import Fault, Severity
-from animtool.usd.checks.run import OWN_KEYWORD, check_stage
+from animtool.usd.checks.run import ANIMTOOL_KEYWORD, check_stage
 
-# What plugInfo.json says, and what `register` does without it.
+# As in plugInfo.json; `register` uses them without it.
 PLUGIN_NAME = "animtool.usd.checks.plugin:Checks"
 NAME = "animtool:Checks"
 
@@ -26,20 +26,20 @@ _TYPES = {
 
 
 def register() -> Any:
-    """Return our validator, registered with USD if it is not yet."""
+    """Return our validator, registered with USD on first use."""
     registry = UsdValidation.ValidationRegistry()
     for name in (PLUGIN_NAME, NAME):
         if registry.HasValidator(name):
             return registry.GetOrLoadValidatorByName(name)
     metadata = UsdValidation.ValidatorMetadata(
-        name=NAME, keywords=[OWN_KEYWORD], doc="Checks of animtool for USD stages."
+        name=NAME, keywords=[ANIMTOOL_KEYWORD], doc="Checks of animtool for USD stages."
     )
     registry.RegisterStageValidator(metadata, validate)
     return registry.GetOrLoadValidatorByName(NAME)
 
 
 def validate(stage: Any, _times: Any) -> list[Any]:
-    """Return what our checks find on a stage, as errors of UsdValidation."""
+    """Return the findings of our checks on a stage as UsdValidation errors."""
     return [_error(stage, fault) for fault in check_stage(stage)]
 
 
@@ -55,7 +55,7 @@ def _error(stage: Any, fault: Fault) -> Any:
 
 
 def _register_plugin() -> None:
-    """Give USD the function of the validator that plugInfo.json announces."""
+    """Register the function of the validator declared in plugInfo.json."""
     registry = UsdValidation.ValidationRegistry()
     if registry.GetValidatorMetadata(PLUGIN_NAME) is not None:
         registry.RegisterPluginStageValidator(PLUGIN_NAME, validate)

@@ -1,4 +1,4 @@
-"""Checks on points that move, and on copies: counts, numbers, places and bounds.
+"""Checks on animated points and instancers: counts, values and extents.
 
 A cache may be larger than memory: each sample is read, looked at and let go.
 """
@@ -16,11 +16,11 @@ from animtool.core.clock import frame_label
 from animtool.core.errors import Fault
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import UNIT_TOLERANCE, PointReader, codes_of
-from animtool.usd.checks.extents import bounds_apart
-from animtool.usd.checks.subject import Sampled, Subject, at_samples
+from animtool.usd.checks.extents import bounds_difference
+from animtool.usd.checks.subject import SampledArray, StageSubject, at_samples
 
 
-def check_points(subject: Subject) -> Iterator[Fault]:
+def check_points(subject: StageSubject) -> Iterator[Fault]:
     """Check the points and velocities of every prim, in every sample."""
     for geometry in subject.of_type(UsdGeom.PointBased):
         attr = PointReader(geometry.GetPrim()).attr
@@ -33,7 +33,7 @@ def check_points(subject: Subject) -> Iterator[Fault]:
         yield from _extent(subject, geometry, points, bounds)
 
 
-def _survey(subject: Subject, attr: Any) -> tuple[Sampled, FloatArray]:
+def _survey(subject: StageSubject, attr: Any) -> tuple[SampledArray, FloatArray]:
     """Return the samples of points without their arrays, and their bounds."""
     times = subject.times(attr)
     codes = codes_of(times)
@@ -48,11 +48,11 @@ def _survey(subject: Subject, attr: Any) -> tuple[Sampled, FloatArray]:
         if len(value):
             rows = np.array(value, copy=False)
             bounds[i] = rows.min(axis=0), rows.max(axis=0)
-    return Sampled(np.array(times or [np.nan]), [], counts), bounds
+    return SampledArray(np.array(times or [np.nan]), [], counts), bounds
 
 
 def _finite(
-    subject: Subject, attr: Any, sampled: Sampled, bounds: FloatArray
+    subject: StageSubject, attr: Any, sampled: SampledArray, bounds: FloatArray
 ) -> Iterator[Fault]:
     # NaN and infinity both come through min and max.
     bad = ~np.isfinite(bounds).all(axis=(1, 2)) & (sampled.counts > 0)
@@ -64,7 +64,7 @@ def _finite(
 
 
 def _topology(
-    subject: Subject, geometry: Any, attr: Any, points: Sampled
+    subject: StageSubject, geometry: Any, attr: Any, points: SampledArray
 ) -> Iterator[Fault]:
     prim = geometry.GetPrim()
     if prim.IsA(UsdGeom.Mesh):
@@ -96,7 +96,9 @@ def _topology(
         yield finding("USD264", attr.GetPath(), message)
 
 
-def _velocities(subject: Subject, geometry: Any, points: Sampled) -> Iterator[Fault]:
+def _velocities(
+    subject: StageSubject, geometry: Any, points: SampledArray
+) -> Iterator[Fault]:
     attr = geometry.GetVelocitiesAttr()
     if not attr.HasAuthoredValue():
         return
@@ -115,9 +117,9 @@ def _velocities(subject: Subject, geometry: Any, points: Sampled) -> Iterator[Fa
 
 
 def _extent(
-    subject: Subject, geometry: Any, points: Sampled, bounds: FloatArray
+    subject: StageSubject, geometry: Any, points: SampledArray, bounds: FloatArray
 ) -> Iterator[Fault]:
-    """Compare the bounds of a mesh's moving points with its extent."""
+    """Compare the bounds of a mesh's animated points with its extent."""
     prim, attr = geometry.GetPrim(), geometry.GetExtentAttr()
     if not points.animated or not prim.IsA(UsdGeom.Mesh) or subject.alone:
         return
@@ -133,9 +135,9 @@ def _extent(
     extents = sampled.rows(2, 3)[1].astype(np.float64)
     if sampled.animated:
         # Between samples an extent is that of the sample before.
-        held = np.searchsorted(sampled.times, points.times, side="right") - 1
-        extents = extents[np.clip(held, 0, None)]
-    beyond, off = bounds_apart(extents, bounds, exact=sampled.animated)
+        previous = np.searchsorted(sampled.times, points.times, side="right") - 1
+        extents = extents[np.clip(previous, 0, None)]
+    beyond, off = bounds_difference(extents, bounds, exact=sampled.animated)
     if (beyond > 0).any():
         worst = int(np.nanargmax(np.where(beyond > 0, off, 0.0)))
         message = f"off by {off[worst]:.3g} {at_samples(points, beyond > 0)}"
@@ -151,7 +153,7 @@ _EACH = (
 )
 
 
-def check_copies(subject: Subject) -> Iterator[Fault]:
+def check_copies(subject: StageSubject) -> Iterator[Fault]:
     """Check every PointInstancer: prototypes, lengths, numbers, unit orientations."""
     for instancer in subject.of_type(UsdGeom.PointInstancer):
         prim = instancer.GetPrim()
@@ -167,7 +169,9 @@ def check_copies(subject: Subject) -> Iterator[Fault]:
                 yield from _numbers(attr, sampled, unit=name.startswith("orientations"))
 
 
-def _prototypes(subject: Subject, instancer: Any, indices: Sampled) -> Iterator[Fault]:
+def _prototypes(
+    subject: StageSubject, instancer: Any, indices: SampledArray
+) -> Iterator[Fault]:
     relationship = instancer.GetPrototypesRel()
     targets = relationship.GetForwardedTargets()
     gone = [t for t in targets if not subject.stage.GetPrimAtPath(t)]
@@ -175,8 +179,8 @@ def _prototypes(subject: Subject, instancer: Any, indices: Sampled) -> Iterator[
         yield finding(
             "USD287", relationship.GetPath(), f"prim {gone[0]} does not exist"
         )
-    own = instancer.GetPath()
-    around = [target for target in targets if own.HasPrefix(target)]
+    path = instancer.GetPath()
+    around = [target for target in targets if path.HasPrefix(target)]
     if around:
         message = f"{around[0]} contains the instances themselves"
         yield finding("USD287", relationship.GetPath(), message)
@@ -196,14 +200,16 @@ def _prototypes(subject: Subject, instancer: Any, indices: Sampled) -> Iterator[
         yield finding("USD287", instancer.GetProtoIndicesAttr().GetPath(), message)
 
 
-def _lengths(attr: Any, sampled: Sampled, indices: Sampled) -> Iterator[Fault]:
-    """Compare lengths with those of protoIndices, held from sample to sample."""
+def _lengths(
+    attr: Any, sampled: SampledArray, indices: SampledArray
+) -> Iterator[Fault]:
+    """Compare array lengths with those of protoIndices at each sample."""
     if not len(indices.counts):
         return
-    held = np.zeros(len(sampled.counts), np.int64)
+    previous = np.zeros(len(sampled.counts), np.int64)
     if indices.animated and sampled.animated:
-        held = np.searchsorted(indices.times, sampled.times, side="right") - 1
-    expected = indices.counts[np.clip(held, 0, None)]
+        previous = np.searchsorted(indices.times, sampled.times, side="right") - 1
+    expected = indices.counts[np.clip(previous, 0, None)]
     optional = not attr.GetName().startswith("positions")
     bad = (sampled.counts != expected) & ~(optional & (sampled.counts <= 0))
     if bad.any():
@@ -215,16 +221,16 @@ def _lengths(attr: Any, sampled: Sampled, indices: Sampled) -> Iterator[Fault]:
         yield finding("USD269", attr.GetPath(), message)
 
 
-def _numbers(attr: Any, sampled: Sampled, *, unit: bool) -> Iterator[Fault]:
-    odd, off = np.zeros((2, len(sampled.counts)), bool)
+def _numbers(attr: Any, sampled: SampledArray, *, unit: bool) -> Iterator[Fault]:
+    not_finite, off = np.zeros((2, len(sampled.counts)), bool)
     for i, array in enumerate(sampled.arrays):
         values = np.array(array, np.float64) if sampled.counts[i] > 0 else np.zeros(0)
-        odd[i] = not np.isfinite(values).all()
-        if unit and not odd[i] and len(values):
+        not_finite[i] = not np.isfinite(values).all()
+        if unit and not not_finite[i] and len(values):
             sizes = np.linalg.norm(values.reshape(-1, 4), axis=1)
             off[i] = bool((np.abs(sizes - 1) > UNIT_TOLERANCE).any())
-    if odd.any():
-        message = f"{attr.GetName()} are not finite {at_samples(sampled, odd)}"
+    if not_finite.any():
+        message = f"{attr.GetName()} are not finite {at_samples(sampled, not_finite)}"
         yield finding("USD265", attr.GetPath(), message)
     if off.any():
         message = f"a quaternion is not of length 1 {at_samples(sampled, off)}"

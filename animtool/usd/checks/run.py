@@ -36,7 +36,7 @@ from animtool.usd.checks.stage_metadata import (
     check_rates,
     check_units,
 )
-from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.subject import StageSubject
 from animtool.usd.checks.takes import AnimationTake, animation_takes
 from animtool.usd.checks.value_clips import check_value_clips
 from animtool.usd.layers.dependencies import open_composed
@@ -44,7 +44,7 @@ from animtool.usd.layers.sdf import find_layer, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 
 # Of ours inside of UsdValidation, which need not run twice.
-OWN_KEYWORD = "animtool"
+ANIMTOOL_KEYWORD = "animtool"
 # What ours find too, with the prim: no need to ask.
 _COVERED = {
     "usdValidation:CompositionErrorTest",
@@ -67,7 +67,7 @@ _FAMILIES = {
 }
 
 
-def check_with_usd(subject: Subject) -> Iterator[Fault]:
+def check_with_usd(subject: StageSubject) -> Iterator[Fault]:
     """Run every validator that UsdValidation has, but for those that ours cover."""
     registry = UsdValidation.ValidationRegistry()
     names = [
@@ -75,7 +75,7 @@ def check_with_usd(subject: Subject) -> Iterator[Fault]:
         for metadata in registry.GetAllValidatorMetadata()
         if not metadata.isSuite
         and metadata.name not in _COVERED
-        and OWN_KEYWORD not in metadata.GetKeywords()
+        and ANIMTOOL_KEYWORD not in metadata.GetKeywords()
     ]
     validators = registry.GetOrLoadValidatorsByName(names)
     errors = UsdValidation.ValidationContext(validators).Validate(subject.stage)
@@ -107,9 +107,9 @@ def _where(error: Any) -> str:
     return "/"
 
 
-Check: TypeAlias = Callable[[Subject], Iterator[Fault]]
+Check: TypeAlias = Callable[[StageSubject], Iterator[Fault]]
 
-# These ask for no sample; the others need rates that are such.
+# These read no samples; the others need valid rates.
 UNTIMED: tuple[Check, ...] = (check_rate_values, check_composition, check_units)
 TIMED: tuple[Check, ...] = (
     check_assets,
@@ -151,7 +151,7 @@ def inspect_layer(path: Path | str) -> Inspection:
     path = Path(path)
     try:
         with without_usd_warnings(), usd_errors(path):
-            subject = Subject(open_composed(find_layer(path), path))
+            subject = StageSubject(open_composed(find_layer(path), path))
             findings = [*_faults(subject), *_run(check_with_usd, subject)]
             # Without a rate, a unit or an up axis, no motion has a size.
             sized = not any(fault.code in {"USD253", "USD260"} for fault in findings)
@@ -169,12 +169,12 @@ def check_layer(path: Path | str) -> list[Fault]:
 
 def check_stage(stage: Any) -> list[Fault]:
     """Return what our own checks find on a stage."""
-    return _distinct(_faults(Subject(stage)))
+    return _distinct(_faults(StageSubject(stage)))
 
 
-def _faults(subject: Subject) -> list[Fault]:
+def _faults(subject: StageSubject) -> list[Fault]:
     faults = [fault for check in UNTIMED for fault in _run(check, subject)]
-    # Where a rate is none, samples have no time.
+    # With an invalid rate, samples have no time.
     if all(fault.code != "USD253" for fault in faults):
         faults += [fault for check in TIMED for fault in _run(check, subject)]
     known = {fault.where for fault in faults if fault.code in ALREADY}
@@ -182,7 +182,7 @@ def _faults(subject: Subject) -> list[Fault]:
     return faults + [fault for fault in everywhere if fault.where not in known]
 
 
-def _takes(subject: Subject, path: Path) -> list[AnimationTake]:
+def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
     """Return the animations; none where an attribute is of another type than USD's."""
     try:
         return animation_takes(subject, path)
@@ -192,8 +192,8 @@ def _takes(subject: Subject, path: Path) -> list[AnimationTake]:
         raise
 
 
-def _run(check: Check, subject: Subject) -> Iterator[Fault]:
-    """Yield what a check finds; what USD itself refuses meanwhile is a finding too.
+def _run(check: Check, subject: StageSubject) -> Iterator[Fault]:
+    """Yield the findings of a check; errors that USD raises meanwhile are findings too.
 
     Where a value is of another type than its schema wants, a check ends there.
     """
@@ -210,18 +210,18 @@ def _run(check: Check, subject: Subject) -> Iterator[Fault]:
 
 
 def _distinct(faults: list[Fault]) -> list[Fault]:
-    """Return faults without those that one before says of the same place.
+    """Return faults without repeats of an earlier fault at the same location.
 
     Of a code and a place, the first message counts: a validator of USD may find
     what ours did.
     """
-    seen: dict[tuple[str, str | None], bool] = {}
+    reported_foreign: dict[tuple[str, str | None], bool] = {}
     kept = []
     for fault in faults:
         foreign = fault.message.partition(":")[0].lower().startswith("usd")
         key = (fault.code, fault.where)
-        if foreign and key in seen and not seen[key]:
+        if foreign and key in reported_foreign and not reported_foreign[key]:
             continue
-        seen.setdefault(key, foreign)
+        reported_foreign.setdefault(key, foreign)
         kept.append(fault)
     return kept

@@ -12,20 +12,20 @@ from pxr import UsdPhysics, UsdSkel
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, counted, listed
 from animtool.core.rules import finding
-from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.subject import StageSubject
 from animtool.usd.layers.faults import (
     UNIT_TOLERANCE,
     bind_transforms,
     joint_order,
     joint_parents,
-    own_matrices,
+    matrix_array,
     tokens,
 )
 from animtool.usd.rigs.rest_pose import rest_transforms
 
 
-def check_physics(subject: Subject) -> Iterator[Fault]:
-    """Check bodies, frames, axes and limits of every joint prim."""
+def check_physics(subject: StageSubject) -> Iterator[Fault]:
+    """Check bodies, frames, axes and limits of every physics joint."""
     for joint in subject.of_type(UsdPhysics.Joint):
         yield from _bodies(subject, joint)
         yield from _frames(joint)
@@ -33,7 +33,7 @@ def check_physics(subject: Subject) -> Iterator[Fault]:
         yield from _limits(joint.GetPrim())
 
 
-def _bodies(subject: Subject, joint: Any) -> Iterator[Fault]:
+def _bodies(subject: StageSubject, joint: Any) -> Iterator[Fault]:
     targets = []
     for relationship in (joint.GetBody0Rel(), joint.GetBody1Rel()):
         bodies = relationship.GetTargets()
@@ -71,7 +71,7 @@ def _axis(prim: Any) -> Iterator[Fault]:
 
 
 def _limits(prim: Any) -> Iterator[Fault]:
-    """Check pairs of limits; of the limit API, low above high locks the axis."""
+    """Check limit pairs; in the limit API, low above high locks the axis."""
     yield from _pair(prim, "physics:lowerLimit", "physics:upperLimit")
     for schema in prim.GetAppliedSchemas():
         head, _, name = str(schema).partition(":")
@@ -113,14 +113,14 @@ def _pair(
 SAME = 1e-4
 
 
-def check_skeletons(subject: Subject) -> Iterator[Fault]:
+def check_skeletons(subject: StageSubject) -> Iterator[Fault]:
     """Check topology, rest and bind transforms of every Skeleton."""
     bound = set()
     for prim in subject.prims:
         binding = UsdSkel.BindingAPI(prim)
         if binding.GetJointIndicesAttr().HasAuthoredValue():
-            held = binding.GetInheritedSkeleton()
-            bound.add(held.GetPrim().GetPath() if held else None)
+            inherited = binding.GetInheritedSkeleton()
+            bound.add(inherited.GetPrim().GetPath() if inherited else None)
     for skeleton in subject.of_type(UsdSkel.Skeleton):
         joints = tokens(skeleton.GetJointsAttr())
         if not joints:
@@ -150,17 +150,17 @@ def _order(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
 def _bind(skeleton: Any, joints: list[str], *, skins: bool) -> Iterator[Fault]:
     faults = list(bind_transforms(skeleton, joints, skins=skins))
     yield from faults
-    bind = own_matrices(skeleton.GetBindTransformsAttr())
-    rest = own_matrices(skeleton.GetRestTransformsAttr())
-    whole = not faults and len(bind) == len(rest) == len(joints)
-    if whole and np.isfinite(rest).all():
+    bind = matrix_array(skeleton.GetBindTransformsAttr())
+    rest = matrix_array(skeleton.GetRestTransformsAttr())
+    complete = not faults and len(bind) == len(rest) == len(joints)
+    if complete and np.isfinite(rest).all():
         yield from _swapped(skeleton, joints, rest, bind, skins)
 
 
 def _swapped(
     skeleton: Any, joints: list[str], rest: FloatArray, bind: FloatArray, skins: bool
 ) -> Iterator[Fault]:
-    """Tell transforms that stand for others from those that are as they should be."""
+    """Detect rest and bind transforms that are swapped."""
     parents = joint_parents(joints)
     if (parents >= np.arange(len(joints))).any():
         return

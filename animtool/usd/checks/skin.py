@@ -1,4 +1,4 @@
-"""Checks on blend shapes and influences of joints, and on the prims that they move."""
+"""Checks on blend shapes, joint influences, and the prims they deform."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, excerpt, listed
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import PointReader
-from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.subject import StageSubject
 from animtool.usd.layers.faults import duplicates, singular, tokens
 from animtool.usd.rigs.prims import upwards
 
@@ -20,8 +20,8 @@ from animtool.usd.rigs.prims import upwards
 SUM_TOLERANCE = 4e-3
 
 
-def check_skins(subject: Subject) -> Iterator[Fault]:
-    """Check indices, weights and bind transform of every prim that has its own.
+def check_skins(subject: StageSubject) -> Iterator[Fault]:
+    """Check indices, weights and bind transform of every skinned prim.
 
     What prims above geometry hold for it to inherit is not looked at, nor are prims
     without points.
@@ -39,16 +39,16 @@ def check_skins(subject: Subject) -> Iterator[Fault]:
 def _influences(
     prim: Any, binding: Any, indices: Any, weights: Any, have: list[bool]
 ) -> Iterator[Fault]:
-    found, heavy = (
+    indexed, heavy = (
         np.array(primvar.ComputeFlattened() or () if there else (), np.float64)
         for primvar, there in zip((indices, weights), have, strict=True)
     )
-    if not len(found) or not len(heavy):
-        message = f"{len(found)} jointIndices and {len(heavy)} jointWeights"
+    if not len(indexed) or not len(heavy):
+        message = f"{len(indexed)} jointIndices and {len(heavy)} jointWeights"
         yield finding("USD234", prim.GetPath(), message)
         return
-    yield from _joints(prim, binding, found)
-    unfit = _layout(prim, indices, weights, len(found), len(heavy))
+    yield from _joints(prim, binding, indexed)
+    unfit = _layout(prim, indices, weights, len(indexed), len(heavy))
     if unfit:
         path = f"{prim.GetPath()}.primvars:skel:jointIndices"
         yield finding("USD231", path, unfit)
@@ -56,15 +56,17 @@ def _influences(
 
 
 def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
-    held = binding.GetInheritedSkeleton()
-    skeleton = tokens(held.GetJointsAttr()) if held else []
-    own = _own_joints(prim)
-    unknown = [name for name in own if name not in set(skeleton)]
+    skeleton_query = binding.GetInheritedSkeleton()
+    skeleton = tokens(skeleton_query.GetJointsAttr()) if skeleton_query else []
+    bound = _bound_joints(prim)
+    unknown = [name for name in bound if name not in set(skeleton)]
     if skeleton and unknown:
-        message = f"{len(unknown)} joints that {held.GetPath()} does not have: "
+        message = (
+            f"{len(unknown)} joints that {skeleton_query.GetPath()} does not have: "
+        )
         message += listed(unknown)
         yield finding("USD238", f"{prim.GetPath()}.skel:joints", message)
-    count = len(own or skeleton)
+    count = len(bound or skeleton)
     wrong = indices[(indices < 0) | (indices >= count)] if count else indices[:0]
     if len(wrong):
         path = f"{prim.GetPath()}.primvars:skel:jointIndices"
@@ -75,14 +77,14 @@ def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
         yield finding("USD230", path, message)
 
 
-def _own_joints(prim: Any) -> list[str]:
-    """Return skel:joints of a prim or the nearest prim above that has them."""
+def _bound_joints(prim: Any) -> list[str]:
+    """Return skel:joints of a prim or its nearest ancestor that authors them."""
     attrs = (UsdSkel.BindingAPI(above).GetJointsAttr() for above in upwards(prim))
     return next((tokens(a) for a in attrs if a and a.HasAuthoredValue()), [])
 
 
 def _layout(prim: Any, indices: Any, weights: Any, count: int, heavy: int) -> str:
-    """Return what does not fit of the counts; empty where all does."""
+    """Return the mismatch of counts as text; empty if they agree."""
     sizes = indices.GetElementSize(), weights.GetElementSize()
     kinds = indices.GetInterpolation(), weights.GetInterpolation()
     if sizes[0] != sizes[1] or kinds[0] != kinds[1]:
@@ -101,12 +103,12 @@ def _layout(prim: Any, indices: Any, weights: Any, count: int, heavy: int) -> st
 
 
 def has_points(prim: Any) -> bool:
-    """Return whether a prim is geometry that something can be wrong with."""
+    """Return whether a prim is point-based geometry that is checked."""
     return prim.IsA(UsdGeom.Gprim) and point_count(prim) != 0
 
 
 def point_count(prim: Any) -> int | None:
-    """Return how many points a prim has; None where it is no kind that has some."""
+    """Return the number of points of a prim; None if its type has none."""
     if not prim.IsA(UsdGeom.PointBased):
         return None
     return PointReader(prim).count()
@@ -147,8 +149,8 @@ def _geom_bind(attr: Any) -> Iterator[Fault]:
         yield finding("USD235", attr.GetPath(), message)
 
 
-def check_targets(subject: Subject) -> Iterator[Fault]:
-    """Check that a prim with points names one target for each shape."""
+def check_targets(subject: StageSubject) -> Iterator[Fault]:
+    """Check that a prim with blend shapes names one target per shape."""
     for prim in subject.prims:
         if not has_points(prim):
             continue
@@ -165,15 +167,15 @@ def check_targets(subject: Subject) -> Iterator[Fault]:
             yield finding("USD245", attr.GetPath(), message)
 
 
-def check_shapes(subject: Subject) -> Iterator[Fault]:
+def check_shapes(subject: StageSubject) -> Iterator[Fault]:
     """Check offsets, indices and inbetweens of every BlendShape."""
     points = _points(subject)
     for shape in subject.of_type(UsdSkel.BlendShape):
         yield from _shape(shape, points.get(shape.GetPath()))
 
 
-def _points(subject: Subject) -> dict[Any, int]:
-    """Return the number of points of what each shape moves."""
+def _points(subject: StageSubject) -> dict[Any, int]:
+    """Return the point count of the prims that each shape deforms."""
     counts: dict[Any, int] = {}
     for prim in subject.prims:
         targets = prim.GetRelationship("skel:blendShapeTargets")
@@ -198,7 +200,7 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
     turned += [_rows(step.GetNormalOffsetsAttr()) for step in inbetweens]
     turning = max(map(len, turned))
     if not len(offsets) and turning:
-        # A shape may turn normals alone.
+        # A shape may change normals only.
         offsets = np.zeros((turning if expected is None else expected, 3))
     if expected is not None and len(offsets) != expected:
         counted_as = "pointIndices" if len(indices) else "points"
@@ -226,8 +228,8 @@ def _indices(shape: Any, indices: IntArray, points: int | None) -> Iterator[Faul
         )
         yield finding("USD241", path, message)
     elif len(np.unique(indices)) != len(indices):
-        held, counts = np.unique(indices, return_counts=True)
-        twice = held[counts > 1]
+        rows, counts = np.unique(indices, return_counts=True)
+        twice = rows[counts > 1]
         message = (
             f"{len(twice)} of {len(indices)} are duplicates, the first is {twice[0]}"
         )

@@ -1,4 +1,4 @@
-"""The bounds of what a SkelRoot skins, point by point, as UsdSkel poses it.
+"""Exact bounds of the points that a SkelRoot skins, as UsdSkel poses them.
 
 `ComputeExtentFromPlugins` has the joints and a padding of the rest pose, which skinned
 points may leave.
@@ -21,8 +21,8 @@ MAX_POINTS = 20_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class _Skinned:
-    """A prim that a Skeleton moves."""
+class _SkinnedPrim:
+    """A prim that a Skeleton deforms."""
 
     query: Any  # its `UsdSkel.SkinningQuery`
     points: Any  # at rest
@@ -46,7 +46,7 @@ class SkinnedBounds:
         return sum(len(one.points) for _, prims in self._bound for one in prims)
 
     def at(self, code: Any) -> FloatArray | None:
-        """Return the bounds ``(2, 3)`` at a time code; None where nothing is skinned.
+        """Return the bounds ``(2, 3)`` at a time code; None without skinned points.
 
         None too where UsdSkel cannot: other checks report broken influences.
         """
@@ -56,7 +56,7 @@ class SkinnedBounds:
             return None
 
     def _at(self, code: Any) -> FloatArray | None:
-        places = UsdGeom.XformCache(code)
+        xforms = UsdGeom.XformCache(code)
         ends = []
         for skeleton, prims in self._bound:
             transforms = skeleton.ComputeSkinningTransforms(code) if prims else None
@@ -64,7 +64,7 @@ class SkinnedBounds:
                 posed, holder = _posed(one, skeleton, transforms, code)
                 if posed is None:
                     continue
-                matrix, _ = places.ComputeRelativeTransform(holder, self._root)
+                matrix, _ = xforms.ComputeRelativeTransform(holder, self._root)
                 inside = transformed(posed, np.array(matrix, np.float64))
                 ends.append((inside.min(axis=0), inside.max(axis=0)))
         if not ends:
@@ -77,7 +77,7 @@ class SkinnedBounds:
 def overhang(
     root: Any, extents: FloatArray, times: Sequence[float]
 ) -> tuple[float, float, bool] | None:
-    """Return how far skinned points leave extents at most, when, and of all samples.
+    """Return the largest distance of skinned points outside extents, and where.
 
     Where these are many, the last is False, and it is the largest of some.
 
@@ -104,8 +104,8 @@ def overhang(
     return (worst, when, len(chosen) == count) if worst > 0.0 else None
 
 
-def _bindings(root: Any) -> list[tuple[Any, list[_Skinned]]]:
-    """Return the skeletons below a SkelRoot, as queries, with what each moves."""
+def _bindings(root: Any) -> list[tuple[Any, list[_SkinnedPrim]]]:
+    """Return the skeletons below a SkelRoot as queries, with their skinned prims."""
     cache, everything = UsdSkel.Cache(), Usd.TraverseInstanceProxies()
     schema = UsdSkel.Root(root)
     cache.Populate(schema, everything)
@@ -115,8 +115,8 @@ def _bindings(root: Any) -> list[tuple[Any, list[_Skinned]]]:
     ]
 
 
-def _skinned(binding: Any) -> list[_Skinned]:
-    """Return the prims with points that a binding has."""
+def _skinned(binding: Any) -> list[_SkinnedPrim]:
+    """Return the prims with points of a binding."""
     prims = []
     for query in binding.GetSkinningTargets():
         prim = query.GetPrim()
@@ -132,14 +132,14 @@ def _skinned(binding: Any) -> list[_Skinned]:
                 shapes.ComputeBlendShapePointIndices(),
                 shapes.ComputeSubShapePointOffsets(),
             ]
-        prims.append(_Skinned(query, points, shapes, reach or []))
+        prims.append(_SkinnedPrim(query, points, shapes, reach or []))
     return prims
 
 
 def _posed(
-    one: _Skinned, skeleton: Any, transforms: Any, code: Any
+    one: _SkinnedPrim, skeleton: Any, transforms: Any, code: Any
 ) -> tuple[FloatArray | None, Any]:
-    """Return the points of a prim ``(N, 3)``, and the prim whose space they are in."""
+    """Return the posed points of a prim ``(N, 3)``, and the prim of their space."""
     query, points = one.query, type(one.points)(one.points)
     animation = skeleton.GetAnimQuery()
     if one.shapes is not None and animation:
@@ -147,8 +147,8 @@ def _posed(
         mapper = query.GetBlendShapeMapper()
         weights = mapper.Remap(weights) if weights and mapper else weights
         if weights:
-            own = one.shapes.ComputeSubShapeWeights(weights)
-            one.shapes.ComputeDeformedPoints(*own, *one.reach, points)
+            subshapes = one.shapes.ComputeSubShapeWeights(weights)
+            one.shapes.ComputeDeformedPoints(*subshapes, *one.reach, points)
     if not query.HasJointInfluences():
         return np.array(points, np.float64), query.GetPrim()
     if not transforms:

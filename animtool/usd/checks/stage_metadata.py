@@ -1,4 +1,4 @@
-"""Checks on what a stage says of itself, and on what its layers refer to."""
+"""Checks on stage metadata, and on assets that its layers reference."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from pxr import Pcp, Sdf, UsdGeom
 from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, excerpt
 from animtool.core.rules import finding
-from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.subject import StageSubject
 from animtool.usd.layers.faults import units_and_axis
 from animtool.usd.rigs.prims import stored_data
 
 
-def check_composition(subject: Subject) -> Iterator[Fault]:
-    """Check that all arcs of the stage resolve."""
-    seen = set()
+def check_composition(subject: StageSubject) -> Iterator[Fault]:
+    """Check that all composition arcs resolve."""
+    reported = set()
     for error in subject.stage.GetCompositionErrors():
         text = re.sub(r"@[^@]*/([^@/]+)@", r"@\1@", " ".join(str(error).split()))
         where = "/"
         if not isinstance(error, Pcp.ErrorInvalidSublayerPath):
             where = str(error.rootSite.path) or "/"
-        if (where, text) not in seen:
-            seen.add((where, text))
+        if (where, text) not in reported:
+            reported.add((where, text))
             yield finding("USD261", where, text[:300])
 
 
-def check_assets(subject: Subject) -> Iterator[Fault]:
-    """Check that asset paths are relative, and that those of attributes resolve."""
+def check_assets(subject: StageSubject) -> Iterator[Fault]:
+    """Check that asset paths are relative and resolve."""
     for layer in subject.stage.GetUsedLayers():
         wrong = [p for p in layer.GetCompositionAssetDependencies() if _absolute(p)]
         for path in wrong:
@@ -50,7 +50,7 @@ def _values(attr: Any, value: Any) -> Iterator[Fault]:
         if _absolute(asset.path):
             message = f"it refers to {excerpt(asset.path, 80)}"
             yield finding("USD262", attr.GetPath(), message)
-        # Pattern paths such as texture.<UDIM>.png are resolved by who reads them.
+        # Pattern paths such as texture.<UDIM>.png are resolved by their reader.
         elif asset.path and not asset.resolvedPath and "<" not in asset.path:
             message = f"{excerpt(asset.path, 80)} does not exist"
             yield finding("USD263", attr.GetPath(), message)
@@ -66,7 +66,7 @@ def _absolute(path: str) -> bool:
 
 
 def _owner(layer: Any, asset: str) -> str:
-    """Return the prim of a layer that refers to an asset, / for a sublayer."""
+    """Return the prim that references an asset; / for a sublayer."""
     paths = ["/"]
 
     def look(path: Any) -> None:
@@ -87,7 +87,7 @@ def _owner(layer: Any, asset: str) -> str:
 ROOT = "/"
 RATES = ("framesPerSecond", "timeCodesPerSecond")
 # [m], of those that UsdGeom names.
-USUAL_UNITS = tuple(
+COMMON_UNITS = tuple(
     getattr(UsdGeom.LinearUnits, name)
     for name in dir(UsdGeom.LinearUnits)
     if not name.startswith("_")
@@ -96,8 +96,8 @@ USUAL_UNITS = tuple(
 SAME_TIME = 1e-6
 
 
-def check_rate_values(subject: Subject) -> Iterator[Fault]:
-    """Check that the rates which layers state are positive.
+def check_rate_values(subject: StageSubject) -> Iterator[Fault]:
+    """Check that frame rates of layers are positive.
 
     Where one is not, USD may never return from a question about samples.
     """
@@ -111,13 +111,13 @@ def check_rate_values(subject: Subject) -> Iterator[Fault]:
                 yield finding("USD253", ROOT, message)
 
 
-def _layers(subject: Subject) -> Iterator[Any]:
-    """Yield the layers that are composed; clips have times of their own."""
+def _layers(subject: StageSubject) -> Iterator[Any]:
+    """Yield the composed layers, except value clips."""
     yield from subject.stage.GetUsedLayers(includeClipLayers=False)
 
 
-def check_rates(subject: Subject) -> Iterator[Fault]:
-    """Check that rates are stated, and the same in all layers of a stage."""
+def check_rates(subject: StageSubject) -> Iterator[Fault]:
+    """Check that frame rates are authored and equal in all layers."""
     root = subject.stage.GetRootLayer().pseudoRoot
     missing = [name for name in RATES if not root.HasInfo(name)]
     if missing and any(
@@ -129,27 +129,31 @@ def check_rates(subject: Subject) -> Iterator[Fault]:
     yield from _retimed(subject)
 
 
-def _retimed(subject: Subject) -> Iterator[Fault]:
+def _retimed(subject: StageSubject) -> Iterator[Fault]:
     root = subject.stage.GetRootLayer()
     rate = root.timeCodesPerSecond
     for layer in _layers(subject):
-        own = layer.timeCodesPerSecond
-        if layer.anonymous or own == rate:
+        layer_rate = layer.timeCodesPerSecond
+        if layer.anonymous or layer_rate == rate:
             continue
         times = layer.ListAllTimeSamples()
         if times:
             stated = layer.HasTimeCodesPerSecond() or layer.HasFramesPerSecond()
-            says = f"has {own:g}" if stated else f"states none, so {own:g} is assumed"
+            says = (
+                f"has {layer_rate:g}"
+                if stated
+                else f"states none, so {layer_rate:g} is assumed"
+            )
             message = (
                 f"the stage has {rate:g} time codes per second, "
                 f"{layer.GetDisplayName()} {says}: its {len(times)} sample times are "
-                f"scaled by {rate / own:.6g}"
+                f"scaled by {rate / layer_rate:.6g}"
             )
             yield finding("USD257", ROOT, message)
 
 
-def check_range(subject: Subject) -> Iterator[Fault]:
-    """Check that the stage's range is one, and holds the samples."""
+def check_range(subject: StageSubject) -> Iterator[Fault]:
+    """Check that the stage's range is valid and contains the samples."""
     stage = subject.stage
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     if not (math.isfinite(start) and math.isfinite(end)):
@@ -196,33 +200,33 @@ def check_range(subject: Subject) -> Iterator[Fault]:
 
 
 def _between_frames(
-    subject: Subject, start: float, end: float, samples: tuple[float, float]
+    subject: StageSubject, start: float, end: float, samples: tuple[float, float]
 ) -> Iterator[Fault]:
-    """Yield that the range begins or ends between frames, where no sample is."""
+    """Yield a fault if the range starts or ends where no sample is."""
     ends = {"starts": start, "ends": end}
     off = {
         verb: code for verb, code in ends.items() if abs(code - round(code)) > SAME_TIME
     }
     if not off:
         return
-    held = {round(t, 6) for attr in subject.attributes for t in subject.times(attr)}
-    told = [
+    sampled = {round(t, 6) for attr in subject.attributes for t in subject.times(attr)}
+    unsampled = [
         f"{verb} at {frame_label(code)}"
         for verb, code in off.items()
-        if round(code, 6) not in held
+        if round(code, 6) not in sampled
     ]
-    if told:
-        message = f"the range {' and '.join(told)}, but samples are at "
+    if unsampled:
+        message = f"the range {' and '.join(unsampled)}, but samples are at "
         yield finding("USD289", ROOT, message + span_label(*samples))
 
 
 def _is_shared(prim: Any) -> bool:
-    """Return whether each who has a part in an animation begins elsewhere in it."""
+    """Return whether sharers of an animation start at different offsets."""
     return bool(stored_data(prim).get("shared"))
 
 
-def check_units(subject: Subject) -> Iterator[Fault]:
-    """Check that unit and up axis are such, and the same in all sublayers.
+def check_units(subject: StageSubject) -> Iterator[Fault]:
+    """Check that unit and up axis are valid and equal in all sublayers.
 
     That they are stated, USD checks.
     """
@@ -230,8 +234,8 @@ def check_units(subject: Subject) -> Iterator[Fault]:
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     faults = list(units_and_axis(stage))
     yield from faults
-    usual = any(UsdGeom.LinearUnitsAre(unit, one) for one in USUAL_UNITS)
-    if not (usual or any("metersPerUnit" in fault.message for fault in faults)):
+    common = any(UsdGeom.LinearUnitsAre(unit, one) for one in COMMON_UNITS)
+    if not (common or any("metersPerUnit" in fault.message for fault in faults)):
         yield finding("USD267", ROOT, f"metersPerUnit is {unit:g}")
     yield from _other_units(stage)
 

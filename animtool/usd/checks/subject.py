@@ -1,4 +1,4 @@
-"""What the checks look at: a stage, its prims and samples, each read once."""
+"""Input of the checks: a stage, its prims and samples, each read once."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ AnyArray = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Sampled:
+class SampledArray:
     """All values of an array attribute."""
 
     times: FloatArray  # time codes ``(F,)``; NaN alone for a default
     arrays: list[Any]  # one a time; None where it is blocked
-    counts: IntArray  # their lengths ``(F,)``, -1 where there is none
+    counts: IntArray  # their lengths ``(F,)``, -1 without a value
 
     def rows(self, count: int, width: int) -> tuple[IntArray, AnyArray]:
         """Return the samples of one length: which, and values ``(N, count, width)``."""
@@ -33,7 +33,7 @@ class Sampled:
             return which[:0], np.zeros((0, count, width), np.float32)
         first = np.array(self.arrays[which[0]])
         values = np.zeros((len(which), *first.shape), first.dtype)
-        # A Vt array is a buffer of its own: one copy each.
+        # Each Vt array is a separate buffer: one copy each.
         for row, i in enumerate(which.tolist()):
             values[row] = self.arrays[i]
         return which, values.reshape(len(which), count, width)
@@ -44,8 +44,8 @@ class Sampled:
         return not np.isnan(self.times).any()
 
 
-def at_samples(sampled: Sampled, bad: BoolArray | IntArray) -> str:
-    """Say at which samples something is, by a mask or by their numbers.
+def at_samples(sampled: SampledArray, bad: BoolArray | IntArray) -> str:
+    """Return text that lists samples, by a mask or by their numbers.
 
     ``bad`` ``(F,)``.
     """
@@ -59,38 +59,38 @@ def at_samples(sampled: Sampled, bad: BoolArray | IntArray) -> str:
 
 
 @dataclass
-class Subject:
+class StageSubject:
     """A stage under inspection."""
 
     stage: Any  # the stage
     # Paths of attributes whose samples were all found to be finite.
     finite: set[Any] = field(default_factory=set)
-    _sampled: dict[Any, Sampled] = field(default_factory=dict)
+    _sampled: dict[Any, SampledArray] = field(default_factory=dict)
     _times: dict[Any, list[float]] = field(default_factory=dict)
 
     @cached_property
     def prims(self) -> list[Any]:
-        """Active prims, overs too; of equal instances the first."""
+        """Active prims including overs; one of each set of equal instances."""
         predicate = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
         start = self.stage.GetPseudoRoot()
-        prims, seen = [], set()
+        prims, visited = [], set()
         for prim in Usd.PrimRange(start, Usd.TraverseInstanceProxies(predicate)):
             if prim.IsInstanceProxy():
                 shared = prim.GetPrimInPrototype().GetPath()
-                if shared in seen:
+                if shared in visited:
                     continue
-                seen.add(shared)
+                visited.add(shared)
             prims.append(prim)
         return prims[1:]
 
     @cached_property
     def attributes(self) -> list[Any]:
-        """Attributes with opinions, of all prims."""
+        """Attributes with opinions on all prims."""
         return [a for prim in self.prims for a in prim.GetAuthoredAttributes()]
 
     @property
     def alone(self) -> bool:
-        """Whether the rig is elsewhere: every root prim is an over."""
+        """Whether the rig is in another file: every root prim is an over."""
         roots = self.stage.GetPseudoRoot().GetAllChildren()
         return bool(roots) and not any(root.IsDefined() for root in roots)
 
@@ -105,8 +105,8 @@ class Subject:
             self._times[key] = attr.GetTimeSamples()
         return self._times[key]
 
-    def sampled(self, attr: Any) -> Sampled:
-        """Return all values of an array attribute; the default where it has no samples.
+    def sampled(self, attr: Any) -> SampledArray:
+        """Return all values of an array attribute; its default without samples.
 
         An attribute without a value has no times.
         """
@@ -115,8 +115,8 @@ class Subject:
             self._sampled[key] = self.read(attr)
         return self._sampled[key]
 
-    def read(self, attr: Any) -> Sampled:
-        """Return what `sampled` does, without keeping it."""
+    def read(self, attr: Any) -> SampledArray:
+        """Return the same as `sampled`, without caching."""
         times = self.times(attr)
         if times:
             arrays = _arrays(attr, times)
@@ -125,19 +125,19 @@ class Subject:
             arrays = [] if value is None else [value]
         codes = times or [float("nan")] * len(arrays)
         counts = [len(a) if isinstance(a, Sized) else -1 for a in arrays]
-        return Sampled(np.array(codes), arrays, np.array(counts, np.int64))
+        return SampledArray(np.array(codes), arrays, np.array(counts, np.int64))
 
 
 def _arrays(attr: Any, times: list[float]) -> list[Any]:
-    """Return the value at each sample: from the layer itself, thrice as quick."""
+    """Return the value at each sample, from the layer itself: three times faster."""
     first = Usd.TimeCode(times[0])
     if attr.GetResolveInfo(first).GetSource() == Usd.ResolveInfoSourceTimeSamples:
         for spec, offset in attr.GetPropertyStackWithLayerOffsets(first):
-            own = spec.layer.ListTimeSamplesForPath(spec.path)
-            if own:
-                if len(own) == len(times) and offset.scale > 0:
+            layer_times = spec.layer.ListTimeSamplesForPath(spec.path)
+            if layer_times:
+                if len(layer_times) == len(times) and offset.scale > 0:
                     query, path = spec.layer.QueryTimeSample, spec.path
-                    return [_unblocked(query(path, time)) for time in own]
+                    return [_unblocked(query(path, time)) for time in layer_times]
                 break
     query = Usd.AttributeQuery(attr)
     return [query.Get(time) for time in times]

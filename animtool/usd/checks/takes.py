@@ -1,4 +1,4 @@
-"""The animations of a stage as takes, from the samples that the checks have read."""
+"""Animations of a stage as takes, built from the samples the checks have read."""
 
 from __future__ import annotations
 
@@ -22,8 +22,13 @@ from animtool.motion.reorient import placed_motion
 from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
-from animtool.usd.checks.subject import Subject
-from animtool.usd.layers.faults import Spot, own_matrices, tokens, transform_attributes
+from animtool.usd.checks.subject import StageSubject
+from animtool.usd.layers.faults import (
+    PrimLocation,
+    matrix_array,
+    tokens,
+    transform_attributes,
+)
 from animtool.usd.rigs.placement import (
     NOWHERE,
     SkeletonPlacement,
@@ -48,7 +53,7 @@ from animtool.usd.takes.library import take_range
 
 @dataclass(frozen=True, slots=True)
 class AnimationTake:
-    """A SkelAnimation with the skeleton that it moves."""
+    """A SkelAnimation with its Skeleton."""
 
     path: str  # the SkelAnimation
     take: Take  # F frames, one a sample
@@ -66,17 +71,17 @@ class AnimationTake:
 
 @dataclass(frozen=True, slots=True)
 class _Shared:
-    """What the animations of a stage are compared with, read once for all of them."""
+    """Stage data that all animations are compared with, read once."""
 
     # First and last time code of the samples of each prim, by its path.
     spans: dict[Any, tuple[float, float]]
-    whole: tuple[float, float] | None  # those of the stage; None without samples
+    stage_range: tuple[float, float] | None  # those of the stage; None without samples
     # Bindings with joint indices, and these, by the path of their Skeleton.
     skins: dict[Any, list[tuple[Any, Any]]]
 
     @staticmethod
-    def of(subject: Subject) -> _Shared:
-        """Return what is shared by the animations of a stage."""
+    def of(subject: StageSubject) -> _Shared:
+        """Return the shared data of a stage."""
         spans: dict[Any, tuple[float, float]] = {}
         for attr in subject.attributes:
             if times := subject.times(attr):
@@ -92,12 +97,12 @@ class _Shared:
                 continue
             if skeleton := binding.GetInheritedSkeleton():
                 skins.setdefault(skeleton.GetPath(), []).append((binding, indices))
-        whole = (min(ends[0]), max(ends[1])) if ends else None
-        return _Shared(spans, whole, skins)
+        stage_range = (min(ends[0]), max(ends[1])) if ends else None
+        return _Shared(spans, stage_range, skins)
 
 
-def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
-    """Return the animations of a stage that are sound enough to be looked at.
+def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
+    """Return the valid animations of a stage as takes.
 
     Those with arrays of a wrong length, or values that are not finite, are left out:
     the checks report them.
@@ -110,7 +115,7 @@ def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
     for animation in subject.of_type(UsdSkel.Animation):
         skeleton = bound.get(animation.GetPath())
         if skeleton is None:
-            # What characters have parts in is none's motion.
+            # A shared animation is not the motion of any one character.
             if stored_data(animation.GetPrim()).get("shared"):
                 continue
             skeleton = _nearest(animation, skeletons)
@@ -124,7 +129,7 @@ def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
 
 
 def _bound(skeletons: list[Any]) -> dict[Any, Any]:
-    """Return the Skeleton of each animation that one is bound to."""
+    """Return the Skeleton that each animation is bound to."""
     bound: dict[Any, Any] = {}
     for skeleton in skeletons:
         binding = UsdSkel.BindingAPI(skeleton.GetPrim())
@@ -135,7 +140,7 @@ def _bound(skeletons: list[Any]) -> dict[Any, Any]:
 
 
 def _nearest(animation: Any, skeletons: list[Any]) -> Any:
-    """Return the Skeleton with most joints of an animation, such as a library's."""
+    """Return the Skeleton that shares most joints with an animation."""
     joints = set(tokens(animation.GetJointsAttr()))
     best = None
     most = len(joints) // 2
@@ -147,7 +152,7 @@ def _nearest(animation: Any, skeletons: list[Any]) -> Any:
 
 
 def _take(
-    subject: Subject, path: Path, animation: Any, skeleton: Any, shared: _Shared
+    subject: StageSubject, path: Path, animation: Any, skeleton: Any, shared: _Shared
 ) -> AnimationTake | None:
     joints = tokens(animation.GetJointsAttr())
     shapes = tokens(animation.GetBlendShapesAttr())
@@ -178,9 +183,9 @@ def _take(
     placement = NOWHERE
     if skeleton is not None:
         placement = skeleton_placement(skeleton.GetPrim(), of_rig.rig, codes.tolist())
-    if not placement.whole.is_none:
+    if not placement.full.is_none:
         roots = np.array(of_rig.rig.roots, np.int64)
-        posed = placed_motion(posed, roots, placement.whole).map(Channel.compact)
+        posed = placed_motion(posed, roots, placement.full).map(Channel.compact)
     rig = replace(of_rig.rig, shapes=tuple(Shape(name) for name in shapes))
     rig = rest_rig(rig, placement)
     take = Take(rig, _clock(subject, codes), posed)
@@ -198,7 +203,7 @@ def _take(
 
 
 def _shown_rate(stage: Any) -> float | None:
-    """Return the frames a second that a stage states."""
+    """Return the frame rate of a stage."""
     if not stage.HasAuthoredMetadata("framesPerSecond"):
         return None
     rate = float(stage.GetFramesPerSecond())
@@ -206,16 +211,16 @@ def _shown_rate(stage: Any) -> float | None:
 
 
 def _rig(
-    subject: Subject, animation: Any, skeleton: Any, joints: list[str], path: Path
+    subject: StageSubject, animation: Any, skeleton: Any, joints: list[str], path: Path
 ) -> SkeletonRig:
-    """Return the rig that an animation moves; alone it rests at its first sample."""
+    """Return the rig of an animation; without Skeleton it rests at the first sample."""
     if skeleton is not None and tokens(skeleton.GetJointsAttr()):
         return skeleton_rig(skeleton, path)
     meters = UsdGeom.GetStageMetersPerUnit(subject.stage)
     up = up_axis(subject.stage)
     name = str(animation.GetPrim().GetName())
     if not joints:
-        # A face of shapes alone: nothing turns.
+        # A face with shapes only: no joint rotates.
         rig = Rig(name, (Joint(name, -1),), meters, up)
         return SkeletonRig(rig, [], np.ones((1, 3)))
     rest = np.tile(np.eye(4), (len(joints), 1, 1))
@@ -223,14 +228,14 @@ def _rig(
     which, values = sampled.rows(len(joints), 3)
     if len(which):
         rest[:, 3, :3] = values[0]
-    where = Spot.of(path, animation)
+    where = PrimLocation.of(path, animation)
     return rig_from_tokens(joints, rest, name, where, meters, up, {})
 
 
 def _values(
-    subject: Subject, attr: Any, count: int, width: int, codes: FloatArray
+    subject: StageSubject, attr: Any, count: int, width: int, codes: FloatArray
 ) -> FloatArray | None:
-    """Return an attribute at time codes ``(F, count, width)``; None if not sound."""
+    """Return an attribute at time codes ``(F, count, width)``; None if invalid."""
     if not count or not attr:
         return None
     sampled = subject.sampled(attr)
@@ -247,10 +252,10 @@ def _values(
         return values
     after = np.searchsorted(sampled.times, codes).clip(1, len(values) - 1)
     early, late = sampled.times[after - 1], sampled.times[after]
-    share = ((codes - early) / (late - early)).clip(0.0, 1.0)[:, None, None]
+    fraction = ((codes - early) / (late - early)).clip(0.0, 1.0)[:, None, None]
     if width == 4:
         values = so3.align_signs(values)
-    return np.asarray(values[after - 1] * (1.0 - share) + values[after] * share)
+    return np.asarray(values[after - 1] * (1.0 - fraction) + values[after] * fraction)
 
 
 def _motion(
@@ -259,7 +264,7 @@ def _motion(
     shapes: list[str],
     rows: Sequence[FloatArray | None],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None] | None:
-    """Return T, R and S of every joint of a rig, and the weights; None if not sound."""
+    """Return T, R and S of every joint, and the weights; None if invalid."""
     rig = of_rig.rig
     weights = rows[3]
     if (joints and any(row is None for row in rows[:3])) or (
@@ -275,9 +280,9 @@ def _motion(
         of_rig.rest_scales,
     )
     index = {token: i for i, token in enumerate(of_rig.tokens)}
-    places = np.array([index.get(token, -1) for token in joints], np.int64)
+    columns = np.array([index.get(token, -1) for token in joints], np.int64)
     translations, rotations, scales = (
-        among_rest(rest, row, places, frames)
+        among_rest(rest, row, columns, frames)
         for rest, row in zip(rests, rows[:3], strict=True)
     )
     if not (np.linalg.norm(rotations, axis=2) > 0.0).all():
@@ -286,7 +291,7 @@ def _motion(
     return translations, so3.align_signs(so3.normalize(rotations)), scales, weights
 
 
-def _clock(subject: Subject, codes: FloatArray) -> Clock:
+def _clock(subject: StageSubject, codes: FloatArray) -> Clock:
     fps = rate_from_float(subject.stage.GetTimeCodesPerSecond())
     start = time_fraction(float(codes[0])) if len(codes) else Fraction(1)
     step = time_fraction(float(np.median(np.diff(codes)))) if len(codes) > 1 else 1
@@ -294,23 +299,23 @@ def _clock(subject: Subject, codes: FloatArray) -> Clock:
 
 
 def _range(
-    subject: Subject, animation: Any, shared: _Shared
+    subject: StageSubject, animation: Any, shared: _Shared
 ) -> tuple[float, float] | None:
-    """Return the range that an animation states, or else its stage for all that moves.
+    """Return the range of an animation, else the stage's if it covers all of them.
 
     Where something else on the stage moves longer, the range is not about this one.
     """
-    own = take_range(animation)
-    if own is not None:
-        return float(own[0]), float(own[1])
+    authored = take_range(animation)
+    if authored is not None:
+        return float(authored[0]), float(authored[1])
     stage = subject.stage
     if not (
         stage.HasAuthoredMetadata("startTimeCode")
         and stage.HasAuthoredMetadata("endTimeCode")
     ):
         return None
-    own_span = shared.spans.get(animation.GetPath())
-    if own_span is None or own_span != shared.whole:
+    span = shared.spans.get(animation.GetPath())
+    if span is None or span != shared.stage_range:
         return None
     return float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
 
@@ -318,16 +323,18 @@ def _range(
 def _influencing(
     skeleton: Any, rig: SkeletonRig, shared: _Shared
 ) -> frozenset[str] | None:
-    """Return the joints that move points, or have one below that does."""
+    """Return the joints that influence points, and their ancestors."""
     used: set[int] = set()
     skins = shared.skins.get(skeleton.GetPath())
     if not skins:
         return None
     index = {token: i for i, token in enumerate(rig.tokens)}
     for binding, indices in skins:
-        own = tokens(binding.GetJointsAttr()) or rig.tokens
+        bound = tokens(binding.GetJointsAttr()) or rig.tokens
         used |= {
-            index[own[i]] for i in _used(binding, indices, len(own)) if own[i] in index
+            index[bound[i]]
+            for i in _used(binding, indices, len(bound))
+            if bound[i] in index
         }
     for joint in sorted(used):
         parent = rig.rig.joints[joint].parent
@@ -338,7 +345,7 @@ def _influencing(
 
 
 def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:
-    """Yield the indices of joints with any weight."""
+    """Yield the indices of joints with nonzero weight."""
     which = np.array(indices.Get() or (), np.int64)
     weights = np.array(binding.GetJointWeightsPrimvar().Get() or (), np.float64)
     if len(weights) == len(which):
@@ -347,8 +354,8 @@ def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:
 
 
 def _bind(skeleton: Any, rig: Rig, placement: SkeletonPlacement) -> FloatArray | None:
-    """Return where the joints are in the bind pose; None where it is not sound."""
-    matrices = own_matrices(skeleton.GetBindTransformsAttr())
+    """Return the joint positions of the bind pose; None if invalid."""
+    matrices = matrix_array(skeleton.GetBindTransformsAttr())
     if len(matrices) != len(rig.joints) or not np.isfinite(matrices).all():
         return None
     # Identities are another fault.

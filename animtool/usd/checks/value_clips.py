@@ -12,38 +12,38 @@ from pxr import Sdf, Usd
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, counted, excerpt, listed
 from animtool.core.rules import finding
-from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.subject import StageSubject
 
 
-def check_value_clips(subject: Subject) -> Iterator[Fault]:
+def check_value_clips(subject: StageSubject) -> Iterator[Fault]:
     """Check every clip set of every prim."""
     for prim in subject.prims:
         if not prim.HasAuthoredMetadata("clips"):
             continue
         clips = Usd.ClipsAPI(prim)
-        for name, held in clips.GetClips().items():
-            if isinstance(held, dict):
+        for name, clip_set in clips.GetClips().items():
+            if isinstance(clip_set, dict):
                 where = f"{prim.GetPath()}.clips:{name}"
-                yield from _clip_set(prim, name, held, where)
+                yield from _clip_set(prim, name, clip_set, where)
 
 
 def _clip_set(
-    prim: Any, name: str, held: dict[str, Any], where: str
+    prim: Any, name: str, clip_set: dict[str, Any], where: str
 ) -> Iterator[Fault]:
-    template = "templateAssetPath" in held and "assetPaths" not in held
+    template = "templateAssetPath" in clip_set and "assetPaths" not in clip_set
     if template:
-        yield from _template(prim, name, held, where)
+        yield from _template(prim, name, clip_set, where)
     layers = []
-    for asset in held.get("assetPaths", ()):
+    for asset in clip_set.get("assetPaths", ()):
         layer = _open(prim, asset)
         if layer is None:
             message = f"clip {excerpt(asset.path, 80)} does not exist"
             yield finding("USD276", where, message)
         layers.append(layer)
     if not template:
-        yield from _active(held, len(layers), where)
-    yield from _times(held, where)
-    target = str(held.get("primPath", ""))
+        yield from _active(clip_set, len(layers), where)
+    yield from _times(clip_set, where)
+    target = str(clip_set.get("primPath", ""))
     opened = [layer for layer in layers if layer is not None]
     if not (Sdf.Path.IsValidPathString(target) and Sdf.Path(target).IsAbsolutePath()):
         message = f"primPath is {excerpt(target)}, not the path of a prim"
@@ -52,8 +52,8 @@ def _clip_set(
     if opened and not any(layer.GetPrimAtPath(target) for layer in opened):
         yield finding("USD277", where, f"no clip has primPath {target}")
         return
-    yield from _manifest(prim, held, target, opened, where)
-    yield from _spans(held, target, layers, where)
+    yield from _manifest(prim, clip_set, target, opened, where)
+    yield from _spans(clip_set, target, layers, where)
 
 
 def _open(prim: Any, asset: Any) -> Any:
@@ -69,12 +69,12 @@ def _open(prim: Any, asset: Any) -> Any:
     return None
 
 
-def _pairs(held: dict[str, Any], key: str) -> FloatArray:
-    return np.array(held.get(key) or (), np.float64).reshape(-1, 2)
+def _pairs(clip_set: dict[str, Any], key: str) -> FloatArray:
+    return np.array(clip_set.get(key) or (), np.float64).reshape(-1, 2)
 
 
-def _active(held: dict[str, Any], count: int, where: str) -> Iterator[Fault]:
-    active = _pairs(held, "active")
+def _active(clip_set: dict[str, Any], count: int, where: str) -> Iterator[Fault]:
+    active = _pairs(clip_set, "active")
     if not len(active):
         yield finding("USD277", where, f"no active for {counted(count, 'clip')}")
         return
@@ -92,21 +92,21 @@ def _active(held: dict[str, Any], count: int, where: str) -> Iterator[Fault]:
         yield finding("USD278", where, message)
 
 
-def _times(held: dict[str, Any], where: str) -> Iterator[Fault]:
-    times = _pairs(held, "times")
+def _times(clip_set: dict[str, Any], where: str) -> Iterator[Fault]:
+    times = _pairs(clip_set, "times")
     if not np.isfinite(times).all() or (np.diff(times[:, 0]) < 0).any():
         yield finding("USD277", where, "the stage times of times do not ascend")
 
 
 def _template(
-    prim: Any, name: str, held: dict[str, Any], where: str
+    prim: Any, name: str, clip_set: dict[str, Any], where: str
 ) -> Iterator[Fault]:
-    """Compare the clips that a template stands for with the files there are."""
+    """Compare the clips of a template with the existing files."""
     start, end, stride = (
-        float(held.get(f"template{key}", math.nan))
+        float(clip_set.get(f"template{key}", math.nan))
         for key in ("StartTime", "EndTime", "Stride")
     )
-    template = str(held["templateAssetPath"])
+    template = str(clip_set["templateAssetPath"])
     if not (math.isfinite(start + end + stride) and stride > 0):
         message = "templateStartTime, templateEndTime or templateStride is not a number"
         yield finding("USD277", where, message)
@@ -124,7 +124,7 @@ def _template(
 
 
 def _sampled(layer: Any, target: str) -> set[str]:
-    """Return the properties at or below a prim that have samples, relative to it."""
+    """Return the sampled properties of a prim and its descendants, relative to it."""
     names = set()
 
     def look(path: Any) -> None:
@@ -136,9 +136,9 @@ def _sampled(layer: Any, target: str) -> set[str]:
 
 
 def _manifest(
-    prim: Any, held: dict[str, Any], target: str, layers: list[Any], where: str
+    prim: Any, clip_set: dict[str, Any], target: str, layers: list[Any], where: str
 ) -> Iterator[Fault]:
-    asset = held.get("manifestAssetPath")
+    asset = clip_set.get("manifestAssetPath")
     if asset is None or not asset.path:
         if layers:
             message = "no manifest: every clip is opened to find its attributes"
@@ -159,15 +159,15 @@ def _manifest(
 
 
 def _spans(
-    held: dict[str, Any], target: str, layers: list[Any], where: str
+    clip_set: dict[str, Any], target: str, layers: list[Any], where: str
 ) -> Iterator[Fault]:
-    """Check that a clip has samples of what another one has."""
+    """Check that all clips sample the same properties."""
     properties = [None if x is None else _sampled(x, target) for x in layers]
     everything = set().union(*(p for p in properties if p is not None))
-    if held.get("interpolateMissingClipValues"):
+    if clip_set.get("interpolateMissingClipValues"):
         return
-    for number, own in enumerate(properties):
-        lost = sorted(everything - own) if own is not None else []
+    for number, names in enumerate(properties):
+        lost = sorted(everything - names) if names is not None else []
         if lost:
             message = f"clip {number} has no samples of {listed(lost)}"
             yield finding("USD278", where, message)

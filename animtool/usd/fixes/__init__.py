@@ -1,1 +1,1 @@
-"""Edits of a USD layer that fix findings with one safe remedy."""
+"""Edits of USD layers for findings that have one safe fix."""

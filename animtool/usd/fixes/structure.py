@@ -1,4 +1,4 @@
-"""Fixes of what prims lack or have wrong: values, schemas, normals, extents."""
+"""Fixes for missing or invalid values, schemas, normals and extents."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 from animtool.core.errors import Fault, counted
 from animtool.usd.checks.extents import extent_sources, joined_bounds
 from animtool.usd.checks.skinned_bounds import SkinnedBounds
-from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.subject import StageSubject
 from animtool.usd.fixes.target import (
     AnyArray,
     Change,
     Edit,
+    FixTarget,
     NotFixableError,
-    Target,
     rewrite,
 )
 from animtool.usd.layers.faults import tokens
@@ -27,8 +27,8 @@ from animtool.usd.rigs.rest_pose import relative_bind
 ROUNDING = 1e-6
 
 
-def normalised(target: Target, fault: Fault) -> Edit:
-    """Divide the weights of each point by their sum."""
+def normalised(target: FixTarget, fault: Fault) -> Edit:
+    """Normalize the weights of each point to a sum of one."""
     spec = target.attribute(fault)
     attr = target.stage.GetAttributeAtPath(fault.where)
     size = int(attr.GetMetadata("elementSize") or 1)
@@ -60,8 +60,8 @@ def normalised(target: Target, fault: Fault) -> Edit:
     return edit
 
 
-def default_prim(target: Target, _: Fault) -> Edit:
-    """State the only root prim as the default."""
+def default_prim(target: FixTarget, _: Fault) -> Edit:
+    """Set the only root prim as defaultPrim."""
     if target.layer.HasDefaultPrim():
         raise NotFixableError("the default prim is missing from the stage")
     roots = target.stage.GetPseudoRoot().GetAllChildren()
@@ -76,7 +76,7 @@ def default_prim(target: Target, _: Fault) -> Edit:
     return edit
 
 
-def binding_api(target: Target, fault: Fault) -> Edit:
+def binding_api(target: FixTarget, fault: Fault) -> Edit:
     """Apply SkelBindingAPI to a prim with skel properties."""
     prim = target.prim(fault)
     target.prim_spec(prim)
@@ -89,8 +89,8 @@ def binding_api(target: Target, fault: Fault) -> Edit:
     return edit
 
 
-def unit_scales(target: Target, fault: Fault) -> Edit:
-    """Author scales of one for an animation that lacks scales alone."""
+def unit_scales(target: FixTarget, fault: Fault) -> Edit:
+    """Author unit scales for an animation that lacks only scales."""
     prim = target.prim(fault)
     animation = UsdSkel.Animation(prim)
     others = (animation.GetTranslationsAttr(), animation.GetRotationsAttr())
@@ -99,17 +99,17 @@ def unit_scales(target: Target, fault: Fault) -> Edit:
     spec, count = target.prim_spec(prim), len(tokens(animation.GetJointsAttr()))
 
     def edit() -> Change:
-        made = spec.attributes.get("scales") or Sdf.AttributeSpec(
+        attribute = spec.attributes.get("scales") or Sdf.AttributeSpec(
             spec, "scales", Sdf.ValueTypeNames.Half3Array
         )
-        made.default = Vt.Vec3hArray.FromNumpy(np.ones((count, 3), np.float16))
+        attribute.default = Vt.Vec3hArray.FromNumpy(np.ones((count, 3), np.float16))
         return Change(f"writes scales of 1 for {counted(count, 'joint')}")
 
     return edit
 
 
-def rest_from_bind(target: Target, fault: Fault) -> Edit:
-    """Author restTransforms as the bind transforms relative to their parents."""
+def rest_from_bind(target: FixTarget, fault: Fault) -> Edit:
+    """Author restTransforms from the bind transforms relative to the parents."""
     prim = target.prim(fault)
     skeleton = UsdSkel.Skeleton(prim)
     joints = tokens(skeleton.GetJointsAttr())
@@ -123,20 +123,20 @@ def rest_from_bind(target: Target, fault: Fault) -> Edit:
     spec = target.prim_spec(prim)
 
     def edit() -> Change:
-        made = spec.attributes.get("restTransforms") or Sdf.AttributeSpec(
+        attribute = spec.attributes.get("restTransforms") or Sdf.AttributeSpec(
             spec,
             "restTransforms",
             Sdf.ValueTypeNames.Matrix4dArray,
             Sdf.VariabilityUniform,
         )
-        made.default = Vt.Matrix4dArray.FromNumpy(rest)
+        attribute.default = Vt.Matrix4dArray.FromNumpy(rest)
         return Change(f"writes restTransforms of {counted(len(joints), 'joint')}")
 
     return edit
 
 
-def default_value(target: Target, fault: Fault) -> Edit:
-    """Make a default of samples that are all equal."""
+def default_value(target: FixTarget, fault: Fault) -> Edit:
+    """Replace equal time samples by a default."""
     spec = target.attribute(fault)
     layer, path = spec.layer, spec.path
     times = layer.ListTimeSamplesForPath(path)
@@ -157,8 +157,8 @@ def default_value(target: Target, fault: Fault) -> Edit:
 NAME = "extent"
 
 
-def computed(target: Target, fault: Fault) -> Edit:
-    """Write `UsdGeom.Boundable.ComputeExtentFromPlugins` at every sample.
+def computed(target: FixTarget, fault: Fault) -> Edit:
+    """Author `UsdGeom.Boundable.ComputeExtentFromPlugins` at every sample.
 
     That of a SkelRoot is widened where skinned points leave it.
 
@@ -169,7 +169,7 @@ def computed(target: Target, fault: Fault) -> Edit:
     if not prim.IsA(UsdGeom.Boundable):
         raise NotFixableError("the prim has no extent")
     varies = any(above.HasVariantSets() for above in upwards(prim))
-    if varies and _own_spec(target, prim) is None:
+    if varies and _layer_spec(target, prim) is None:
         raise NotFixableError("a variant sets the motion; author it in each variant")
 
     def edit() -> Change:
@@ -184,10 +184,10 @@ def computed(target: Target, fault: Fault) -> Edit:
     return edit
 
 
-def _author(target: Target, prim: Any) -> Change:
-    """Write the extent of a prim at every sample of what it follows."""
+def _author(target: FixTarget, prim: Any) -> Change:
+    """Author the extent of a prim at every sample of its sources."""
     bounded, layer = UsdGeom.Boundable(prim), target.layer
-    attr, subject = bounded.GetExtentAttr(), Subject(target.stage)
+    attr, subject = bounded.GetExtentAttr(), StageSubject(target.stage)
     sources = extent_sources(subject, prim) or []
     times = sorted({time for one in sources for time in subject.times(one)})
     codes = [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
@@ -196,7 +196,7 @@ def _author(target: Target, prim: Any) -> Change:
     after = [_bounds(bounded, code, skinned) for code in codes]
     if before == after and attr.HasAuthoredValue():
         return _change(before, after)
-    spec = _own_spec(target, prim) or _over(target, prim)
+    spec = _layer_spec(target, prim) or _over(target, prim)
     with Sdf.ChangeBlock():
         spec.ClearInfo("timeSamples")
         for time, value in zip(times, after, strict=False):
@@ -206,21 +206,21 @@ def _author(target: Target, prim: Any) -> Change:
     return _change(before, after)
 
 
-def _own_spec(target: Target, prim: Any) -> Any:
-    """Return the extent's spec in the root layer where it is the strongest."""
+def _layer_spec(target: FixTarget, prim: Any) -> Any:
+    """Return the extent's root layer spec if it is the strongest opinion."""
     attr = prim.GetAttribute(NAME)
     stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime()) if attr else ()
     return stack[0] if stack and stack[0].layer == target.layer else None
 
 
-def _over(target: Target, prim: Any) -> Any:
+def _over(target: FixTarget, prim: Any) -> Any:
     spec = Sdf.CreatePrimInLayer(target.layer, prim.GetPath())
-    held = spec.attributes.get(NAME)
-    return held or Sdf.AttributeSpec(spec, NAME, Sdf.ValueTypeNames.Float3Array)
+    attribute = spec.attributes.get(NAME)
+    return attribute or Sdf.AttributeSpec(spec, NAME, Sdf.ValueTypeNames.Float3Array)
 
 
 def _bounds(bounded: Any, code: Any, skinned: SkinnedBounds | None) -> Any:
-    """Return what USD computes, wider where skinned points leave it."""
+    """Return the extent USD computes, widened by skinned points outside it."""
     try:
         extent = UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
     except Tf.ErrorException:

@@ -1,4 +1,4 @@
-"""Which codes of USD files have one safe remedy, and the edit that applies it.
+"""Table of USD codes with a safe fix, and the edit of each.
 
 No pxr is needed.
 """
@@ -7,12 +7,12 @@ from __future__ import annotations
 
 # In the order of application: times first, since extents follow from all the others.
 EDITS = {
-    "MOT216": "animtool.usd.fixes.timing:whole_frames",
+    "MOT216": "animtool.usd.fixes.timing:integer_frames",
     "USD252": "animtool.usd.fixes.timing:rates",
     "USD254": "animtool.usd.fixes.timing:sample_range",
     "USD255": "animtool.usd.fixes.timing:sample_range",
     "USD256": "animtool.usd.fixes.timing:wider_range",
-    "USD289": "animtool.usd.fixes.timing:whole_range",
+    "USD289": "animtool.usd.fixes.timing:full_range",
     "MOT217": "animtool.usd.fixes.timing:sample_range",
     "USD211": "animtool.usd.fixes.structure:default_value",
     "USD236": "animtool.usd.fixes.structure:binding_api",

@@ -1,4 +1,4 @@
-"""The layer that fixes edit, and copies of it written elsewhere.
+"""The layer that fixes edit, and copies of it in other files.
 
 The layer takes the edits under its own name, so that everything that it brings in is
 found as ever; its file stays as it is, and the layer is read from it again at the end.
@@ -34,15 +34,15 @@ Rewrite: TypeAlias = Callable[[list[AnyArray]], list[AnyArray]]
 
 
 class NotFixableError(Exception):
-    """A finding whose remedy is not safe in this layer; the text says why."""
+    """A finding that cannot be fixed safely in this layer; the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What an edit changed."""
+    """Result of an edit."""
 
     text: str  # the action and its counts, for the report
-    # Largest change of a number, None where that says nothing.
+    # Largest change of a number, None if not meaningful.
     largest: float | None = None
     unit: str = ""  # of that number
 
@@ -57,8 +57,8 @@ Edit: TypeAlias = Callable[[], Change]
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
-    """A stage, and its root layer, which alone is edited."""
+class FixTarget:
+    """A stage and its root layer; only the root layer is edited."""
 
     stage: Any  # A `Usd.Stage`
     layer: Any  # its root `Sdf.Layer`
@@ -74,36 +74,36 @@ class Target:
         return prim
 
     def attribute(self, fault: Fault) -> Any:
-        """Return the spec in the root layer that gives an attribute its values."""
+        """Return the root layer spec that holds an attribute's values."""
         self.prim(fault)
         attr = self.stage.GetAttributeAtPath(fault.where)
         if not attr:
             raise NotFixableError("the attribute was not found")
         for spec in attr.GetPropertyStack(Usd.TimeCode.EarliestTime()):
-            held = spec.layer.GetNumTimeSamplesForPath(spec.path)
-            if held or spec.HasDefaultValue():
-                self.require_own(spec)
+            samples = spec.layer.GetNumTimeSamplesForPath(spec.path)
+            if samples or spec.HasDefaultValue():
+                self.require_local(spec)
                 return spec
         raise NotFixableError("the attribute has no value")
 
     def prim_spec(self, prim: Any) -> Any:
         """Return the spec of a prim in the root layer."""
         stack = prim.GetPrimStack()
-        own = [spec for spec in stack if spec.layer == self.layer]
-        if own:
-            return own[0]
-        self.require_own(stack[0])
+        local = [spec for spec in stack if spec.layer == self.layer]
+        if local:
+            return local[0]
+        self.require_local(stack[0])
         return stack[0]
 
-    def require_own(self, spec: Any) -> None:
-        """Refuse a spec of another file."""
+    def require_local(self, spec: Any) -> None:
+        """Raise if a spec is in another file."""
         if spec.layer != self.layer:
             name = spec.layer.GetDisplayName()
             raise NotFixableError(f"the value is in {name}; fix that file")
 
 
 def rewrite(spec: Any, change: Rewrite) -> tuple[int, int, float]:
-    """Replace the arrays of an attribute spec that a change makes others of a shape.
+    """Replace the changed arrays of an attribute spec, shape by shape.
 
     Returns how many arrays differ, of how many, and the largest change of a number.
     """
@@ -120,8 +120,8 @@ def rewrite(spec: Any, change: Rewrite) -> tuple[int, int, float]:
             if np.array_equal(before, after):
                 continue
             changed += 1
-            apart = np.abs(after.astype(np.float64) - before)
-            largest = max(largest, float(apart.max()))
+            difference = np.abs(after.astype(np.float64) - before)
+            largest = max(largest, float(difference.max()))
             rows = np.ascontiguousarray(after.astype(before.dtype))
             array = type(values[i]).FromNumpy(rows)
             if times:
@@ -132,29 +132,29 @@ def rewrite(spec: Any, change: Rewrite) -> tuple[int, int, float]:
 
 
 # Raises NotFixableError where it would not be safe.
-Fix: TypeAlias = Callable[[Target, Fault], Edit]
+Fix: TypeAlias = Callable[[FixTarget, Fault], Edit]
 SUFFIXES = (".usd", ".usda", ".usdc")
 
 
 class EditedLayer:
-    """A layer while it holds edited content.
+    """A layer with edited content in memory.
 
     Attributes:
         target: The stage and the layer.
     """
 
     def __init__(self, layer: Any, path: Path) -> None:
-        self.target = Target(open_composed(layer, path), layer)
+        self.target = FixTarget(open_composed(layer, path), layer)
 
     def edit_of(self, fault: Fault) -> Edit:
-        """Return the edit that fixes a finding; else `NotFixableError`."""
+        """Return the edit that fixes a finding, or raise `NotFixableError`."""
         if fault.code not in EDITS:
             raise NotFixableError("there is no automatic fix")
         fix = cast(Fix, load_object(EDITS[fault.code]))
         return fix(self.target, fault)
 
     def content(self) -> Any:
-        """Return a copy of the content that no later edit reaches."""
+        """Return a snapshot of the content, unaffected by later edits."""
         copy = Sdf.Layer.CreateAnonymous(".usda")
         copy.TransferContent(self.target.layer)
         return copy
@@ -162,7 +162,7 @@ class EditedLayer:
 
 @contextmanager
 def edited_layer(path: Path, content: Any = None) -> Iterator[EditedLayer]:
-    """Give a file's layer, with some content in place of the file's."""
+    """Open a file's layer with given content instead of the file's."""
     layer = find_layer(path)
     with without_usd_warnings(), usd_errors(path):
         try:
@@ -175,7 +175,7 @@ def edited_layer(path: Path, content: Any = None) -> Iterator[EditedLayer]:
 
 
 def check_copy(source: Path, output: Path) -> None:
-    """Refuse a copy of another kind than a plain layer."""
+    """Raise if a copy would not be a plain layer."""
     for path in (source, output):
         if path.suffix.lower() not in SUFFIXES:
             message = f"{path.suffix or 'no suffix'} cannot hold a repaired layer"
@@ -183,8 +183,8 @@ def check_copy(source: Path, output: Path) -> None:
             raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 
-def spare_composed_layers(source: Path, output: Path) -> None:
-    """Refuse a copy in place of a layer that the source itself brings in."""
+def refuse_composed_layers(source: Path, output: Path) -> None:
+    """Raise if a copy would overwrite a layer that the source composes."""
     if not output.exists():
         return
     with edited_layer(source) as edited:
@@ -196,7 +196,7 @@ def spare_composed_layers(source: Path, output: Path) -> None:
 
 
 def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
-    """Write a layer's content to another file, in the format of its own.
+    """Write a layer's content to another file, in that file's format.
 
     Relative asset paths are rewritten where the folder is another one. The bytes are
     the file's own where nothing changes.
@@ -221,21 +221,21 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
 
 
 def _reload(path: Path) -> None:
-    """Read a layer again that somebody has open."""
-    held = Sdf.Layer.Find(str(path))
-    if held is not None:
+    """Reload a layer if it is open."""
+    layer = Sdf.Layer.Find(str(path))
+    if layer is not None:
         with without_usd_warnings():
-            held.Reload(force=True)
+            layer.Reload(force=True)
 
 
 def _format(path: Path) -> str:
-    """Return which of its two formats a file with any suffix has."""
+    """Return the actual format of a file with the ambiguous suffix."""
     with open_input(path, None) as file:
         return "usda" if file.read(5) == b"#usda" else "usdc"
 
 
 def _anchored(layer: Any, source: Path, output: Path) -> int:
-    """Rewrite relative asset paths for another folder; return how many."""
+    """Rewrite relative asset paths for another folder; return how many changed."""
     old, new = source.resolve().parent, output.resolve().parent
     if old == new:
         return 0

@@ -1,4 +1,4 @@
-"""Rates, ranges and samples of a layer, and signs of its quaternions."""
+"""Fixes for rates, ranges and sample times, and for signs of quaternions."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pxr import Sdf, Usd
 from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, counted
 from animtool.maths import so3
-from animtool.usd.checks.subject import Subject
-from animtool.usd.fixes.target import AnyArray, Change, Edit, NotFixableError, Target
+from animtool.usd.checks.subject import StageSubject
+from animtool.usd.fixes.target import AnyArray, Change, Edit, FixTarget, NotFixableError
 from animtool.usd.fixes.target import rewrite as rewrite_arrays
 from animtool.usd.takes.animation_values import OFF_FRAME
 
@@ -20,8 +20,8 @@ from animtool.usd.takes.animation_values import OFF_FRAME
 MIN_LENGTH = 1e-3
 
 
-def continuous(target: Target, fault: Fault) -> Edit:
-    """Negate the rotations that change their sign between samples."""
+def continuous(target: FixTarget, fault: Fault) -> Edit:
+    """Negate rotations whose sign flips between samples."""
     spec = target.attribute(fault)
 
     def edit() -> Change:
@@ -41,8 +41,8 @@ def continuous(target: Target, fault: Fault) -> Edit:
     return edit
 
 
-def unit(target: Target, fault: Fault) -> Edit:
-    """Divide rotations by their lengths."""
+def unit(target: FixTarget, fault: Fault) -> Edit:
+    """Normalize rotations."""
     spec = target.attribute(fault)
 
     def edit() -> Change:
@@ -81,8 +81,8 @@ def _stacked(arrays: list[AnyArray]) -> AnyArray:
 ASSUMED_RATE = 24.0
 
 
-def rates(target: Target, _: Fault) -> Edit:
-    """State both rates, the missing one as USD takes it today."""
+def rates(target: FixTarget, _: Fault) -> Edit:
+    """Author both rates; the missing one gets USD's fallback."""
     layer = target.layer
 
     def edit() -> Change:
@@ -99,18 +99,18 @@ def rates(target: Target, _: Fault) -> Edit:
     return edit
 
 
-def sample_range(target: Target, _: Fault) -> Edit:
-    """State the range of the samples as the layer's."""
+def sample_range(target: FixTarget, _: Fault) -> Edit:
+    """Set the layer's range to that of its samples."""
     return lambda: _ranged(target, widen=False)
 
 
-def wider_range(target: Target, _: Fault) -> Edit:
-    """Widen the layer's range to hold all samples; one apart becomes theirs."""
+def wider_range(target: FixTarget, _: Fault) -> Edit:
+    """Widen the layer's range to contain all samples."""
     return lambda: _ranged(target, widen=True)
 
 
-def whole_range(target: Target, _: Fault) -> Edit:
-    """Bring the ends of the layer's range from between frames to frames outwards.
+def full_range(target: FixTarget, _: Fault) -> Edit:
+    """Round the ends of the layer's range outwards to frames.
 
     Where that is less than a frame before or after all samples, to the samples.
     """
@@ -126,7 +126,7 @@ def whole_range(target: Target, _: Fault) -> Edit:
     return edit
 
 
-def _ranged(target: Target, *, widen: bool) -> Change:
+def _ranged(target: FixTarget, *, widen: bool) -> Change:
     stage = target.stage
     first, last = _span(stage)
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
@@ -155,21 +155,21 @@ def _stated(layer: Any) -> str:
 
 
 def _span(stage: Any) -> tuple[float, float]:
-    """Return the first and last frame of the samples, those of motion blur apart."""
-    subject = Subject(stage)
+    """Return the first and last frame of the samples, ignoring motion blur samples."""
+    subject = StageSubject(stage)
     times = sorted({t for attr in subject.attributes for t in subject.times(attr)})
     if not times or not (math.isfinite(times[0]) and math.isfinite(times[-1])):
         raise NotFixableError("there are no samples to compute the range from")
-    held = set(times)
+    sampled = set(times)
     first, last = float(math.ceil(times[0])), float(math.floor(times[-1]))
     return (
-        first if first in held else times[0],
-        last if last in held else times[-1],
+        first if first in sampled else times[0],
+        last if last in sampled else times[-1],
     )
 
 
-def whole_frames(target: Target, fault: Fault) -> Edit:
-    """Move samples that lie a little off a whole frame onto it, and a range with them.
+def integer_frames(target: FixTarget, fault: Fault) -> Edit:
+    """Snap samples slightly off a frame to it, and the range with them.
 
     Samples between frames, as those of motion blur, stay.
     """
@@ -183,7 +183,7 @@ def whole_frames(target: Target, fault: Fault) -> Edit:
         for attr in target.prim(fault).GetAttributes():
             for spec in attr.GetPropertyStack(Usd.TimeCode.EarliestTime()):
                 if spec.layer.GetNumTimeSamplesForPath(spec.path):
-                    target.require_own(spec)
+                    target.require_local(spec)
         if any(time != round(time) for time in layer.ListAllTimeSamples()):
             off = f"samples more than {OFF_FRAME} off a whole frame"
             raise NotFixableError(f"{off} may be intentional")
@@ -215,7 +215,7 @@ def whole_frames(target: Target, fault: Fault) -> Edit:
 
 
 def _moving(layer: Any) -> list[Any]:
-    """Return the paths of a layer that have samples, in order."""
+    """Return the paths of a layer that have time samples, in order."""
     moving: list[Any] = []
 
     def look(path: Any) -> None:

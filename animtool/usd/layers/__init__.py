@@ -1,1 +1,1 @@
-"""Layers: opened, written in chunks, named, and kept finite."""
+"""Layers: opening, chunked writing, names, and finite values."""

@@ -1,4 +1,4 @@
-"""Frames on their way to files: one loop over time codes, into one layer or in chunks.
+"""The one loop over time codes that writes frames, into one layer or into chunks.
 
 Layers may be saved while they grow, so that memory stays the same however long they
 get: a crate that is saved now and then has its samples on disk.
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from animtool.usd.caches.writer import Block
 
 # Samples in memory before they go to the disk [byte].
-HELD = 32_000_000
+BUFFERED_BYTES = 32_000_000
 
 
-class Growing:
-    """A layer that samples are put into."""
+class GrowingLayer:
+    """A layer that receives samples."""
 
     def __init__(self, layer: Any, path: Path | None = None) -> None:
         """Begin.
@@ -49,41 +49,41 @@ class Growing:
         """
         self.layer = layer
         self._path = path
-        self._held = 0
+        self._buffered = 0
         self.size = 0  # of the file, when it is written [byte]
 
     def added(self, size: int) -> None:
-        """Note samples of a size [byte]; bring them to the disk where they are many."""
-        self._held += size
-        if self._path is not None and self._held > HELD:
+        """Count buffered bytes; flush to disk above the limit."""
+        self._buffered += size
+        if self._path is not None and self._buffered > BUFFERED_BYTES:
             self.save()
 
     def save(self) -> None:
-        """Bring to the disk what is not there."""
+        """Flush buffered samples to disk."""
         assert self._path is not None
         with _written(self._path):
             self.layer.Save()
-        self._held = 0
+        self._buffered = 0
 
 
 @contextmanager
-def growing_crate(temporary: Path, path: Path) -> Iterator[Growing]:
-    """Give a crate that is whole at the end of the block."""
+def growing_crate(temporary: Path, path: Path) -> Iterator[GrowingLayer]:
+    """Context of a new crate file that is complete at the end of the block."""
     with _written(path):
         layer = Sdf.Layer.CreateNew(str(temporary), args={"format": "usdc"})
-    growing = Growing(layer, path)
+    growing = GrowingLayer(layer, path)
     yield growing
     growing.save()
 
 
 @contextmanager
-def growing_layer(layer: Any, path: Path | None) -> Iterator[Growing]:
-    """Give what a layer has, to put samples into; it is written at the end, or not.
+def growing_layer(layer: Any, path: Path | None) -> Iterator[GrowingLayer]:
+    """Context of a layer that receives samples; it is saved at the end if asked.
 
     path: the file; None is usda on stdout.
     """
     if path is None or path.suffix.lower() == ".usda":
-        growing = Growing(layer)
+        growing = GrowingLayer(layer)
         yield growing
         growing.size = save_layer(layer, path)
         return
@@ -99,7 +99,7 @@ def growing_layer(layer: Any, path: Path | None) -> Iterator[Growing]:
 
 @contextmanager
 def _written(path: Path) -> Iterator[None]:
-    """Turn what USD raises where it writes into an `OutputError`."""
+    """Context that turns USD's write errors into an `OutputError`."""
     try:
         yield
     except Tf.ErrorException as error:
@@ -115,7 +115,7 @@ class ClipFiles:
     manifest: Path  # what states which attributes the chunks have
 
     def chunk(self, number: int) -> Path:
-        """Return a chunk, 0 being the first.
+        """Return the path of a chunk, counted from 0.
 
         >>> system_files(Path("shot.usdc")).chunk(0).name
         'shot.systems.0001.usdc'
@@ -125,29 +125,29 @@ class ClipFiles:
 
     @property
     def defaults(self) -> str:
-        """Asset path of the chunk with defaults, which the layer has as a sublayer.
+        """Asset path of the chunk with default values, a sublayer of the layer.
 
         Defaults in the layer itself would win over the clips.
         """
         return f"./{self.chunk(0).name}"
 
-    def there(self) -> list[Path]:
-        """Return the chunks that are there, in order."""
+    def existing_chunks(self) -> list[Path]:
+        """Return the existing chunks, in order."""
         stem, folder = re.escape(self.output.stem), self.output.parent
         name = re.compile(rf"{stem}\.{self.name}\.\d{{4,}}\.usdc")
         paths = folder.iterdir() if folder.is_dir() else ()
         return sorted(path for path in paths if name.fullmatch(path.name))
 
     def remove_others(self, kept: Collection[Path]) -> None:
-        """Remove chunks that an earlier, longer bake left."""
-        for path in set(self.there()) - set(kept):
-            # What cannot be removed is in nobody's way.
+        """Delete chunks left by an earlier, longer bake."""
+        for path in set(self.existing_chunks()) - set(kept):
+            # Files that cannot be removed do no harm.
             with suppress(OSError):
                 path.unlink()
 
 
 def point_files(output: Path) -> ClipFiles:
-    """Return the files of a character's point caches.
+    """Return the clip files of a character's point caches.
 
     >>> point_files(Path("shot.usdc")).manifest.name
     'shot.manifest.usda'
@@ -157,7 +157,7 @@ def point_files(output: Path) -> ClipFiles:
 
 
 def system_files(output: Path) -> ClipFiles:
-    """Return the files of what is simulated.
+    """Return the clip files of a simulation.
 
     >>> system_files(Path("shot.usdc")).manifest.name
     'shot.systems.manifest.usda'
@@ -166,54 +166,54 @@ def system_files(output: Path) -> ClipFiles:
     return ClipFiles(output, "systems", manifest)
 
 
-class Frames(Protocol):
-    """Frames of one prim."""
+class PrimFrames(Protocol):
+    """A block of frames of one prim."""
 
     @property
     def prim(self) -> int:
-        """Place of the prim among those that are written."""
+        """Index of the prim."""
 
     @property
     def codes(self) -> FloatArray:
         """Time codes ``(F,)``."""
 
 
-FramesT = TypeVar("FramesT", bound=Frames)
+FramesT = TypeVar("FramesT", bound=PrimFrames)
 FramesIn_contra = TypeVar("FramesIn_contra", contravariant=True)
 
 
-class Writer(Protocol[FramesIn_contra]):
-    """What writes the frames of a prim."""
+class FrameWriter(Protocol[FramesIn_contra]):
+    """Writer of the frames of one prim."""
 
     def add(self, block: FramesIn_contra) -> None:
         """Write frames."""
 
 
-class Report(Protocol[FramesIn_contra]):
-    """What is said of the frames of a prim."""
+class FrameReport(Protocol[FramesIn_contra]):
+    """Report on the frames of one prim."""
 
     def count(self, block: FramesIn_contra) -> None:
-        """Add frames that are written."""
+        """Add written frames."""
 
 
 def write_frames(
     blocks: Iterable[FramesT],
-    writer: Writer[FramesT],
-    reports: Sequence[Report[FramesT]],
+    writer: FrameWriter[FramesT],
+    reports: Sequence[FrameReport[FramesT]],
 ) -> None:
-    """Write all frames of all prims: every time code of a bake passes here.
+    """Write all frames of all prims; every time code of a bake passes through here.
 
-    writer: `Whole` or `Chunks`; reports: of each prim.
+    writer: `OneLayer` or `Chunks`; reports: of each prim.
     """
     for block in blocks:
         reports[block.prim].count(block)
         writer.add(block)
 
 
-class Whole(Generic[FramesT]):
-    """All samples in one layer."""
+class OneLayer(Generic[FramesT]):
+    """Writes all samples to one layer."""
 
-    def __init__(self, writers: Sequence[Writer[FramesT]]) -> None:
+    def __init__(self, writers: Sequence[FrameWriter[FramesT]]) -> None:
         """Begin: with what writes each prim."""
         self._writers = writers
         self.first, self.last = np.inf, -np.inf  # time codes
@@ -226,7 +226,7 @@ class Whole(Generic[FramesT]):
 
 
 class Chunks:
-    """Samples in files of some each, closed when every prim has samples of the next.
+    """Writes samples to files of fixed size, closed once all prims have the next one.
 
     Every file also has the first sample of the next, for what lies between them.
     """
@@ -236,16 +236,18 @@ class Chunks:
         files: ClipFiles,
         size: int,
         prims: int,
-        build: Callable[[Path, int], AbstractContextManager[Sequence[Writer[Block]]]],
+        build: Callable[
+            [Path, int], AbstractContextManager[Sequence[FrameWriter[Block]]]
+        ],
     ) -> None:
         """Begin.
 
-        size: samples a file; prims: how many there are; build: gives what writes each
-        prim to a file, 0 being the first, that is whole at the end of the block.
+        size: samples per file; prims: number of prims; build: context with the writers
+        of a file, counted from 0, that is complete at the end of the block.
         """
         self.files, self._size, self._build = files, size, build
         self._done = [0] * prims
-        self._open: dict[int, tuple[ExitStack, Sequence[Writer[Block]]]] = {}
+        self._open: dict[int, tuple[ExitStack, Sequence[FrameWriter[Block]]]] = {}
         self.starts: list[float] = []
         self.last = -np.inf
         self._manifest: Any = None  # before they are joined
@@ -254,7 +256,7 @@ class Chunks:
         return self
 
     def __exit__(self, *error: Any) -> None:
-        """Close what is open, whole where all went well."""
+        """Close the open files; they are kept only if no error occurred."""
         for number in sorted(self._open):
             if error[0] is None:
                 self._close(number)
@@ -267,7 +269,7 @@ class Chunks:
         return [self.files.chunk(number) for number in range(len(self.starts))]
 
     def add(self, block: Block) -> None:
-        """Put frames into the files that they belong to."""
+        """Write frames to the files they belong to."""
         codes, begin = block.codes, 0
         while begin < len(codes):
             number, at = divmod(self._done[block.prim], self._size)
@@ -302,7 +304,7 @@ class Chunks:
         *,
         defaults: bool,
     ) -> None:
-        """Let a prim of a layer, and what is below it, have the values of the files.
+        """Use the files as value clips of a prim and its descendants.
 
         declare: states in a manifest which attributes the files have; defaults: whether
         those of the first file are the layer's.
@@ -328,7 +330,7 @@ class Chunks:
 
 
 def author_span(layer: Any, metadata: StageMetadata) -> None:
-    """State of a layer what another does, and the range of its own samples."""
+    """Copy a layer's metadata, with the range of the actual samples."""
     codes = layer.ListAllTimeSamples()
     span = FrameSpan(Fraction(codes[0]), Fraction(codes[-1]), metadata.span.fps)
     author_metadata(layer, replace(metadata, span=span))
@@ -341,7 +343,7 @@ def author_clips(
     starts: Sequence[float],
     last: float,
 ) -> None:
-    """Let a prim, and what is below it, have the values of chunks."""
+    """Author chunks as value clips of a prim."""
     chunks = [Sdf.AssetPath(f"./{files.chunk(i).name}") for i in range(len(starts))]
     clips = {
         "assetPaths": Sdf.AssetPathArray(chunks),

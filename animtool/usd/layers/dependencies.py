@@ -1,4 +1,4 @@
-"""The files that a USD layer brings in, looked at before USD opens them by their paths.
+"""Checks the files that a USD layer composes, before USD opens them.
 
 USD waits for a pipe that nobody writes to, and reads a device without end.
 """
@@ -21,17 +21,17 @@ from animtool.usd.layers.stderr import without_usd_warnings
 
 @dataclass(slots=True)
 class _Walk:
-    """Layers that are brought in, each looked at and opened once."""
+    """Traversal of composed layers, each checked and opened once."""
 
     path: Path  # of the layer that brings them in, as the user named it
     # What their files were before USD opened them.
     states: dict[Path, FileState] = field(default_factory=dict)
     # Held, so that the stage finds them open.
     layers: list[Any] = field(default_factory=list)
-    _seen: set[str] = field(default_factory=set)
+    _visited: set[str] = field(default_factory=set)
 
     def follow(self, top: Any) -> None:
-        """Look at all that a layer brings in.
+        """Check all dependencies of a layer.
 
         Raises:
             FormatError: One is no file, or too large (USD155).
@@ -47,12 +47,12 @@ class _Walk:
                     todo.append((target, {**target.expressionVariables, **variables}))
 
     def _opened(self, layer: Any, name: str) -> Any:
-        """Return a layer that another names; None where USD opens none or knows it."""
+        """Return a layer by asset path; None if USD does not open it or it is known."""
         asset = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
         bare, _ = Sdf.Layer.SplitIdentifier(asset)
-        if asset in self._seen or not Sdf.FileFormat.FindByExtension(bare):
+        if asset in self._visited or not Sdf.FileFormat.FindByExtension(bare):
             return None
-        self._seen.add(asset)
+        self._visited.add(asset)
         # Of a package, the resolver would open it.
         outer = bare.partition("[")[0]
         file = Ar.GetResolver().Resolve(outer).GetPathString()
@@ -71,7 +71,7 @@ class _Walk:
             return None
 
     def _state(self, layer: Any, name: str, path: Path) -> FileState | None:
-        """Return what a file is; None where nothing is there that USD would open."""
+        """Return the identity of a file; None if USD would open nothing there."""
         try:
             return layer_state(path)
         except FormatError as error:
@@ -86,8 +86,8 @@ class _Walk:
 
 
 def _names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the names of all files that a layer may bring in."""
-    # Value clips are among them, and what templates of these stand for.
+    """Yield the asset paths of all files that a layer may compose."""
+    # Value clips and files of clip templates are included.
     for names in UsdUtils.ExtractExternalReferences(layer.identifier):
         yield from filter(None, names)
     if not variables:
@@ -100,7 +100,7 @@ def _names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
 
 
 def open_composed(layer: Any, path: Path) -> Any:
-    """Return the stage of a layer, all that it brings in looked at before.
+    """Open the stage of a layer after checking all its dependencies.
 
     What USD prints about it is not printed: `composition_notices` says the same.
     """
@@ -113,7 +113,7 @@ def open_composed(layer: Any, path: Path) -> Any:
 
 
 def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
-    """Note the files that a stage is composed of, and those that it lacks."""
+    """Record the files that a stage is composed of, and missing ones."""
     for layer in stage.GetUsedLayers():
         if layer.anonymous:
             continue

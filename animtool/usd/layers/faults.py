@@ -1,4 +1,4 @@
-"""What is wrong with skeletons and animations, and where: for readers and checks."""
+"""Faults of skeletons and animations with their locations, for readers and checks."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ SMALLEST_METADATA, LARGEST_METADATA = 1e-9, 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class Spot:
-    """A place that faults are of: a file, and a prim or property in it."""
+class PrimLocation:
+    """Location of a fault: a file, and a prim or property in it."""
 
     path: str
     where: str | None = None
 
     @classmethod
-    def of(cls, path: Path | str, prim: Any) -> Spot:
-        """Return the place of a prim, a schema or an attribute of a file."""
+    def of(cls, path: Path | str, prim: Any) -> PrimLocation:
+        """Return the location of a prim, a schema or an attribute."""
         return cls(str(path), str(prim.GetPath()))
 
-    def at(self, prim: Any) -> Spot:
-        """Return the place of another prim or attribute of the file."""
-        return Spot.of(self.path, prim)
+    def at(self, prim: Any) -> PrimLocation:
+        """Return the location of another prim or attribute of the file."""
+        return PrimLocation.of(self.path, prim)
 
     def fault(
         self,
@@ -50,27 +50,27 @@ class Spot:
         hint: str | None = None,
         severity: Severity = Severity.ERROR,
     ) -> Fault:
-        """Return a fault that is here."""
+        """Return a fault at this location."""
         return Fault(code, message, self.path, (), hint, severity, where=self.where)
 
     def fail(self, code: str, message: str, hint: str | None = None) -> NoReturn:
-        """Raise the error of a fault that is here."""
+        """Raise a fault at this location as an error."""
         raise FormatError(self.fault(code, message, hint))
 
     def refuse(self, faults: Iterable[Fault]) -> None:
-        """Raise what no reader can go on with; what a check warns of is one as well."""
+        """Raise the first fault that readers cannot accept, warnings included."""
         wrong = [replace(f, path=self.path, severity=Severity.ERROR) for f in faults]
         if wrong:
             raise FormatError(wrong)
 
 
 def tokens(attr: Any) -> list[str]:
-    """Return the tokens of an attribute, none where it has no value."""
+    """Return the tokens of an attribute; none without a value."""
     return [str(token) for token in (attr.Get() if attr else None) or ()]
 
 
 def duplicates(names: Sequence[str]) -> list[str]:
-    """Return the names that stand more than once, in order.
+    """Return the duplicate names, in order.
 
     >>> duplicates(["a", "b", "a", "a"])
     ['a']
@@ -79,7 +79,7 @@ def duplicates(names: Sequence[str]) -> list[str]:
 
 
 def joint_parents(joints: Sequence[str]) -> IntArray:
-    """Return the parent of each joint as UsdSkel finds it, -1 for a root.
+    """Return the parent of each joint as UsdSkel resolves it, -1 for a root.
 
     >>> joint_parents(["a", "a/b/c"]).tolist()
     [-1, 0]
@@ -96,7 +96,7 @@ def joint_parents(joints: Sequence[str]) -> IntArray:
 
 
 def units_and_axis(stage: Any) -> Iterator[Fault]:
-    """Yield that a stage's unit or up axis is none."""
+    """Yield faults of an invalid stage unit or up axis."""
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     if not SMALLEST_METADATA <= unit <= LARGEST_METADATA:
         yield finding("USD260", "/", f"metersPerUnit is {unit:g}")
@@ -105,15 +105,15 @@ def units_and_axis(stage: Any) -> Iterator[Fault]:
         yield finding("USD260", "/", f"upAxis is {up!r}")
 
 
-def own_matrices(attr: Any) -> FloatArray:
-    """Return the matrices of an attribute ``(N, 4, 4)``, as USD has them."""
+def matrix_array(attr: Any) -> FloatArray:
+    """Return the matrices of an attribute ``(N, 4, 4)``, row vectors as in USD."""
     value = np.array(attr.Get() or ())
     sound = value.dtype.kind == "f" and value.size % 16 == 0
     return np.asarray(value if sound else (), np.float64).reshape(-1, 4, 4)
 
 
 def joint_order(where: object, joints: Sequence[str]) -> Iterator[Fault]:
-    """Yield what is wrong with joint paths: one twice, or before its parent."""
+    """Yield faults of joint paths: duplicates, or a child before its parent."""
     twice = duplicates(joints)
     if twice:
         message = (
@@ -135,9 +135,9 @@ def joint_order(where: object, joints: Sequence[str]) -> Iterator[Fault]:
 def bind_transforms(
     skeleton: Any, joints: Sequence[str], *, skins: bool
 ) -> Iterator[Fault]:
-    """Yield what is wrong with bind transforms; only skins need that there are some."""
+    """Yield faults of bind transforms; they are required only for skins."""
     attr = skeleton.GetBindTransformsAttr()
-    bind = own_matrices(attr)
+    bind = matrix_array(attr)
     if len(bind) != len(joints):
         if len(bind) or skins:
             message = f"{counted(len(bind), 'bindTransform')}"
@@ -156,7 +156,7 @@ def bind_transforms(
 
 
 def singular(matrices: FloatArray) -> BoolArray:
-    """Return which matrices ``(N, 4, 4)`` have no inverse to speak of."""
+    """Return which matrices ``(N, 4, 4)`` are singular."""
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=2).prod(axis=1)
     volumes = np.abs(np.linalg.det(linear))
@@ -165,10 +165,10 @@ def singular(matrices: FloatArray) -> BoolArray:
 
 
 def unknown_joints(attr: Any, joints: Sequence[str], skeleton: Any) -> Iterator[Fault]:
-    """Yield that an animation has joints that its Skeleton, a prim's path, lacks."""
-    own = set(joints)
-    unknown = [name for name in tokens(attr) if name not in own]
-    if unknown and own:
+    """Yield a fault if an animation has joints that its Skeleton lacks."""
+    joint_set = set(joints)
+    unknown = [name for name in tokens(attr) if name not in joint_set]
+    if unknown and joint_set:
         message = (
             f"{len(unknown)} joints that {skeleton} does not have: {listed(unknown)}"
         )
@@ -176,7 +176,7 @@ def unknown_joints(attr: Any, joints: Sequence[str], skeleton: Any) -> Iterator[
 
 
 def names_twice(attr: Any) -> Iterator[Fault]:
-    """Yield that an animation names a joint or a shape twice."""
+    """Yield a fault for duplicate joints or shapes of an animation."""
     names = tokens(attr)
     twice = duplicates(names)
     if twice:
@@ -185,7 +185,7 @@ def names_twice(attr: Any) -> Iterator[Fault]:
 
 
 def transform_attributes(animation: Any) -> dict[str, Any]:
-    """Return the attributes of a SkelAnimation that move joints, by name."""
+    """Return the attributes of a SkelAnimation that animate joints, by name."""
     return {
         "translations": animation.GetTranslationsAttr(),
         "rotations": animation.GetRotationsAttr(),
@@ -194,7 +194,7 @@ def transform_attributes(animation: Any) -> dict[str, Any]:
 
 
 def missing_parts(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
-    """Yield that an animation of joints lacks translations, rotations or scales."""
+    """Yield a fault if an animation lacks translations, rotations or scales."""
     attributes = transform_attributes(animation)
     missing = [n for n, attr in attributes.items() if not attr.HasAuthoredValue()]
     if len(missing) == len(attributes):
@@ -210,7 +210,7 @@ def missing_parts(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
 def finite_transforms(
     attr: Any, matrices: FloatArray, joints: Sequence[str]
 ) -> Iterator[Fault]:
-    """Yield that transforms of joints are not finite."""
+    """Yield a fault if joint transforms are not finite."""
     bad = np.flatnonzero(~(np.abs(matrices) <= LARGEST).all(axis=(1, 2)))
     if len(bad):
         names = [joints[i] for i in bad.tolist()]

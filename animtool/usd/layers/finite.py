@@ -1,4 +1,4 @@
-"""The gate of numbers: what USD cannot hold as a finite number is never authored.
+"""Guards USD output: values that USD cannot hold as finite numbers are refused.
 
 Attributes are float16, float32 or float64. A number beyond the range of its type
 becomes infinite in the file without a word, so each is checked before it is written.
@@ -32,14 +32,14 @@ _MAX_ROUNDED = 2.0**103
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """What an attribute's values are of, for messages."""
+    """Names of an attribute's values, for messages."""
 
     attribute: str  # its name or path
-    of: str = ""  # what each value is of, such as ``joint``; or what the one value is
+    of: str = ""  # what has the value, such as ``joint``
     names: Sequence[str] = ()  # of those, where they have names
 
     def at(self, index: Sequence[int]) -> str:
-        """Return in words which value is meant."""
+        """Return the name of one value."""
         if not index or not self.of:
             return self.of or "a value"
         first = index[0]
@@ -49,7 +49,7 @@ class Labels:
 
 @cache
 def largest(type_name: Any) -> str:
-    """Return the letter of one of ``Sdf.ValueTypeNames``: h, f, d; empty of others."""
+    """Return the float kind of one of ``Sdf.ValueTypeNames``: h, f, d; else empty."""
     name = str(type_name.scalarType.cppTypeName)
     if name in _SCALARS:
         return _SCALARS[name]
@@ -85,9 +85,9 @@ def rounded(
     # Beyond the range the error is larger than any rounding, so nothing more is read.
     if not error < _MAX_ROUNDED * unit:
         with np.errstate(all="ignore"):
-            whole = points / unit
-            narrow = whole.astype(np.float32)
-        _refuse(whole, narrow, "f", labels, codes)
+            scaled = points / unit
+            narrow = scaled.astype(np.float32)
+        _refuse(scaled, narrow, "f", labels, codes)
     return rounded_points, error, frame, vertex
 
 
@@ -129,7 +129,7 @@ def check_data(value: object, name: str) -> None:
 
 
 def floats_of(value: Any) -> npt.NDArray[Any] | None:
-    """Return the floats of a value; None where it has none."""
+    """Return the floats of a value; None if it has none."""
     if hasattr(value, "imaginary"):
         value = [*value.imaginary, value.real]
     elif hasattr(value, "GetValue"):
@@ -150,15 +150,15 @@ def _refuse(
     labels: Labels,
     codes: FloatArray | None,
 ) -> None:
-    """Name the first value whose number in the file would not be finite, if any is."""
+    """Raise an error that names the first value not finite in the file, if any."""
     limit = _LIMITS[letter]
     bad = np.argwhere(~(np.abs(narrow) <= limit))
     if not len(bad):
         return
-    place = tuple(bad[0].tolist())
-    value = float(values[place])
-    rest = place if codes is None else place[1:]
-    when = "" if codes is None else f" at frame {codes[place[0]]:.10g}"
+    index = tuple(bad[0].tolist())
+    value = float(values[index])
+    rest = index if codes is None else index[1:]
+    when = "" if codes is None else f" at frame {codes[index[0]]:.10g}"
     allowed = f"{_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
     raise _error(labels, f"{labels.at(rest)}{when} is {value:.6g}; {allowed}")
 

@@ -1,4 +1,4 @@
-"""What is to be written as USD, the files that it is, and what was written."""
+"""Jobs of USD output: what to write, to which files, and what was written."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 SUFFIXES = (".usd", ".usda", ".usdc")
 
 
-class Form(StrEnum):
-    """What to write.
+class LayerForm(StrEnum):
+    """Which layers to write.
 
     ``stage`` is one file with skeleton and animation; ``split`` the same in three
-    layers; ``layer`` only the animation, over a rig that lives elsewhere; ``library`` a
-    take of a clip library, beside those that this has.
+    layers; ``layer`` only the animation, over a rig in another file; ``library`` a take
+    added to a clip library.
     """
 
     STAGE = "stage"
@@ -47,9 +47,9 @@ class Form(StrEnum):
     LIBRARY = "library"
 
 
-def output_paths(output: Path, form: Form) -> list[Path]:
-    """Return the files that a form writes, in the order written, ``output`` last."""
-    if form is not Form.SPLIT:
+def output_paths(output: Path, form: LayerForm) -> list[Path]:
+    """Return the files of a form in write order, ``output`` last."""
+    if form is not LayerForm.SPLIT:
         return [output]
     return [
         output.with_name(f"{output.stem}.rig.usda"),
@@ -66,7 +66,7 @@ def check_path(path: Path) -> None:
 
 
 def check_suffix(path: Path) -> None:
-    """Refuse a path that is not that of a USD file (OUT004)."""
+    """Refuse a path without a USD suffix (OUT004)."""
     if path.suffix.lower() in SUFFIXES:
         check_path(path)
         return
@@ -88,7 +88,7 @@ class RootPath:
 
 @dataclass(frozen=True, slots=True)
 class WrittenBlock:
-    """Frames as the layer will hold them, in its unit."""
+    """Frames as written, in stage units."""
 
     codes: FloatArray  # time codes ``(F,)``
     translations: Float32Array  # ``(F, J, 3)`` float32
@@ -109,7 +109,7 @@ class WrittenBlock:
 
 @dataclass(slots=True)
 class Rounding:
-    """What rounding did over all blocks."""
+    """Rounding errors over all blocks."""
 
     error: float = 0.0  # largest distance that it moved a joint [m]
     code: float = 0.0  # time code of that
@@ -117,7 +117,7 @@ class Rounding:
     scales: bool = False  # whether scales were rounded too, to UsdSkel's float16
 
     def count(self, block: WrittenBlock) -> None:
-        """Take the larger of the two errors."""
+        """Keep the larger error of each kind."""
         self.scales |= block.scales_rounded
         if block.error > self.error:
             self.error, self.code = block.error, block.error_code
@@ -126,9 +126,9 @@ class Rounding:
 
 @dataclass(frozen=True, slots=True)
 class UsdJob:
-    """What `write_usd` needs beside the blocks."""
+    """Settings of `write_usd`."""
 
-    form: Form  # stage, split or layer
+    form: LayerForm  # stage, split or layer
     output: Path | None  # the file; None writes usda to stdout
     rig: Rig  # the joints, as the blocks have them
     names: UsdNames  # their USD names
@@ -159,14 +159,13 @@ class UsdTake:
     # which needs no variant.
     name: str = ""
     source_name: str = ""  # what the source of a library's take is called
-    # Things beside the rig, gathered while the blocks are drawn; None is none.
+    # Props next to the rig, collected while the blocks are read; None without.
     props: PropSamples | None = None
-    # From where the take is to the numbers of a rig layer; see `PropPlacements`.
+    # From take space to the space of a rig layer; see `PropPlacements`.
     to_rig: Callable[[FloatArray], Placement] | None = None
     reduced: bool = False  # whether samples are left out that others give back
-    # What the file records of where its joints stand; empty where they do not, or a
-    # rig layer does.
-    place: Mapping[str, Any] = field(default_factory=dict)
+    # Recorded rest placement; empty without one, or if a rig layer has it.
+    rest_record: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -182,16 +181,16 @@ class WrittenTake:
     joints: int = 0  # joints in the SkelAnimation
     # What rounding to float32, and of scales to float16, moved.
     rounding: Rounding = field(default_factory=Rounding)
-    # What became of the curves of controls.
+    # Reports on the control curves.
     curves: list[CurveReport] = field(default_factory=list)
-    props: list[str] = field(default_factory=list)  # paths of the things beside the rig
+    props: list[str] = field(default_factory=list)  # paths of the props
     # What there is to say of its frames.
     notices: list[Fault] = field(default_factory=list)
 
 
 @dataclass(slots=True)
 class UsdResult:
-    """What was written."""
+    """Result of `write_usd`."""
 
     span: FrameSpan  # first frame, last frame and rate that the written layer states
     outputs: list[Path] = field(default_factory=list)
@@ -223,15 +222,15 @@ class UsdResult:
 
     @property
     def joints(self) -> int:
-        """Joints in the SkelAnimation that has most."""
+        """Largest number of joints of a SkelAnimation."""
         return max(take.joints for take in self.takes)
 
     @property
     def rounding(self) -> Rounding:
-        """What rounding moved most in any take."""
+        """Largest rounding errors of any take."""
         return max((take.rounding for take in self.takes), key=lambda r: r.error)
 
     @property
     def curves(self) -> list[CurveReport]:
-        """What became of the curves of controls of all takes."""
+        """Reports on the control curves of all takes."""
         return [curve for take in self.takes for curve in take.curves]

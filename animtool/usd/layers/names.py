@@ -1,4 +1,4 @@
-"""Legal, distinct USD names for joints, and the way back."""
+"""Legal, distinct USD names for joints, and their original names."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class UsdNames:
 
 
 def plain_text(name: str) -> str:
-    r"""Return a text that USD takes: bytes that are no text are replaced.
+    r"""Return a text that USD accepts: invalid bytes are replaced.
 
     Names of files may have such bytes.
 
@@ -37,7 +37,7 @@ def plain_text(name: str) -> str:
 
 
 def legal_name(name: str) -> str:
-    """Return the name with every character that USD forbids made ``_``.
+    """Return the name with every illegal character replaced by ``_``.
 
     >>> legal_name("rig:Arm.L"), legal_name("2nd")
     ('rig_Arm_L', '_2nd')
@@ -50,7 +50,7 @@ def legal_name(name: str) -> str:
 
 
 def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:
-    """Return names for joints, without their first namespaces (``ns:``) if asked."""
+    """Return names for joints, optionally without namespaces (``ns:``)."""
     stripped = []
     for joint in joints:
         parts = joint.name.split(":")
@@ -66,7 +66,7 @@ def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:
 def distinct_names(
     named: Sequence[str], proposed: Sequence[str], sources: Sequence[str]
 ) -> UsdNames:
-    """Return legal and distinct names."""
+    """Return legal, distinct names."""
     names: list[str] = []
     originals: dict[str, str] = {}
     first: dict[str, str] = {}
@@ -92,7 +92,7 @@ def distinct_names(
 
 @dataclass(frozen=True, slots=True)
 class RigPaths:
-    """Where a character's prims are."""
+    """Prim paths of a character."""
 
     model: str  # the component, ``/hero``
     root: str  # the SkelRoot, ``/hero/Rig``
@@ -102,6 +102,6 @@ class RigPaths:
 
     @staticmethod
     def below(model: str) -> RigPaths:
-        """Return the usual paths below a model."""
+        """Return the default paths below a model."""
         root = f"{model}/Rig"
         return RigPaths(model, root, f"{root}/Skel", f"{root}/Anim", root)

@@ -1,4 +1,4 @@
-"""Packages (.usdz): a layer and all that it refers to in one file for phones."""
+"""USDZ packages: a layer and its dependencies in one file."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from animtool.core.readers import PACKAGE
 UNPACKED = "USD could not pack it"
 # The first day that a zip file can state.
 _FIRST_DAY = struct.pack("<HH", 0, (1 << 5) | 1)
-# Where the time stands in headers of a file and of the directory.
+# Offsets of the timestamp in file and directory headers.
 _OF_FILE, _OF_DIRECTORY = 10, 12
 _DIRECTORY_HEADER = b"PK\x01\x02"
 
 
 @contextmanager
 def unpacked(path: Path, temporary: Path) -> Iterator[Path]:
-    """Give the file to write a layer to: of a package, what is put into it at the end.
+    """Context with the file to write a layer to; packaged at the end for .usdz.
 
     path: what ``temporary`` becomes when all is well.
     """
@@ -50,7 +50,7 @@ def unpacked(path: Path, temporary: Path) -> Iterator[Path]:
 
 
 def plain_stem(path: Path) -> str:
-    """Return what the layer of a package is called, of letters that all readers take.
+    """Return the ASCII name of a package's layer.
 
     >>> plain_stem(Path("my walk.usdz"))
     'my_walk'
@@ -59,7 +59,7 @@ def plain_stem(path: Path) -> str:
 
 
 def clear_times(package: Path) -> None:
-    """Give all files of a package one time: the same content is the same bytes."""
+    """Set fixed timestamps in a package: equal content gives equal bytes."""
     with zipfile.ZipFile(package) as archive:
         files, directory = archive.infolist(), archive.start_dir
     with package.open("r+b") as file:

@@ -46,7 +46,7 @@ from animtool.usd.layers.finite import (
 from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.package import unpacked
 
-# USD maps binary layers into memory, and reads those of text whole.
+# USD maps binary layers into memory, and reads text layers completely.
 MAX_LAYER_BYTES = 1_000_000_000_000
 MAX_TEXT_LAYER_BYTES = 4_000_000_000
 CRATE = b"PXR-USDC"
@@ -54,7 +54,7 @@ CRATE = b"PXR-USDC"
 
 @dataclass(frozen=True, slots=True)
 class StageMetadata:
-    """What every layer states about itself."""
+    """Metadata that every layer authors."""
 
     default_prim: str  # name of the root prim; empty states none
     span: FrameSpan  # first and last frame, and the rate of frames and time codes
@@ -68,7 +68,7 @@ NO_TEXT = "its path contains bytes that are not UTF-8"
 
 
 def author_metadata(layer: Any, metadata: StageMetadata) -> None:
-    """State the rate, the range, the units, the up axis, the default prim, the shot."""
+    """Author rate, range, units, up axis, default prim and shot."""
     root = layer.pseudoRoot
     numbers = {
         "timeCodesPerSecond": float(metadata.span.fps),
@@ -92,7 +92,7 @@ def author_metadata(layer: Any, metadata: StageMetadata) -> None:
 
 
 def layer_span(layer: Any) -> FrameSpan:
-    """Return the frames that a layer states, as reports print them."""
+    """Return the frame range of a layer, as reports print it."""
     return FrameSpan(
         time_fraction(layer.startTimeCode),
         time_fraction(layer.endTimeCode),
@@ -110,7 +110,7 @@ _SHOT_KEYS = {
 
 
 def layer_shot(layer: Any) -> dict[str, object] | None:
-    """Return the shot that a layer states, as reports have it; None for none."""
+    """Return the shot of a layer, as reports print it; None if absent."""
     data = layer.customLayerData.get("animtool")
     stored = data.get("shot") if isinstance(data, dict) else None
     if not isinstance(stored, dict):
@@ -124,7 +124,7 @@ def layer_shot(layer: Any) -> dict[str, object] | None:
 
 
 def model_path(prim_path: str | None, name: str) -> str:
-    """Return where a model goes: where it is told to, else below the root by its name.
+    """Return the path of a model: as configured, else below the root by name.
 
     Raises:
         OptionError: It is no absolute prim path (CLI003).
@@ -136,7 +136,7 @@ def model_path(prim_path: str | None, name: str) -> str:
 
 
 def check_prim_path(text: str) -> None:
-    """Raise `OptionError` where a text is no absolute prim path."""
+    """Raise `OptionError` for a text that is not an absolute prim path."""
     path = Sdf.Path(text) if Sdf.Path.IsValidPathString(text) else Sdf.Path()
     if not (path.IsAbsolutePath() and path.IsPrimPath()):
         message = (
@@ -147,7 +147,7 @@ def check_prim_path(text: str) -> None:
 
 
 def asset_path(file: Path, folder: Path) -> str:
-    """Return the asset path of a file in layers of a folder, relative where possible.
+    """Return the asset path of a file for layers in a folder, relative if possible.
 
     >>> asset_path(Path("/show/tex/skin.png"), Path("/show"))
     './tex/skin.png'
@@ -160,7 +160,7 @@ def asset_path(file: Path, folder: Path) -> str:
 
 
 def find_layer(path: Path) -> Any:
-    """Open a layer; USD opens it by its path."""
+    """Open a layer by its path."""
     state = layer_state(path, recorded=True)
     with usd_errors(path):
         layer = Sdf.Layer.FindOrOpen(str(path))
@@ -175,7 +175,7 @@ def find_layer(path: Path) -> Any:
 
 
 def layer_state(path: Path, *, recorded: bool = False) -> FileState:
-    """Return what a file is that USD may open.
+    """Return the identity of a file that USD may open.
 
     recorded: whether a user or a document names it as an input.
     """
@@ -188,7 +188,7 @@ def layer_state(path: Path, *, recorded: bool = False) -> FileState:
 
 
 def forget_layers() -> None:
-    """Let go of files that nothing needs any more, so that they are read anew.
+    """Release unused layers, so that changed files are read again.
 
     USD keeps a layer as long as somebody holds it, and stages hold theirs in circles.
     """
@@ -197,13 +197,13 @@ def forget_layers() -> None:
 
 
 def compute_alone() -> None:
-    """Let USD compute in the thread that asks, where other processes have the rest."""
+    """Limit USD to the calling thread when other processes use the cores."""
     Work.SetConcurrencyLimit(1)
 
 
 @contextmanager
 def usd_errors(path: Path) -> Iterator[None]:
-    """Turn what USD itself raises about a file into a `FormatError`."""
+    """Context that turns USD's errors about a file into a `FormatError`."""
     with reading(path):
         try:
             yield
@@ -217,7 +217,7 @@ def usd_errors(path: Path) -> Iterator[None]:
 
 
 def usd_reason(error: Tf.ErrorException) -> str:
-    """Return what USD says of an error, without its own sources' places."""
+    """Return USD's error text without its source locations."""
     texts = [str(getattr(item, "commentary", item)) for item in error.args]
     text = re.sub(r"(pxrInternal\w*|Sdf_\w+)::", "", " ".join(" ".join(texts).split()))
     for marker in ("Error occurred writing file: ", "Failed writing usdc data: "):
@@ -233,7 +233,7 @@ def new_layer(path: Path) -> Any:
 
 
 def prim(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> Any:
-    """Return the spec of a prim, made if need be, ancestors as overs."""
+    """Return the spec of a prim, created if needed with ancestors as overs."""
     spec = Sdf.CreatePrimInLayer(layer, path)
     spec.specifier = Sdf.SpecifierOver if over else Sdf.SpecifierDef
     if type_name:
@@ -250,7 +250,7 @@ def attribute(
     uniform: bool = False,
     interpolation: str = "",
 ) -> Any:
-    """Return a new attribute of a prim, with a default where one is given."""
+    """Create an attribute of a prim, with an optional default."""
     variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
     attr = Sdf.AttributeSpec(spec, name, type_name, variability)
     if value is not None:
@@ -269,7 +269,7 @@ def put_samples(
     rows: IntArray,
     values: Sequence[Any],
 ) -> None:
-    """Write values of an attribute at some of the time codes.
+    """Write values of an attribute at selected time codes.
 
     The first is its default, and all that is written where it is alone.
 
@@ -286,13 +286,13 @@ def put_samples(
 
 
 def relationship(spec: Any, name: str, *targets: str) -> None:
-    """Make a relationship to prims."""
+    """Create a relationship to prims."""
     relation = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
     relation.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
 
 
 def save_layer(layer: Any, path: Path | None) -> int:
-    """Write a layer to a file, whole or not at all, or as text to stdout.
+    """Save a layer to a file atomically, or as text to stdout.
 
     Returns the bytes written.
     """
@@ -311,7 +311,7 @@ def save_layer(layer: Any, path: Path | None) -> int:
 def export_layer(
     layer: Any, temporary: Path, path: Path, arguments: Mapping[str, str] | None = None
 ) -> None:
-    """Write a layer to a file that becomes ``path`` when all is well."""
+    """Export a layer to a temporary file that then replaces ``path``."""
     try:
         done = layer.Export(str(temporary), args=dict(arguments or {}))
     except Tf.ErrorException as error:
@@ -323,7 +323,7 @@ def export_layer(
 
 
 def author_model(layer: Any, path: str) -> Any:
-    """Return the prim of a component; those above it are groups."""
+    """Create the prim of a component; its ancestors become groups."""
     model = prim(layer, path, "Xform")
     for ancestor in model.path.GetAncestorsRange():
         if not ancestor.IsAbsoluteRootPath():
@@ -333,26 +333,26 @@ def author_model(layer: Any, path: str) -> Any:
 
 
 def author_order(spec: Any, *names: str) -> None:
-    """Say in which order a prim's operations follow each other."""
+    """Author the xformOpOrder of a prim."""
     order = Vt.TokenArray(names)
     types = Sdf.ValueTypeNames
     attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
 
 
 def apply_schemas(spec: Any, schemas: Sequence[str]) -> None:
-    """Apply API schemas to a prim, in place of those that it has."""
+    """Set the applied API schemas of a prim."""
     listed = Sdf.TokenListOp()
     listed.prependedItems = list(schemas)
     spec.SetInfo("apiSchemas", listed)
 
 
 def vector(row: FloatArray) -> Any:
-    """Return a vector ``(3,)`` as USD has it."""
+    """Return a vector ``(3,)`` as a Gf vector."""
     return Gf.Vec3d(*row.tolist())
 
 
 def quaternion(row: FloatArray) -> Any:
-    """Return a quaternion ``(4,)``, x y z w, as USD has it.
+    """Return a quaternion ``(4,)``, x y z w, as a Gf quaternion.
 
     >>> import numpy as np
     >>> quaternion(np.array([0.0, 0.0, 0.0, 1.0])).GetReal()
@@ -363,7 +363,7 @@ def quaternion(row: FloatArray) -> Any:
 
 
 def quatf(row: FloatArray) -> Any:
-    """Return a quaternion ``(4,)``, x y z w, in float32."""
+    """Return a quaternion ``(4,)``, x y z w, as a float32 Gf quaternion."""
     return Gf.Quatf(quaternion(row))
 
 
@@ -371,8 +371,8 @@ def quatf(row: FloatArray) -> Any:
 SURE = 1e-3
 
 
-class Samples:
-    """An attribute's samples; a default only, while the values do not change.
+class SampleWriter:
+    """Writer of an attribute's samples; a default only while values are constant.
 
     The frames before the first change share one array, as copies of it would. Signs of
     quaternions ``(F, …, 4)`` continue from frame to frame and from block to block:
@@ -401,7 +401,7 @@ class Samples:
         self._first: npt.NDArray[Any] | None = None
         self._quaternions = quaternions
         self._last: npt.NDArray[Any] | None = None
-        self._held: list[FloatArray] = []
+        self._buffered: list[FloatArray] = []
         self.sampled = False
 
     def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
@@ -417,7 +417,7 @@ class Samples:
             self._first = rows[0].copy()
         if not self.sampled:
             if (rows == self._first).all():
-                self._held.append(codes)
+                self._buffered.append(codes)
                 return
             self.release()
         put, path, make = self._set, self._path, self._make
@@ -425,7 +425,7 @@ class Samples:
             put(path, code, make(row))
 
     def _continued(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return rows, quaternions with signs that continue those added before."""
+        """Return rows; quaternion signs continue the previous block."""
         if not self._quaternions or not rows.size:
             return rows
         last = rows[0] if self._last is None else self._last
@@ -438,18 +438,18 @@ class Samples:
         return rows
 
     def release(self) -> None:
-        """Sample from the first frame on, whether anything changes or not."""
+        """Start sampling at the first frame, whether values change or not."""
         if self.sampled:
             return
         self.sampled = True
         value = self._make(self._first)
-        for codes in self._held:
+        for codes in self._buffered:
             for code in codes.tolist():
                 self._set(self._path, code, value)
-        self._held.clear()
+        self._buffered.clear()
 
     def rest(self) -> None:
-        """Author the first value as the default too, where there are samples.
+        """Author the first value as the default if there are samples.
 
         Readers that ask at no time find it.
         """
@@ -457,7 +457,7 @@ class Samples:
             self._attribute.default = self._make(self._first)
 
     def finish(self, otherwise: npt.NDArray[Any]) -> None:
-        """Author the default of values that never changed, or never came."""
+        """Author the default if values never changed or never came."""
         if not self.sampled:
             first = otherwise if self._first is None else self._first
             value = self._make(first)

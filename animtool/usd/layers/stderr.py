@@ -1,4 +1,4 @@
-"""What USD prints by itself."""
+"""Filters known messages that USD prints to stderr."""
 
 from __future__ import annotations
 
@@ -29,54 +29,54 @@ _DIAGNOSTICS = (
 
 @contextmanager
 def without_version_warnings() -> Iterator[None]:
-    """Leave out what USD's writers print about splines and time codes as such.
+    """Context that drops USD's warnings about splines and time codes.
 
     They print to the process's stderr, past Python. Everything else that arrives
     there meanwhile is printed afterwards.
     """
-    with _held(_KNOWN):
+    with _captured(_KNOWN):
         yield
 
 
 @contextmanager
 def without_usd_warnings() -> Iterator[None]:
-    """Leave out what USD prints about the layers that it opens.
+    """Context that drops USD's warnings about opened layers.
 
     Everything else that arrives there meanwhile is printed afterwards.
     """
-    with _held(_DIAGNOSTICS):
+    with _captured(_DIAGNOSTICS):
         yield
 
 
 @contextmanager
-def _held(known: tuple[bytes, ...]) -> Iterator[None]:
+def _captured(known: tuple[bytes, ...]) -> Iterator[None]:
     sys.stderr.flush()
     try:
         saved = os.dup(2)
     except OSError:  # nobody listens
         yield
         return
-    held = None
+    buffer = None
     try:
         # Where a full disk holds nothing, USD's lines come as they are.
         with suppress(OSError):
-            held = tempfile.TemporaryFile()  # noqa: SIM115
-            os.dup2(held.fileno(), 2)
+            buffer = tempfile.TemporaryFile()  # noqa: SIM115
+            os.dup2(buffer.fileno(), 2)
         yield
     finally:
         with suppress(OSError):
             os.dup2(saved, 2)
         with suppress(OSError):
             os.close(saved)
-        if held is not None:
-            with suppress(OSError), held:
-                _print_others(held, known)
+        if buffer is not None:
+            with suppress(OSError), buffer:
+                _print_others(buffer, known)
 
 
-def _print_others(held: IO[bytes], known: tuple[bytes, ...]) -> None:
-    """Print what was held but for lines with known texts."""
-    held.seek(0)
-    for line in held:
+def _print_others(buffer: IO[bytes], known: tuple[bytes, ...]) -> None:
+    """Print the captured lines except those with known texts."""
+    buffer.seek(0)
+    for line in buffer:
         if not any(text in line for text in known):
             text = line.decode("utf-8", "surrogateescape")
             os.write(2, escaped_lines(text).encode())

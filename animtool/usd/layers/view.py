@@ -1,4 +1,4 @@
-"""A stage that shows a layer with others over and below it."""
+"""A temporary stage that shows a layer together with others."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _METADATA = (
 def write_view(
     path: Path, shown: Path, below: Sequence[Path] = (), over: Sequence[Path] = ()
 ) -> Path:
-    """Write a stage that states what a layer does; return its path.
+    """Write a stage with a layer's metadata; return its path.
 
     Args:
         path: The stage.

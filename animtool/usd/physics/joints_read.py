@@ -1,4 +1,4 @@
-"""Joints between bodies that UsdPhysics says of a stage."""
+"""Reads joints between bodies from UsdPhysics."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pxr import UsdPhysics
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import excerpt
 from animtool.maths import so3
-from animtool.motion.physics import STILL, JointDrive, PhysicsJoint
-from animtool.usd.layers.faults import Spot
+from animtool.motion.physics import IDENTITY_POSE, JointDrive, PhysicsJoint
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.physics.stage import (
     AXES,
     LARGEST,
@@ -42,9 +42,12 @@ SWING = math.radians(1e-3), math.radians(179.0)
 
 
 def read_joint(
-    source: PhysicsStage, prim: Any, places: Mapping[str, int], moved: Sequence[bool]
+    source: PhysicsStage,
+    prim: Any,
+    body_index: Mapping[str, int],
+    moved: Sequence[bool],
 ) -> PhysicsJoint | None:
-    """Return a joint between bodies, by path; None where it joins none, or is off.
+    """Return a joint between bodies; None if it is disabled or joins none.
 
     moved: Which bodies are moved by what happens to them.
     """
@@ -58,22 +61,22 @@ def read_joint(
     axis = prim.GetAttribute("physics:axis")
     token = str((axis.Get() if axis else None) or "X")
     if token not in AXES:
-        Spot.of(source.path, axis).fail("SIM051", f"is {token!r}", "X, Y or Z")
+        PrimLocation.of(source.path, axis).fail("SIM051", f"is {token!r}", "X, Y or Z")
     lean = so3.between(AXES["X"], AXES[token])
     bodies, frames = [], []
     for side in (0, 1):
         at = source.numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)
-        turn = source.numbers(prim.GetAttribute(f"physics:localRot{side}"), 4)
-        own = STILL.copy()
-        own[:3] = 0.0 if at is None else at * source.unit
-        own[3:] = so3.IDENTITY if turn is None or not turn.any() else turn
-        own[3:] = so3.multiply(so3.normalize(own[3:]), lean)
+        rotation = source.numbers(prim.GetAttribute(f"physics:localRot{side}"), 4)
+        local = IDENTITY_POSE.copy()
+        local[:3] = 0.0 if at is None else at * source.unit
+        local[3:] = so3.IDENTITY if rotation is None or not rotation.any() else rotation
+        local[3:] = so3.multiply(so3.normalize(local[3:]), lean)
         targets = prim.GetRelationship(f"physics:body{side}").GetTargets()
         if len(targets) > 1:
             message = f"has {len(targets)} targets for body{side}: using {targets[0]}"
             source.note(prim, message)
         target = targets[0] if targets else None
-        body, frame = _side(source, prim, side, target, own, places)
+        body, frame = _side(source, prim, side, target, local, body_index)
         bodies.append(body)
         frames.append(frame)
     if bodies[0] < 0 and bodies[1] < 0:
@@ -100,7 +103,7 @@ def read_joint(
 
 
 def _most(source: PhysicsStage, prim: Any, name: str, power: int) -> float:
-    """Return the force [N] or torque [N m] that a joint breaks at; infinite is none."""
+    """Return the break force [N] or torque [N m] of a joint; inf if unbreakable."""
     value = source.endless(prim.GetAttribute(f"physics:{name}"))
     if value is None or not 0 < value < MAX_FORCE:
         return math.inf
@@ -112,24 +115,24 @@ def _side(
     joint: Any,
     side: int,
     target: Any,
-    own: FloatArray,
-    places: Mapping[str, int],
+    local: FloatArray,
+    body_index: Mapping[str, int],
 ) -> tuple[int, FloatArray]:
-    """Return the body of a side, -1 the world, and the joint's frame there."""
+    """Return the body of a side (-1 is the world) and the joint frame in it."""
     if target is None:
-        return -1, source.up(own)
+        return -1, source.up(local)
     prim = source.stage.GetPrimAtPath(target) if target.IsPrimPath() else None
     if not prim:
         message = f"body{side} refers to {excerpt(str(target))}, which does not exist"
         hint = nearest_prim(source.stage, str(target))
-        Spot.of(source.path, joint).fail("SIM051", message, hint)
+        PrimLocation.of(source.path, joint).fail("SIM051", message, hint)
     pose, scale = source.pose(source.matrix(prim))
-    own = np.concatenate([own[:3] * scale, own[3:]])
+    local = np.concatenate([local[:3] * scale, local[3:]])
     placed = np.concatenate(
-        [pose[:3] + so3.rotate(pose[3:], own[:3]), so3.multiply(pose[3:], own[3:])]
+        [pose[:3] + so3.rotate(pose[3:], local[:3]), so3.multiply(pose[3:], local[3:])]
     )
     for above in upwards(prim):
-        body = places.get(str(above.GetPath()))
+        body = body_index.get(str(above.GetPath()))
         if body is not None:
             return body, within(source.pose(source.matrix(above))[0], placed)
         if is_body(above):
@@ -144,7 +147,7 @@ def _side(
 def _limits(
     source: PhysicsStage, prim: Any, kind: str
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Return least and most, and the swing of a ball."""
+    """Return lower and upper limit, and the swing of a ball joint."""
     if kind == "fixed":
         return None, None
     if kind == "ball":
@@ -159,7 +162,7 @@ def _limits(
         if ball.swing is not None:
             first, second = np.clip(ball.swing, *SWING).tolist()
             swing = first, second
-        return _apart(source, prim, ball.twist, 2 * math.pi), swing
+        return _checked_range(source, prim, ball.twist, 2 * math.pi), swing
     low, high = (
         source.endless(prim.GetAttribute(f"physics:{end}Limit"))
         for end in ("lower", "upper")
@@ -167,19 +170,21 @@ def _limits(
     if low is None or high is None or (math.isinf(low) and math.isinf(high)):
         return None, None
     if kind == "pin":
-        return _apart(source, prim, (math.radians(low), math.radians(high))), None
+        return _checked_range(
+            source, prim, (math.radians(low), math.radians(high))
+        ), None
     slide = (low * source.unit, high * source.unit)
     bounded = tuple(np.clip(slide, -LARGEST, LARGEST).tolist())
-    return _apart(source, prim, bounded, math.inf), None
+    return _checked_range(source, prim, bounded, math.inf), None
 
 
-def _apart(
+def _checked_range(
     source: PhysicsStage,
     prim: Any,
     limits: tuple[float, float] | None,
     most: float = 2 * math.pi,
 ) -> tuple[float, float] | None:
-    """Return limits that a joint can hold; None, and a notice, of others."""
+    """Return valid limits; None and a notice if they are invalid."""
     if limits is None:
         return None
     low, high = limits

@@ -1,4 +1,4 @@
-"""Bodies and colliders that UsdPhysics says of a stage."""
+"""Reads bodies and colliders from UsdPhysics."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.motion.physics import Physics, PhysicsBody, PhysicsShape
 from animtool.usd.caches.reader import PointReader, mesh_fault
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.physics.joints_read import read_joint
 from animtool.usd.physics.stage import (
@@ -36,27 +36,27 @@ from animtool.usd.rigs.prims import (
     upwards,
 )
 
-# Shapes that UsdPhysics says bodies collide with, and what they are made of.
+# Collision shapes of UsdPhysics, and the attributes that define them.
 
 # Scales that differ by less are one [1].
-ALIKE = 1e-5
-# Shapes that are as long in all ways across their axis.
+EQUAL_SCALES = 1e-5
+# Shapes that are round about their axis.
 ROUND = {"Sphere", "Capsule"}
 # Shapes with an axis.
 LONG = {"Capsule", "Plane"}
 
 
 def read_shapes(
-    source: PhysicsStage, prim: Any, outer: FloatArray, *, still: bool
+    source: PhysicsStage, prim: Any, outer: FloatArray, *, static: bool
 ) -> Iterator[PhysicsShape]:
-    """Yield the shape of a prim in a frame, none of what has no such shape."""
-    place, turn, _ = decompose(outer[None])
+    """Yield the collision shape of a prim in a frame, if it has a supported one."""
+    translation, rotation, _ = decompose(outer[None])
     pose, scale = source.pose(source.matrix(prim))
-    frame = np.concatenate([place[0] * source.unit, turn[0]])
-    pose = source.up(pose) if still else within(frame, pose)
+    frame = np.concatenate([translation[0] * source.unit, rotation[0]])
+    pose = source.up(pose) if static else within(frame, pose)
     even = float(np.abs(scale).max()), float(np.abs(scale).min())
     size, kind = even[0] * source.unit, str(prim.GetTypeName())
-    if even[0] - even[1] > ALIKE * even[0] and kind in ROUND:
+    if even[0] - even[1] > EQUAL_SCALES * even[0] and kind in ROUND:
         source.note(prim, "has a non-uniform scale: using the largest")
     read = {name: _value(prim, name) for name in ("radius", "height", "size")}
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
@@ -64,16 +64,16 @@ def read_shapes(
     hull = False
     match kind:
         case "Sphere":
-            own, sizes = "sphere", (read["radius"] * size,)
+            kind_name, sizes = "sphere", (read["radius"] * size,)
         case "Capsule":
-            own, sizes = "capsule", (read["radius"] * size, read["height"] * size)
+            kind_name, sizes = "capsule", (read["radius"] * size, read["height"] * size)
         case "Cube":
             sides = [side * source.unit for side in np.abs(scale).tolist()]
-            own, sizes = "box", tuple(side * read["size"] for side in sides)
-        case "Plane" if still:
-            own = "plane"
+            kind_name, sizes = "box", tuple(side * read["size"] for side in sides)
+        case "Plane" if static:
+            kind_name = "plane"
         case "Mesh":
-            own = "mesh"
+            kind_name = "mesh"
             approximation = prim.GetAttribute("physics:approximation").Get()
             hull = str(approximation) == "convexHull"
             points, triangles = _mesh(source, prim, scale)
@@ -83,35 +83,40 @@ def read_shapes(
         case other:
             source.note(prim, f"is a collider of type {other}, which is not supported")
             return
-    if not all(0 < one < LARGEST for one in sizes if own != "capsule" or one):
+    if not all(0 < one < LARGEST for one in sizes if kind_name != "capsule" or one):
         source.note(prim, f"has a size of {list(sizes)} m: skipped")
         return
     lean = so3.between(AXES["Y"], _axis(source, prim)) if kind in LONG else so3.IDENTITY
     pose = np.concatenate([pose[:3], so3.multiply(pose[3:], lean)])
     name = str(prim.GetName())
     yield PhysicsShape(
-        own, sizes, pose, points, triangles, *_material(source, prim), name, hull
+        kind_name, sizes, pose, points, triangles, *_material(source, prim), name, hull
     )
 
 
 def _axis(source: PhysicsStage, prim: Any) -> FloatArray:
-    """Return the axis that a prim names ``(3,)``."""
+    """Return the axis of a prim as a unit vector ``(3,)``."""
     attribute = prim.GetAttribute("axis")
     axis = str(attribute.Get())
     if axis not in AXES:
-        Spot.of(source.path, attribute).fail("SIM051", f"is {axis!r}", "X, Y or Z")
+        PrimLocation.of(source.path, attribute).fail(
+            "SIM051", f"is {axis!r}", "X, Y or Z"
+        )
     return np.asarray(AXES[axis], np.float64)
 
 
 def _mesh(
     source: PhysicsStage, prim: Any, scale: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Return points [m] and triangles of a mesh; none of one that is empty."""
+    """Return points [m] and triangles of a mesh; empty if it has none."""
     reader, time = PointReader(prim), source.cache.GetTime()
     points, (counts, corners) = reader.at(time), reader.faces(time)
     if not len(points) or not len(counts):
         return points, np.zeros((0, 3), np.int64)
-    spot, message = Spot.of(source.path, prim), mesh_fault(points, counts, corners)
+    spot, message = (
+        PrimLocation.of(source.path, prim),
+        mesh_fault(points, counts, corners),
+    )
     if message:
         spot.fail("SIM051", message)
     points = points * scale * source.unit
@@ -147,7 +152,7 @@ MAX_PRIMS = 100_000
 
 
 def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
-    """Return what UsdPhysics says below a prim, in metres and y up.
+    """Return all bodies below a prim, in metres and Y up.
 
     ``frame``: the time code that comes at 0 s; None is the first of the stage. What is
     not read is named in the notices (SIM136).
@@ -161,37 +166,45 @@ def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
         top = stage.GetPseudoRoot() if root == "/" else find_prim(stage, root)
         if not top:
             message = f"has no prim {excerpt(root)}"
-            Spot(str(path)).fail("SIM051", message, nearest_prim(stage, root))
+            PrimLocation(str(path)).fail("SIM051", message, nearest_prim(stage, root))
         start = stage.GetStartTimeCode() if frame is None else frame
         return _read(PhysicsStage(path, stage, start), top)
 
 
 def _read(source: PhysicsStage, root: Any) -> Physics:
     prims = list(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
-    own = [prim for prim in prims if is_body(prim)]
-    if not own:
+    rigid = [prim for prim in prims if is_body(prim)]
+    if not rigid:
         message = f"{excerpt(str(root.GetPath()))} contains no rigid body"
-        Spot(str(source.path)).fail("SIM051", message, "apply PhysicsRigidBodyAPI")
+        PrimLocation(str(source.path)).fail(
+            "SIM051", message, "apply PhysicsRigidBodyAPI"
+        )
     if len(prims) > MAX_PRIMS:
         message = f"there are {len(prims)} prims; the limit is {MAX_PRIMS}"
-        Spot(str(source.path)).fail("SIM051", message, "name a prim further down")
-    names = distinct([str(prim.GetName()) for prim in own])
-    bodies = [_body(source, prim, name) for prim, name in zip(own, names, strict=True)]
+        PrimLocation(str(source.path)).fail(
+            "SIM051", message, "name a prim further down"
+        )
+    names = distinct([str(prim.GetName()) for prim in rigid])
+    bodies = [
+        _body(source, prim, name) for prim, name in zip(rigid, names, strict=True)
+    ]
     kept = [k for k, body in enumerate(bodies) if body.shapes]
-    for k in sorted(set(range(len(own))) - set(kept)):
-        source.note(own[k], "has no supported shape: skipped")
+    for k in sorted(set(range(len(rigid))) - set(kept)):
+        source.note(rigid[k], "has no supported shape: skipped")
     if not kept:
-        message = f"{counted(len(own), 'rigid body', 'rigid bodies')}, but no shape is "
+        message = (
+            f"{counted(len(rigid), 'rigid body', 'rigid bodies')}, but no shape is "
+        )
         message += f"read: {source.notices[0].message}"
         hint = "supported shapes are spheres, capsules, cubes and meshes"
-        Spot.of(source.path, root).fail("SIM051", message, hint)
-    places = {str(own[k].GetPath()): number for number, k in enumerate(kept)}
+        PrimLocation.of(source.path, root).fail("SIM051", message, hint)
+    body_index = {str(rigid[k].GetPath()): number for number, k in enumerate(kept)}
     moved = [not bodies[k].kinematic for k in kept]
     joints = [
         joint
         for prim in prims
         if prim.IsA(UsdPhysics.Joint)
-        and (joint := read_joint(source, prim, places, moved)) is not None
+        and (joint := read_joint(source, prim, body_index, moved)) is not None
     ]
     for prim in prims:
         if prim.IsA(UsdPhysics.CollisionGroup):
@@ -202,7 +215,7 @@ def _read(source: PhysicsStage, root: Any) -> Physics:
         shape
         for prim in prims
         if collides(prim) and not any(map(is_body, upwards(prim)))
-        for shape in read_shapes(source, prim, np.eye(4), still=True)
+        for shape in read_shapes(source, prim, np.eye(4), static=True)
     ]
     return Physics(
         [bodies[k] for k in kept], joints, colliders, source.gravity(), source.notices
@@ -218,14 +231,14 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
         shape
         for part in _parts(prim)
         if collides(part)
-        for shape in read_shapes(source, part, matrix, still=False)
+        for shape in read_shapes(source, part, matrix, static=False)
     ]
     above = source.cache.GetParentToWorldTransform(prim)
     outer = source.pose(np.array(above, np.float64))[0][3:]
-    outer = so3.multiply(source.turn, outer)
+    outer = so3.multiply(source.up_rotation, outer)
     velocity, spin = (
-        np.zeros(3) if given is None else so3.rotate(outer, given)
-        for given in (
+        np.zeros(3) if vector is None else so3.rotate(outer, vector)
+        for vector in (
             source.numbers(rigid.GetVelocityAttr(), 3),
             source.numbers(rigid.GetAngularVelocityAttr(), 3),
         )
@@ -248,7 +261,7 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
 
 
 def _parts(body: Any) -> Iterator[Any]:
-    """Yield a body and what is below it, without other bodies."""
+    """Yield a body and its descendants, except other bodies."""
     parts = iter(Usd.PrimRange(body, Usd.TraverseInstanceProxies()))
     for prim in parts:
         if prim != body and is_body(prim):
@@ -258,7 +271,7 @@ def _parts(body: Any) -> Iterator[Any]:
 
 
 def _moves(source: PhysicsStage, prim: Any) -> tuple[FloatArray, FloatArray | None]:
-    """Return times [s] and poses of a kinematic body; none of one that stays."""
+    """Return times [s] and poses of a kinematic body; none if it is static."""
     codes = placing_times(prim)
     if len(codes) < 2:
         return np.zeros(1), None
@@ -266,7 +279,7 @@ def _moves(source: PhysicsStage, prim: Any) -> tuple[FloatArray, FloatArray | No
     if not max(abs(ordered[0]), abs(ordered[-1])) <= LARGEST:
         message = f"moves from time code {ordered[0]:g} to {ordered[-1]:g}"
         hint = f"the limit is {LARGEST:g}"
-        Spot.of(source.path, prim).fail("SIM051", message, hint)
+        PrimLocation.of(source.path, prim).fail("SIM051", message, hint)
     for code in ordered:
         source.cache.SetTime(Usd.TimeCode(code))
         rows.append(source.up(source.pose(source.matrix(prim))[0]))
@@ -276,7 +289,7 @@ def _moves(source: PhysicsStage, prim: Any) -> tuple[FloatArray, FloatArray | No
 
 
 def _mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:
-    """Return what a body weighs; what is 0 or not given is left to its shapes."""
+    """Return the authored mass properties; the others follow from the shapes."""
     api = UsdPhysics.MassAPI(prim)
     values: dict[str, Any] = {}
     if not prim.HasAPI(UsdPhysics.MassAPI):
@@ -288,16 +301,16 @@ def _mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:
     if mass:
         values["mass"] = mass * source.kilograms
     centre = api.GetCenterOfMassAttr()
-    # By the schema, what is -inf is not given.
-    given = np.array(centre.Get())
-    own = None
-    if given.dtype.kind != "f" or not np.isneginf(given).all():
-        own = source.numbers(centre, 3)
-    if own is not None:
-        values["centre"] = own * scale * source.unit
-    moments = source.numbers(api.GetDiagonalInertiaAttr(), 3, 0.0)
-    if moments is not None and moments.any():
-        values["moments"] = moments * source.kilograms * source.unit**2
+    # In the schema, -inf means not authored.
+    centre_value = np.array(centre.Get())
+    centre_local = None
+    if centre_value.dtype.kind != "f" or not np.isneginf(centre_value).all():
+        centre_local = source.numbers(centre, 3)
+    if centre_local is not None:
+        values["centre"] = centre_local * scale * source.unit
+    inertia = source.numbers(api.GetDiagonalInertiaAttr(), 3, 0.0)
+    if inertia is not None and inertia.any():
+        values["inertia"] = inertia * source.kilograms * source.unit**2
         axes = source.numbers(api.GetPrincipalAxesAttr(), 4)
         if axes is not None and axes.any():
             values["axes"] = so3.normalize(axes)

@@ -1,4 +1,4 @@
-"""Bodies, joints and colliders as UsdPhysics has them, written beside their Xforms."""
+"""Writes bodies, joints and colliders as UsdPhysics on existing Xforms."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from animtool.usd.rigs.layer import author_ball
 from animtool.usd.rigs.meshes import author_mesh
 
 _TYPES = Sdf.ValueTypeNames
-PHYSICS = "Physics"  # the scope of what is no body
+PHYSICS = "Physics"  # scope of everything except bodies
 _JOINTS = {
     "fixed": "PhysicsFixedJoint",
     "pin": "PhysicsRevoluteJoint",
@@ -46,14 +46,14 @@ _GEOMETRY = {"sphere": "Sphere", "capsule": "Capsule", "box": "Cube", "plane": "
 
 
 class PhysicsWriter:
-    """Writes what bodies are below a prim that has an Xform for each.
+    """Writer of physics for bodies that have an Xform each.
 
     Args:
         spec: The prim.
         parts: Names of the Xforms.
-        physics: What they are.
+        physics: Their bodies and joints.
         unit: Of the layer [m].
-        turn: How the prim stands in the layer ``(4,)``.
+        up_rotation: From Y up to the layer's up axis ``(4,)``.
     """
 
     def __init__(
@@ -62,14 +62,14 @@ class PhysicsWriter:
         parts: Sequence[str],
         physics: Physics,
         unit: float,
-        turn: FloatArray,
+        up_rotation: FloatArray,
     ) -> None:
         self._layer, self._top, self._unit = spec.layer, str(spec.path), unit
-        self._parts, self._physics, self._turn = parts, physics, turn
+        self._parts, self._physics, self._up_rotation = parts, physics, up_rotation
         self._materials: dict[tuple[float, float], str] = {}
 
     def write(self) -> None:
-        """Write all of it."""
+        """Write scene, bodies, joints and materials."""
         physics, scope = self._physics, f"{self._top}/{PHYSICS}"
         self._layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
         prim(self._layer, scope, "Scope")
@@ -84,7 +84,7 @@ class PhysicsWriter:
     def _below(
         self, kind: str, several: Sequence[NamedT]
     ) -> Iterator[tuple[str, NamedT]]:
-        """Yield paths in a scope of their own, and what comes there."""
+        """Yield prim paths in a separate scope, with their entries."""
         scope = f"{self._top}/{PHYSICS}/{kind}s"
         if several:
             prim(self._layer, scope, "Scope")
@@ -95,8 +95,8 @@ class PhysicsWriter:
     def _scene(self, path: str) -> None:
         spec = prim(self._layer, path, "PhysicsScene")
         size = float(np.linalg.norm(self._physics.gravity))
-        way = so3.rotate(self._turn, self._physics.gravity / (size or 1.0))
-        value = Gf.Vec3f(*way.tolist())
+        direction = so3.rotate(self._up_rotation, self._physics.gravity / (size or 1.0))
+        value = Gf.Vec3f(*direction.tolist())
         attribute(spec, "physics:gravityDirection", _TYPES.Vector3f, value)
         self._number(spec, "physics:gravityMagnitude", size / self._unit)
 
@@ -104,7 +104,9 @@ class PhysicsWriter:
     def _number(spec: Any, name: str, value: float) -> None:
         attribute(spec, name, _TYPES.Float, value)
 
-    def _place(self, spec: Any, name: str, metres: FloatArray, kind: Any) -> None:
+    def _author_vector(
+        self, spec: Any, name: str, metres: FloatArray, kind: Any
+    ) -> None:
         value = Gf.Vec3f(*(metres / self._unit).tolist())
         attribute(spec, name, kind, value)
 
@@ -115,22 +117,24 @@ class PhysicsWriter:
         attribute(spec, "physics:kinematicEnabled", _TYPES.Bool, body.kinematic)
         if not body.kinematic:
             velocity, spin = "physics:velocity", "physics:angularVelocity"
-            self._place(spec, velocity, body.velocity, _TYPES.Vector3f)
+            self._author_vector(spec, velocity, body.velocity, _TYPES.Vector3f)
             turning = Gf.Vec3f(*np.degrees(body.spin).tolist())
             attribute(spec, spin, _TYPES.Vector3f, turning)
         if body.mass is not None:
             self._number(spec, "physics:mass", body.mass)
         if body.centre is not None:
-            self._place(spec, "physics:centerOfMass", body.centre, _TYPES.Point3f)
-        if body.moments is not None:
-            moments = Gf.Vec3f(*(body.moments / self._unit**2).tolist())
-            attribute(spec, "physics:diagonalInertia", _TYPES.Float3, moments)
+            self._author_vector(
+                spec, "physics:centerOfMass", body.centre, _TYPES.Point3f
+            )
+        if body.inertia is not None:
+            inertia = Gf.Vec3f(*(body.inertia / self._unit**2).tolist())
+            attribute(spec, "physics:diagonalInertia", _TYPES.Float3, inertia)
             attribute(spec, "physics:principalAxes", _TYPES.Quatf, quatf(body.axes))
         for k, shape in enumerate(body.shapes):
             self._shape(f"{path}/shape_{k + 1}", shape, "convexHull")
 
     def _shape(self, path: str, shape: PhysicsShape, approximation: str) -> None:
-        """Write a shape that nothing shows: `purpose` is guide."""
+        """Write an invisible collision shape: `purpose` is guide."""
         mesh = shape.kind == "mesh"
         spec = prim(self._layer, path, "Mesh" if mesh else _GEOMETRY[shape.kind])
         schemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"]
@@ -176,7 +180,7 @@ class PhysicsWriter:
         attribute(spec, name, token, approximation, uniform=True)
 
     def _material(self, friction: float, restitution: float) -> str:
-        """Return the path of a material, which is written once."""
+        """Return the path of a material, written on first use."""
         key = friction, restitution
         if key not in self._materials:
             scope = f"{self._top}/{PHYSICS}/Materials"
@@ -197,7 +201,7 @@ class PhysicsWriter:
         for k, (i, frame) in enumerate(zip(joint.bodies, joint.frames, strict=True)):
             body = self._top if i < 0 else f"{self._top}/{self._parts[i]}"
             relationship(spec, f"physics:body{k}", body)
-            self._place(spec, f"physics:localPos{k}", frame[:3], _TYPES.Point3f)
+            self._author_vector(spec, f"physics:localPos{k}", frame[:3], _TYPES.Point3f)
             attribute(spec, f"physics:localRot{k}", _TYPES.Quatf, quatf(frame[3:]))
         for power, name in enumerate(("breakForce", "breakTorque"), start=1):
             if math.isfinite(joint.breaks[power - 1]):
@@ -221,7 +225,7 @@ class PhysicsWriter:
             apply_schemas(spec, schemas)
 
     def _drive(self, spec: Any, kind: str, drive: JointDrive) -> list[str]:
-        """Write a drive; return the schemas that it needs."""
+        """Write a drive; return the schemas to apply."""
         if kind == "prismatic":
             axes, scale, gain = {"linear": drive.target}, 1 / self._unit, 1.0
             force = 1 / self._unit
@@ -230,8 +234,8 @@ class PhysicsWriter:
             scale, gain = math.degrees(1.0), force * math.radians(1.0)
             axes = {"angular": drive.target}
             if kind == "ball":
-                turn = so3.log(drive.turn).tolist()
-                axes = dict(zip(("rotX", "rotY", "rotZ"), turn, strict=True))
+                rotation = so3.log(drive.rotation).tolist()
+                axes = dict(zip(("rotX", "rotY", "rotZ"), rotation, strict=True))
         for axis, target in axes.items():
             name = f"drive:{axis}:physics"
             attribute(spec, f"{name}:type", _TYPES.Token, "force", uniform=True)

@@ -1,1 +1,1 @@
-"""Prims that move as a whole: props, cameras, bodies and characters."""
+"""Prims that move rigidly: props, cameras, bodies and crowd characters."""

@@ -1,4 +1,4 @@
-"""Characters of a crowd: instances of rigs, each with an animation or a part in one.
+"""Crowd characters: instances of rigs with separate or shared animations.
 
 Samples that interpolation finds all the same are left out. The hips' own motion is in
 the prim of the character, so that its animation has rotations alone.
@@ -35,7 +35,7 @@ from animtool.usd.layers.sdf import (
 from animtool.usd.props.sparse import (
     NEAR,
     NEAR_STANDING,
-    Chain,
+    RotationChain,
     kept_samples,
     slerped,
     turning,
@@ -45,7 +45,7 @@ from animtool.usd.rigs.skeleton import author_rig
 
 _TYPES = Sdf.ValueTypeNames
 PROTOTYPES, STANDING = "Prototypes", "Standing"
-# A place that neighbours have too is left out [m], and so is a heading [rad].
+# Samples equal to both neighbors within this are dropped: position [m], heading [rad].
 SAME_POSITION, SAME_HEADING = 1e-6, 1e-6
 # Skin goes beyond joints by a part of how far these reach.
 BEYOND = 1.2
@@ -53,7 +53,7 @@ BEYOND = 1.2
 
 @dataclass
 class Characters:
-    """Takes the frames of characters, and writes them at the end.
+    """Collects the frames of crowd characters, and writes them at the end.
 
     Attributes:
         path: Of the prim above them.
@@ -68,10 +68,10 @@ class Characters:
     codes: list[float] = field(default_factory=list)
     _first: CharactersFrame | None = None
     _rows: dict[str, list[npt.NDArray[Any]]] = field(default_factory=dict)
-    _turns: list[list[Float32Array]] = field(default_factory=list)
+    _rotations: list[list[Float32Array]] = field(default_factory=list)
 
     def begin(self, layer: Any, frame: CharactersFrame) -> None:
-        """Write the prim above them, and the rigs, which nothing shows."""
+        """Write the parent prim, and the rigs as invisible prototypes."""
         self._first = frame
         prim(layer, self.path, "Xform")
         for cast, paths in zip(frame.casts, self._rigs(frame), strict=True):
@@ -81,17 +81,19 @@ class Characters:
         above.ClearInfo("kind")
 
     def _rigs(self, frame: CharactersFrame) -> list[RigPaths]:
-        """Return where the rigs are."""
+        """Return the paths of the rigs."""
         names = [cast.rig.name for cast in frame.casts]
         legal = distinct_names(names, names, names).names
         return [RigPaths.below(f"{self.path}/{PROTOTYPES}/{name}") for name in legal]
 
     def add(self, code: float, frame: CharactersFrame) -> None:
-        """Take a frame."""
+        """Add a frame."""
         self.codes.append(code)
         for name in ("points", "headings", "roots", "near", "clocks", "visible"):
             self._rows.setdefault(name, []).append(getattr(frame, name))
-        self._turns.append([turns.astype(np.float32) for turns in frame.turns])
+        self._rotations.append(
+            [rotations.astype(np.float32) for rotations in frame.rotations]
+        )
 
     def finish(self, layer: Any) -> None:
         """Write the characters."""
@@ -106,10 +108,10 @@ class Characters:
                 name: np.stack([one[rows] for one in each])
                 for name, each in self._rows.items()
             }
-            turns = np.stack([one[c] for one in self._turns])
-            track = _Track(
+            rotations = np.stack([one[c] for one in self._rotations])
+            track = _CharacterTrack(
                 np.array(self.codes),
-                _continuous(turns),
+                _continuous(rotations),
                 frame.scales[rows],
                 cast,
                 **parts,
@@ -120,7 +122,7 @@ class Characters:
 
 
 def _author_cast(layer: Any, cast: Cast, paths: RigPaths, unit: float) -> None:
-    """Write a rig, and what characters do who but stand."""
+    """Write a rig, and the animation that standing characters share."""
     rig = cast.rig
     names = joint_names(rig.joints, 0)
     author_rig(layer, rig, names, paths, unit)
@@ -135,11 +137,11 @@ def _author_cast(layer: Any, cast: Cast, paths: RigPaths, unit: float) -> None:
 
 
 @dataclass(frozen=True)
-class _Track:
+class _CharacterTrack:
     """n characters of one rig over F frames."""
 
     codes: FloatArray  # (F,)
-    turns: Float32Array  # (F, n, M, 4)
+    rotations: Float32Array  # (F, n, M, 4)
     scales: FloatArray  # (n,)
     cast: Cast
     points: FloatArray  # (F, n, 3) [m]
@@ -151,55 +153,55 @@ class _Track:
 
     @cached_property
     def size(self) -> float:
-        """Return how far the joints of the rig reach [m]."""
+        """Return the reach of the rig's joints [m]."""
         return float(np.ptp(self.rest, axis=0).max())
 
     @cached_property
     def rest(self) -> FloatArray:
-        """Return where joints are at rest ``(J, 3)`` [m]."""
+        """Return the rest positions of the joints ``(J, 3)`` [m]."""
         return np.asarray(rest_world(self.cast.rig).positions[0])
 
     @cached_property
     def arms(self) -> FloatArray:
-        """Return how far joints below each that moves are from it ``(M,)`` [m]."""
+        """Return each moving joint's reach to its farthest descendant ``(M,)`` [m]."""
         parents = self.cast.rig.parents.tolist()
         far = np.zeros(len(parents))
         for j in range(len(parents)):
             above = parents[j]
             while above >= 0:
-                way = np.linalg.norm(self.rest[j] - self.rest[above])
-                far[above] = max(far[above], float(way))
+                length = np.linalg.norm(self.rest[j] - self.rest[above])
+                far[above] = max(far[above], float(length))
                 above = parents[above]
         return np.asarray(far[self.cast.moves])
 
     @cached_property
     def shown(self) -> IntArray:
-        """Return joints that show what a pose is: those that move, and feet."""
+        """Return the joints that define a pose: moving joints and feet."""
         cast = self.cast
         return np.union1d(cast.moves, np.array(cast.feet))
 
     @cached_property
-    def chain(self) -> Chain:
-        """Return the joints that show what a pose is, those between at rest."""
+    def chain(self) -> RotationChain:
+        """Return those joints as a chain, with static joints between them at rest."""
         rig, shown = self.cast.rig, self.shown.tolist()
         numbers = {joint: m for m, joint in enumerate(self.cast.moves.tolist())}
-        parents, places, turns = [], [], []
+        parents, positions, rotations = [], [], []
         for joint in shown:
-            place, turn = rig.rest_translations[joint], so3.IDENTITY
+            position, rotation = rig.rest_translations[joint], so3.IDENTITY
             above = int(rig.parents[joint])
             while above >= 0 and above not in shown:
-                own = rig.rest_rotations[above]
-                place = rig.rest_translations[above] + so3.rotate(own, place)
-                turn = so3.multiply(own, turn)
+                rest = rig.rest_rotations[above]
+                position = rig.rest_translations[above] + so3.rotate(rest, position)
+                rotation = so3.multiply(rest, rotation)
                 above = int(rig.parents[above])
             parents.append(shown.index(above) if above >= 0 else -1)
-            places.append(place)
-            turns.append(turn)
-        return Chain(
+            positions.append(position)
+            rotations.append(rotation)
+        return RotationChain(
             np.array(parents),
             np.array([numbers.get(joint, -1) for joint in shown]),
-            np.array(places),
-            np.array(turns),
+            np.array(positions),
+            np.array(rotations),
             rig.rest_rotations[self.shown],
             np.searchsorted(self.shown, self.cast.feet),
             self.size,
@@ -214,10 +216,10 @@ class _Group:
     layer: Any
     paths: RigPaths
     upright: FloatArray
-    track: _Track
+    track: _CharacterTrack
 
     def write(self, names: Sequence[str]) -> None:
-        """Write all of them, by name."""
+        """Write all characters, by name."""
         track, report = self.track, self.owner.report
         size = track.size * float(track.scales.max(initial=0.0))
         report.error = max(report.error, NEAR * size)
@@ -227,21 +229,21 @@ class _Group:
             path = f"{self.owner.path}/{name}"
             if shared[i]:
                 report.shared += 1
-                self._place(path, i, None)
-                self._share(path, i)
+                self._author_root(path, i, None)
+                self._use_shared(path, i)
                 continue
-            turns = track.turns[:, i].copy()
-            moves = turning(turns, track.arms, track.size)
-            turns[:, ~moves] = turns[:1, ~moves]
-            kept, moved = kept_samples(turns, track.chain, track.near[:, i])
+            rotations = track.rotations[:, i].copy()
+            moves = turning(rotations, track.arms, track.size)
+            rotations[:, ~moves] = rotations[:1, ~moves]
+            kept, moved = kept_samples(rotations, track.chain, track.near[:, i])
             report.own += 1
             report.samples += int(kept.sum())
             report.frames += len(track.codes)
-            self._place(path, i, moved)
-            self._animate(path, turns, moves, kept)
+            self._author_root(path, i, moved)
+            self._animate(path, rotations, moves, kept)
 
     def bound(self) -> None:
-        """Write bounds of the rig that hold whatever a character does.
+        """Author bounds of the rig that contain every pose.
 
         What is on a joint is no farther from the hips than when the rig lies stretched.
         """
@@ -256,45 +258,45 @@ class _Group:
         attribute(root, "extent", _TYPES.Float3Array, box)
 
     def _sharing(self) -> BoolArray:
-        """Return who does but stand all the time, as others do ``(n,)``."""
+        """Return which characters only stand and can share an animation ``(n,)``."""
         track = self.track
-        still = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
-        still &= np.ptp(track.points, axis=0).max(axis=-1) <= SAME_POSITION
-        still &= np.ptp(track.headings, axis=0) <= SAME_HEADING
+        static = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
+        static &= np.ptp(track.points, axis=0).max(axis=-1) <= SAME_POSITION
+        static &= np.ptp(track.headings, axis=0) <= SAME_HEADING
         # On uneven ground legs differ.
         cast = track.cast
-        for i in np.flatnonzero(still).tolist():
-            (at,) = _standing(cast, cast.turns, track.clocks[:1, i])
-            near = np.abs((at * track.turns[0, i]).sum(axis=-1)) > 1 - 1e-6
-            still[i] = bool(near.all())
-        return np.asarray(still & (still.sum() > 1))
+        for i in np.flatnonzero(static).tolist():
+            (at,) = _standing_values(cast, cast.rotations, track.clocks[:1, i])
+            near = np.abs((at * track.rotations[0, i]).sum(axis=-1)) > 1 - 1e-6
+            static[i] = bool(near.all())
+        return np.asarray(static & (static.sum() > 1))
 
-    def _place(self, path: str, i: int, put_right: FloatArray | None) -> None:
-        """Write where a character is, and its rig.
+    def _author_root(self, path: str, i: int, put_right: FloatArray | None) -> None:
+        """Write the root transform of a character, and its rig reference.
 
         ``put_right``: how far its hips are moved; None where its animation has them.
         """
         track, unit = self.track, self.owner.unit
         spec = prim(self.layer, path, "Xform")
         spec.SetInfo("kind", "component")
-        own = np.zeros((len(track.codes), 3))
+        motion = np.zeros((len(track.codes), 3))
         if put_right is not None:
             rest = track.cast.rig.rest_translations[0]
-            own = track.roots[:, i] - rest + put_right
+            motion = track.roots[:, i] - rest + put_right
         half = track.headings[:, i] / 2
         turned = np.zeros((len(half), 4))
         turned[:, 1], turned[:, 3] = np.sin(half), np.cos(half)
-        off = so3.rotate(self.upright, so3.rotate(turned, own * track.scales[i]))
-        places = ((track.points[:, i] + off) / unit).astype(np.float32)
+        off = so3.rotate(self.upright, so3.rotate(turned, motion * track.scales[i]))
+        positions = ((track.points[:, i] + off) / unit).astype(np.float32)
         order = ["xformOp:translate"]
         translate = attribute(spec, "xformOp:translate", _TYPES.Float3)
-        rows = _changing(places, SAME_POSITION / unit)
+        rows = _changing(positions, SAME_POSITION / unit)
         put_samples(
             self.layer,
             translate,
             track.codes,
             rows,
-            [Gf.Vec3f(*one) for one in places[rows].tolist()],
+            [Gf.Vec3f(*one) for one in positions[rows].tolist()],
         )
         if (self.upright != so3.IDENTITY).any():
             attribute(spec, "xformOp:orient", _TYPES.Quatf, quatf(self.upright))
@@ -309,11 +311,13 @@ class _Group:
             attribute(spec, "xformOp:scale", _TYPES.Float3, size)
             order.append("xformOp:scale")
         author_order(spec, *order)
-        seen = track.visible[:, i]
-        if not seen.all():
+        visible = track.visible[:, i]
+        if not visible.all():
             translate = attribute(spec, "visibility", _TYPES.Token)
-            rows = np.flatnonzero(np.diff(seen, prepend=~seen[:1]))
-            words = ["inherited" if one else "invisible" for one in seen[rows].tolist()]
+            rows = np.flatnonzero(np.diff(visible, prepend=~visible[:1]))
+            words = [
+                "inherited" if one else "invisible" for one in visible[rows].tolist()
+            ]
             put_samples(self.layer, translate, track.codes, rows, words)
         rig = prim(self.layer, f"{path}/Rig", "SkelRoot")
         rig.SetInfo("instanceable", True)
@@ -322,26 +326,26 @@ class _Group:
         relationship(rig, "skel:animationSource", f"{path}/Anim")
 
     def _animate(
-        self, path: str, turns: Float32Array, moves: BoolArray, kept: BoolArray
+        self, path: str, poses: Float32Array, moves: BoolArray, kept: BoolArray
     ) -> None:
-        """Write an animation of a character's own, of poses ``(F, M, 4)``.
+        """Write a separate animation of poses ``(F, M, 4)`` for a character.
 
         Joints that do not move are in a pose that never changes, if they are not at
         rest.
         """
         rest = self.track.cast.rig.rest_rotations[self.track.cast.moves]
-        moves = moves | ((turns[0] * rest).sum(axis=-1) ** 2 < 1 - 1e-9)
+        moves = moves | ((poses[0] * rest).sum(axis=-1) ** 2 < 1 - 1e-9)
         spec = self._animation(f"{path}/Anim", np.flatnonzero(moves))
         rows = np.flatnonzero(kept)
         rotations = spec.attributes["rotations"]
         arrays = [
             Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one))
-            for one in turns[rows][:, moves]
+            for one in poses[rows][:, moves]
         ]
         put_samples(self.layer, rotations, self.track.codes, rows, arrays)
 
     def _animation(self, path: str, which: IntArray) -> Any:
-        """Return a new animation of some joints that stay where they are at rest."""
+        """Return a new animation of joints that keep their rest translations."""
         cast, unit = self.track.cast, self.owner.unit
         joints = cast.moves[which]
         spec = prim(self.layer, path, "SkelAnimation")
@@ -350,19 +354,19 @@ class _Group:
         moving = Vt.TokenArray([tokens[j] for j in joints.tolist()])
         attribute(spec, "joints", _TYPES.TokenArray, moving, uniform=True)
         rest = (cast.rig.rest_translations[joints] / unit).astype(np.float32)
-        places = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rest))
-        attribute(spec, "translations", _TYPES.Float3Array, places)
+        translations = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rest))
+        attribute(spec, "translations", _TYPES.Float3Array, translations)
         attribute(spec, "rotations", _TYPES.QuatfArray)
         ones = Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * len(joints))
         attribute(spec, "scales", _TYPES.Half3Array, ones)
         return spec
 
-    def _share(self, path: str, i: int) -> None:
-        """Write that a character has a part in the animation of those who stand."""
+    def _use_shared(self, path: str, i: int) -> None:
+        """Bind a character to the shared standing animation, with a time offset."""
         track, fps = self.track, self.owner.fps
         above = f"{self.paths.model}/{STANDING}"
         if self.layer.GetPrimAtPath(above) is None:
-            self._stand(above)
+            self._write_shared(above)
         clock = float(track.clocks[0, i]) % max(track.cast.period, 1e-9)
         offset = float(track.codes[0]) - clock * fps
         spec = prim(self.layer, f"{path}/Anim", "SkelAnimation")
@@ -370,21 +374,27 @@ class _Group:
             Sdf.Reference("", above, Sdf.LayerOffset(offset))
         ]
 
-    def _stand(self, path: str) -> None:
-        """Write what those do who stand, from 0 s on, for as long as any could."""
+    def _write_shared(self, path: str) -> None:
+        """Write the shared standing animation from 0 s, as long as any needs it."""
         cast, fps, codes = self.track.cast, self.owner.fps, self.track.codes
         spec = self._animation(path, np.arange(len(cast.moves)))
         spec.SetInfo("customData", {"animtool": {"thinned": True, "shared": True}})
-        # Whoever stands is at most a period ahead of the first frame.
-        last = codes[-1] - codes[0] + cast.period * fps if len(cast.turns) > 1 else 0.0
+        # Standing characters start at most one period before the first frame.
+        last = (
+            codes[-1] - codes[0] + cast.period * fps if len(cast.rotations) > 1 else 0.0
+        )
         rows = np.arange(int(np.ceil(last)) + 1)
         clocks = rows / fps
-        turns = _continuous(_standing(cast, cast.turns, clocks).astype(np.float32))
-        arrays = [Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one)) for one in turns]
+        rotations = _continuous(
+            _standing_values(cast, cast.rotations, clocks).astype(np.float32)
+        )
+        arrays = [
+            Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one)) for one in rotations
+        ]
         codes = rows.astype(np.float64)
         put_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)
         moved = np.repeat(cast.rig.rest_translations[None, cast.moves], len(rows), 0)
-        moved[:, cast.moves == 0] = _standing(cast, cast.roots, clocks)[:, None]
+        moved[:, cast.moves == 0] = _standing_values(cast, cast.roots, clocks)[:, None]
         arrays = [
             Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(one))
             for one in (moved / self.owner.unit).astype(np.float32)
@@ -392,30 +402,30 @@ class _Group:
         put_samples(self.layer, spec.attributes["translations"], codes, rows, arrays)
 
 
-def _standing(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
-    """Return turns or places of who has stood for times ``(K,)`` [s]."""
+def _standing_values(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
+    """Return standing rotations or positions at clock times ``(K,)`` [s]."""
     count = len(table)
     at = clocks / (cast.period or 1.0) * count
     low = np.floor(at).astype(np.int64)
-    share = at - low
+    fraction = at - low
     first, last = table[low % count], table[(low + 1) % count]
     if table.ndim == 2:
-        return np.asarray(first + share[:, None] * (last - first))
+        return np.asarray(first + fraction[:, None] * (last - first))
     last = np.where((first * last).sum(axis=-1, keepdims=True) < 0, -last, last)
-    return slerped(first, last, share[:, None])
+    return slerped(first, last, fraction[:, None])
 
 
-def _continuous(turns: Float32Array) -> Float32Array:
-    """Return turns ``(F, …, 4)`` whose signs go on from frame to frame."""
-    products = (turns[1:] * turns[:-1]).sum(axis=-1)
+def _continuous(rotations: Float32Array) -> Float32Array:
+    """Return rotations ``(F, …, 4)`` with signs continuous over frames."""
+    products = (rotations[1:] * rotations[:-1]).sum(axis=-1)
     signs = np.cumprod(np.where(products < 0, -1, 1), axis=0).astype(np.float32)
-    continuous = turns.copy()
+    continuous = rotations.copy()
     continuous[1:] *= signs[..., None]
     return continuous
 
 
 def _changing(values: Float32Array, same: float) -> IntArray:
-    """Return frames of values ``(F, K)`` but those between two of the same value."""
+    """Return the frames of values ``(F, K)`` without those between equal neighbors."""
     steps = (np.abs(np.diff(values, axis=0)) > same).any(axis=1)
     if not steps.any():
         return np.zeros(1, np.int64)

@@ -1,4 +1,4 @@
-"""Where props are written: below a character in its space, or in a stage's world."""
+"""Where props are written: in a character's space, or in the stage's world."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PropPlacements:
-    """Where things are to be written."""
+    """Prim paths and spaces of the props of a take."""
 
     model: str  # the prim of the character
     meters_per_unit: float  # unit of the rig [m]
@@ -35,13 +35,13 @@ class PropPlacements:
     variant: str = ""  # the model in the variant of a take; empty where there is none
 
     def unit(self, path: str) -> float:
-        """Return the length unit of what is at a path [m]."""
+        """Return the length unit at a prim path [m]."""
         if self.target is None or within(path, self.model):
             return self.meters_per_unit
         return self.target.unit
 
     def spec(self, path: str) -> str:
-        """Return where a layer has a prim of the stage."""
+        """Return the layer path of a stage prim."""
         if not self.variant:
             return path
         return str(Sdf.Path(path).ReplacePrefix(self.model, self.variant))
@@ -49,7 +49,7 @@ class PropPlacements:
     def located(
         self, track: Track, path: str, codes: FloatArray, known: Transforms
     ) -> Transforms:
-        """Return a track at time codes ``(F,)``, in the space of the prim above it."""
+        """Return a track at time codes ``(F,)``, in the space of its parent prim."""
         if self.target is None or not track.placed:
             return known
         if within(path, self.model):
@@ -59,9 +59,9 @@ class PropPlacements:
         else:
             if track.along:
                 known = self._with_rig(known, codes)
-            turn = up_from_up(self.target.up, self.up)
-            if turn is not None:
-                known = placed(known, Placement.from_rotation(np.array(turn)))
+            up_rotation = up_from_up(self.target.up, self.up)
+            if up_rotation is not None:
+                known = placed(known, Placement.from_rotation(np.array(up_rotation)))
             above = space_above(self.target, path, codes, inside=False)
         if above is not None:
             above[:, :3, 3] *= self.unit(path)
@@ -69,13 +69,15 @@ class PropPlacements:
         return replace(known, rotations=so3.align_signs(known.rotations))
 
     def _with_rig(self, known: Transforms, codes: FloatArray) -> Transforms:
-        """Return what goes along with a take, where the rig's stage has that."""
+        """Return transforms of a take moved with the rig's stage placement."""
         assert self.target is not None
-        own = self.target.placement()
-        if own.uneven:
-            # It is read without such a transform, and the rig has it again.
+        rig_placement = self.target.placement()
+        if rig_placement.uneven:
+            # It is read without such a transform, which the rig applies again.
             return known
-        fixed = (self.target.placement(codes) if own.rides else own).fixed
+        fixed = (
+            self.target.placement(codes) if rig_placement.rides else rig_placement
+        ).fixed
         if self.to_rig is not None:
             fixed = fixed.after(self.to_rig(codes))
         return known if fixed.steady().is_none else placed(known, fixed)
@@ -90,9 +92,9 @@ def prop_placements(
     take: str = "",
     to_rig: Callable[[FloatArray], Placement] | None = None,
 ) -> PropPlacements:
-    """Return where a take's tracks go.
+    """Return the placements of a take's tracks.
 
-    rig_layer: another layer that holds the rig; None where there is none;
+    rig_layer: another layer that holds the rig, or None;
     meters_per_unit: unit of the rig [m]; to_rig: see `PropPlacements`.
     """
 
@@ -115,7 +117,7 @@ def prop_placements(
 def space_above(
     target: RigTarget, path: str, codes: FloatArray, *, inside: bool
 ) -> FloatArray | None:
-    """Return the way to the prim above a path of a layer, at time codes ``(F,)``.
+    """Return the inverse world matrices of a layer path's parent at time codes.
 
     From the Skeleton's space, or with ``inside`` off from the world: column vectors in
     the numbers of the stage ``(F, 4, 4)``, one where nothing moves; None is the same.
@@ -128,42 +130,42 @@ def space_above(
     above = Sdf.Path(target.on_stage(path)).GetParentPath()
     while not stage.GetPrimAtPath(above):
         above = above.GetParentPath()
-    way = np.linalg.inv(world_matrices(stage.GetPrimAtPath(above), codes))
+    matrices = np.linalg.inv(world_matrices(stage.GetPrimAtPath(above), codes))
     if inside:
         skeleton = stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
-        way = fixed_matrices(skeleton, codes.tolist()) @ way
-    if np.abs(way - way[:1]).max() <= SAME:
-        way = way[:1]
-    if np.abs(way - np.eye(4)).max() <= SAME:
+        matrices = fixed_matrices(skeleton, codes.tolist()) @ matrices
+    if np.abs(matrices - matrices[:1]).max() <= SAME:
+        matrices = matrices[:1]
+    if np.abs(matrices - np.eye(4)).max() <= SAME:
         return None
-    return np.ascontiguousarray(way.swapaxes(1, 2))
+    return np.ascontiguousarray(matrices.swapaxes(1, 2))
 
 
-def way_inside(
+def matrices_inside(
     target: RigTarget,
     to_rig: Callable[[FloatArray], Placement] | None,
     path: str,
     codes: FloatArray,
 ) -> FloatArray | None:
-    """Return the way from where a take is to the prim above a path of its layer.
+    """Return the matrices from take space to the parent space of a layer path.
 
     Column vectors in the unit of the rig ``(F, 4, 4)``; None is the same.
     """
-    way = space_above(target, path, codes, inside=True)
+    above = space_above(target, path, codes, inside=True)
     if to_rig is None:
-        return way
+        return above
     placement, unit = to_rig(codes), target.skeleton.rig.meters_per_unit
     if placement.is_none:
-        return way
-    own = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
-    own[:, :3, :3] = so3.to_matrix(placement.rotations)
-    own[:, :3, :3] *= placement.sizes[:, None, None]
-    own[:, :3, 3] = placement.translations / unit
-    return own if way is None else way @ own
+        return above
+    local = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
+    local[:, :3, :3] = so3.to_matrix(placement.rotations)
+    local[:, :3, :3] *= placement.sizes[:, None, None]
+    local[:, :3, 3] = placement.translations / unit
+    return local if above is None else above @ local
 
 
 def _below(known: Transforms, matrices: FloatArray) -> Transforms:
-    """Return transforms after matrices, in parts where these only move and scale."""
+    """Return transforms after matrices, as T, R, S if these only move and scale."""
     from animtool.usd.rigs.prims import decompose
 
     translations, rotations, scales = decompose(matrices.swapaxes(1, 2))
@@ -177,5 +179,5 @@ def _below(known: Transforms, matrices: FloatArray) -> Transforms:
 
 
 def within(path: str, above: str) -> bool:
-    """Return whether a path is another, or below it."""
+    """Return whether a path equals another, or is below it."""
     return path == above or path.startswith(f"{above}/")

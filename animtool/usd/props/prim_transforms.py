@@ -1,4 +1,4 @@
-"""Where a prim of a stage is over time, as goals of a rig need it."""
+"""World transforms of a stage prim over time, for goals of a rig."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.units import up_from_up
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.rigs.prims import (
     decompose,
@@ -28,46 +28,45 @@ from animtool.usd.rigs.prims import (
 def open_prim(
     path: Path, prim: str, rig: Rig, space: str | None = None
 ) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
-    """Return a prim's transforms over time, in the world of a rig.
+    """Return a function of a prim's world transforms over time, in rig axes.
 
     Units and up axis of the stage are converted to the rig's; second 0 is time code
     0. Scales of the prim are left out.
 
-    space: path of a prim in whose frame the rig stands, its numbers being the rig's
-    own; None is the world.
+    space: path of a prim whose local space is the rig's; None is the world.
 
     Returns A function from seconds ``(F,)`` to positions ``(F, 3)`` [m] and rotations
     ``(F, 4)``; it raises `FormatError` where a transform is not finite.
     """
     with usd_errors(path):
         stage = open_stage(path)
-        found = _prim(stage, path, prim)
+        usd_prim = _prim(stage, path, prim)
         above = None if space is None else _prim(stage, path, space, "space")
     unit = UsdGeom.GetStageMetersPerUnit(stage)
-    turn = up_from_up(rig.up, up_axis(stage))
+    up_rotation = up_from_up(rig.up, up_axis(stage))
     if above is not None:
-        unit, turn = rig.meters_per_unit, None
+        unit, up_rotation = rig.meters_per_unit, None
 
     def transforms(seconds: FloatArray) -> tuple[FloatArray, FloatArray]:
         # Named here, the stage lives as long as the function, and its prims with it.
         codes = seconds * stage.GetTimeCodesPerSecond()
         with usd_errors(path):
-            matrices = world_matrices(found, codes, above)
+            matrices = world_matrices(usd_prim, codes, above)
         if not np.isfinite(matrices).all():
             message = "its transform is not finite"
-            Spot(str(path), prim).fail("USD171", message)
+            PrimLocation(str(path), prim).fail("USD171", message)
         positions, rotations, _ = decompose(matrices)
         positions = positions * unit
-        if turn is not None:
-            positions = so3.rotate(turn, positions)
-            rotations = so3.multiply(turn, rotations)
+        if up_rotation is not None:
+            positions = so3.rotate(up_rotation, positions)
+            rotations = so3.multiply(up_rotation, rotations)
         return positions, so3.align_signs(rotations)
 
     return transforms
 
 
 def world_matrices(prim: Any, codes: FloatArray, above: Any = None) -> FloatArray:
-    """Return a prim's transforms, relative to another if given ``(F, 4, 4)``."""
+    """Return a prim's matrices ``(F, 4, 4)``, world or relative to another prim."""
     cache = UsdGeom.XformCache()
     matrices = []
     for code in codes.tolist():
@@ -80,7 +79,7 @@ def world_matrices(prim: Any, codes: FloatArray, above: Any = None) -> FloatArra
 
 
 def _prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
-    """Return a prim, or say that there is none, ``where`` it was named."""
+    """Return a prim, or raise an error at ``where`` it is named."""
     prim = find_prim(stage, name)
     if prim:
         return prim

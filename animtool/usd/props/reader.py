@@ -1,4 +1,4 @@
-"""Where a prim of a stage is over time, and its values: props and cameras."""
+"""Reads transforms and attribute values of props and cameras over time."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.transforms import (
     Attribute,
+    PropReference,
     PropRequest,
-    Reference,
     Track,
     Transforms,
 )
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.props.prim_transforms import world_matrices
 from animtool.usd.rigs.prims import (
@@ -38,7 +38,7 @@ from animtool.usd.rigs.prims import (
     upwards,
 )
 
-# What float64 rounds along a hierarchy is a smaller share of a transform than this.
+# Rounding of float64 along a hierarchy is below this fraction of a transform.
 ROUNDED = 1e-11
 # A time this near to a key [time code] is that of the key.
 ON_KEY = 1e-9
@@ -48,7 +48,7 @@ _WIDTHS = {"float": 1, "double": 1, "GfHalf": 1} | {
     f"GfVec{width}{letter}": width for width in (2, 3, 4) for letter in "fdh"
 }
 # What lasts until the next value.
-_HELD = {
+_STEPPED_TYPES = {
     "bool",
     "int",
     "unsigned int",
@@ -78,7 +78,7 @@ _LENGTHS = frozenset(_OF_CAMERAS[:7])
 
 @dataclass(frozen=True, slots=True)
 class PropSource:
-    """A prim of a stage that is open."""
+    """An open stage prim, sampled by time."""
 
     track: Track  # it, over the time codes of its file
     fps: Fraction  # time codes a second
@@ -95,7 +95,7 @@ class PropSource:
 
 
 def open_prop(request: PropRequest, up: UpAxis) -> PropSource:
-    """Open a prim whose transform and values are to be read over time.
+    """Open a prim to read its transform and values over time.
 
     Its place is that in the world of its file: all operations of it and of the prims
     above come together. Units are metres, the up axis is that of the rig.
@@ -153,27 +153,27 @@ def _opened(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSour
 
 
 def _type_name(prim: Any, request: PropRequest) -> str:
-    """Return the type to write: that of a camera or light, else of a mere frame."""
-    own = str(prim.GetTypeName())
-    if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer) or not own:
-        own = "Xform"
+    """Return the prim type to write: camera or light, else Xform."""
+    type_name = str(prim.GetTypeName())
+    if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer) or not type_name:
+        type_name = "Xform"
     if request.reference is not None:
         return "" if request.reference != request.file else str(prim.GetTypeName())
-    return own
+    return type_name
 
 
-def _reference(request: PropRequest, stage: Any) -> Reference | None:
+def _reference(request: PropRequest, stage: Any) -> PropReference | None:
     if request.reference is None:
         return None
     if request.reference == request.file:
         unit = UsdGeom.GetStageMetersPerUnit(stage)
-        return Reference(str(request.file.resolve()), request.prim, unit)
+        return PropReference(str(request.file.resolve()), request.prim, unit)
     other = open_stage(request.reference)
     if not other.GetDefaultPrim():
         message = f"{request.reference.name} has no default prim to reference"
         raise OptionError(Fault("SCN048", message))
     unit = UsdGeom.GetStageMetersPerUnit(other)
-    return Reference(str(request.reference.resolve()), "", unit)
+    return PropReference(str(request.reference.resolve()), "", unit)
 
 
 def _attributes(prim: Any, request: PropRequest) -> list[Any]:
@@ -182,8 +182,12 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
     if prim.IsA(UsdGeom.Camera):
         # What USD takes for lengths that are not stated depends on the unit.
         always = {*_LENS, "clippingRange"}
-        own = [prim.GetAttribute(name) for name in _OF_CAMERAS]
-        attributes = [a for a in own if a.GetName() in always or a.HasAuthoredValue()]
+        camera_attributes = [prim.GetAttribute(name) for name in _OF_CAMERAS]
+        attributes = [
+            a
+            for a in camera_attributes
+            if a.GetName() in always or a.HasAuthoredValue()
+        ]
     for name in request.attributes:
         attribute = prim.GetAttribute(name)
         if attribute and attribute.GetName() in {a.GetName() for a in attributes}:
@@ -200,7 +204,7 @@ def _attributes(prim: Any, request: PropRequest) -> list[Any]:
             hint = f"did you mean {near}?" if near else None
             message = f"{request.prim} has no value of {excerpt(name)}"
             faults.append(Fault("SCN049", message, hint=hint))
-        elif _kind(attribute) not in {*_WIDTHS, *_HELD}:
+        elif _kind(attribute) not in {*_WIDTHS, *_STEPPED_TYPES}:
             message = f"{name} of {request.prim} is a {attribute.GetTypeName()}"
             hint = "numbers, vectors, bools, tokens and strings are copied"
             faults.append(Fault("SCN049", message, hint=hint))
@@ -227,7 +231,7 @@ def _described(attribute: Any) -> Attribute:
 
 
 def _span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
-    """Return the time codes that a prim is for: those of the stage, and its keys."""
+    """Return the time codes of a prim: the stage's range and its keys."""
     ends = keys[[0, -1]].tolist() if len(keys) else []
     if stage.HasAuthoredTimeCodeRange() or not ends:
         ends += [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
@@ -236,27 +240,27 @@ def _span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
 
 @dataclass(slots=True)
 class _Sampler:
-    """Reads a prim at time codes."""
+    """Samples a prim at time codes."""
 
     stage: Any  # open as long as this is, and its prims with it
     prim: Any
     attributes: Sequence[Any]
     described: tuple[Attribute, ...]  # the same, without values
     unit: float  # of the stage [m]
-    # From its up axis to that of the rig; None is none.
-    turn: tuple[float, float, float, float] | None
+    # From its up axis to the rig's; None if equal.
+    up_rotation: tuple[float, float, float, float] | None
     where: str
-    placed: bool  # whether it has a place in the world
+    placed: bool  # whether it has a world transform
     # Time codes at which something is stated, ascending.
     keys: FloatArray = field(default_factory=lambda: np.zeros(0))
     moves: bool = True  # whether anything is another at one time than at another
-    sheared: bool = False  # whether places are matrices
-    shear: float = 0.0  # largest share of a transform that was left out so far
-    # Those of every time, where they are even but for rounding.
+    sheared: bool = False  # whether transforms are written as matrices
+    shear: float = 0.0  # largest relative shear left out so far
+    # The constant scales, if they vary only by rounding.
     scales: FloatArray | None = None
 
     def settle(self) -> None:
-        """Find the keys, and by them what the prim is like."""
+        """Collect the keys, and decide from them what is constant."""
         moving = list(self._moving())
         stated = {time for part in moving for time in part.GetTimeSamples()}
         self.keys = np.array(sorted(stated))
@@ -265,7 +269,7 @@ class _Sampler:
             codes = np.array([self.stage.GetStartTimeCode()])
         self.sheared = self.placed and _split(self._matrices(codes))[3] > ROUNDED
         transforms = self.at(codes)
-        # Values that are functions of time, such as splines, have no samples.
+        # Values such as splines are functions of time without samples.
         self.moves = any(not part.GetTimeSamples() for part in moving) or any(
             bool((values != values[:1]).any())
             for values in (transforms.matrix(), *transforms.values)
@@ -276,49 +280,51 @@ class _Sampler:
         )
 
     def _moving(self) -> Iterator[Any]:
-        """Yield attributes and places that may change over time."""
+        """Yield attributes and xformables that may change over time."""
         for attribute in self.attributes:
             if attribute.ValueMightBeTimeVarying():
                 yield attribute
         for prim in upwards(self.prim) if self.placed else ():
-            place = UsdGeom.Xformable(prim)
-            if place and place.TransformMightBeTimeVarying():
-                yield place
-            if place and place.GetResetXformStack():
+            xformable = UsdGeom.Xformable(prim)
+            if xformable and xformable.TransformMightBeTimeVarying():
+                yield xformable
+            if xformable and xformable.GetResetXformStack():
                 return
 
     def at(self, times: FloatArray) -> Transforms:
-        """Return the prim at time codes ``(F,)``.
+        """Return the prim's transforms and values at time codes ``(F,)``.
 
         Raises:
             FormatError: Its transform or a value is not finite (USD171).
         """
         codes = self._on_keys(times if self.moves else times[:1])
         count, matrices = len(codes), None
-        places, turns = np.zeros((count, 3)), np.tile(so3.IDENTITY, (count, 1))
+        positions, rotations = np.zeros((count, 3)), np.tile(so3.IDENTITY, (count, 1))
         scales = np.ones((count, 3))
         if self.sheared:
             matrices = self._matrices(codes)
         elif self.placed:
-            places, turns, scales, shear = _split(self._matrices(codes))
+            positions, rotations, scales, shear = _split(self._matrices(codes))
             self.shear = max(self.shear, shear)
             if self.scales is not None:
                 near = np.abs(scales - self.scales) <= ROUNDED * np.abs(self.scales)
                 scales = np.where(near, self.scales, scales)
-        transforms = Transforms(places, turns, scales, matrices, self._values(codes))
+        transforms = Transforms(
+            positions, rotations, scales, matrices, self._values(codes)
+        )
         if not self.moves:
             return _lasting(transforms, len(times))
-        return replace(transforms, held=self._held(codes))
+        return replace(transforms, clamped=self._outside_samples(codes))
 
-    def _held(self, codes: FloatArray) -> BoolArray | None:
+    def _outside_samples(self, codes: FloatArray) -> BoolArray | None:
         low, high = map(float, _span(self.stage, self.keys))
         # A frame lasts until the next would come, and so does its shutter before it.
         slack = 1 - ON_KEY
-        held = (codes < low - slack) | (codes > high + slack)
-        return held if held.any() else None
+        outside = (codes < low - slack) | (codes > high + slack)
+        return outside if outside.any() else None
 
     def _on_keys(self, times: FloatArray) -> FloatArray:
-        """Return time codes, those of keys where they are as near as rounding goes."""
+        """Return time codes snapped to keys within rounding."""
         if not len(self.keys):
             return times
         behind = np.searchsorted(self.keys, times).clip(max=len(self.keys) - 1)
@@ -342,29 +348,29 @@ class _Sampler:
         return tuple(columns)
 
     def _matrices(self, codes: FloatArray) -> FloatArray:
-        """Return where the prim is, column vectors, [m] ``(F, 4, 4)``."""
+        """Return world matrices, column vectors [m] ``(F, 4, 4)``."""
         with usd_errors(Path(self.where)):
             matrices = world_matrices(self.prim, codes).swapaxes(1, 2)
         self._check(matrices)
         matrices[:, :3, 3] *= self.unit
-        if self.turn is not None:
-            matrices[:, :3] = so3.to_matrix(self.turn) @ matrices[:, :3]
+        if self.up_rotation is not None:
+            matrices[:, :3] = so3.to_matrix(self.up_rotation) @ matrices[:, :3]
         return matrices
 
     def _check(self, values: FloatArray) -> None:
         if not np.isfinite(values).all():
             message = "its transform, or a value of it, is not finite"
-            Spot.of(self.where, self.prim).fail("USD171", message)
+            PrimLocation.of(self.where, self.prim).fail("USD171", message)
 
 
 def _plain(scales: FloatArray) -> FloatArray:
-    """Return scales without what rounding left of a short decimal."""
+    """Return scales without the rounding error of short decimals."""
     plain = np.round(scales, 9)
     return np.where(np.abs(plain - scales) <= ROUNDED * np.abs(scales), plain, scales)
 
 
 def _lasting(transforms: Transforms, count: int) -> Transforms:
-    """Return one transform, and its values, as that of all times."""
+    """Return one transform and its values for all times."""
 
     def all_times(values: Any) -> Any:
         return np.repeat(values, count, axis=0)
@@ -381,11 +387,11 @@ def _lasting(transforms: Transforms, count: int) -> Transforms:
 def _split(
     matrices: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return translations, rotations, scales, and the share that they leave out."""
-    places, turns, scales = decompose(matrices.swapaxes(1, 2))
-    turns = so3.normalize(turns)
-    again = so3.to_matrix(turns) * scales[:, None, :]
+    """Return translations, rotations, scales, and the relative shear left out."""
+    positions, rotations, scales = decompose(matrices.swapaxes(1, 2))
+    rotations = so3.normalize(rotations)
+    again = so3.to_matrix(rotations) * scales[:, None, :]
     size = np.abs(matrices[:, :3, :3]).max(axis=(1, 2))
-    apart = np.abs(again - matrices[:, :3, :3]).max(axis=(1, 2))
-    shares = apart / np.where(size > 0, size, 1.0)
-    return places, turns, scales, float(shares.max(initial=0.0))
+    difference = np.abs(again - matrices[:, :3, :3]).max(axis=(1, 2))
+    shares = difference / np.where(size > 0, size, 1.0)
+    return positions, rotations, scales, float(shares.max(initial=0.0))

@@ -1,4 +1,4 @@
-"""What is simulated as prims of a layer, written while it is made.
+"""Writes simulated prims to a layer while the simulation runs.
 
 Each frame is a record of a prim's values; `FORMS` says how each type is written.
 """
@@ -43,21 +43,21 @@ from animtool.usd.caches.writer import (
     bounds,
     kind_of,
     labels_of,
-    place_of,
     remove_attribute,
+    split_attribute,
 )
 from animtool.usd.layers.chunks import (
     Chunks,
     ClipFiles,
-    Growing,
-    Whole,
+    GrowingLayer,
+    OneLayer,
     author_span,
     growing_crate,
     write_frames,
 )
 from animtool.usd.layers.finite import narrowed, rounded
 from animtool.usd.layers.sdf import (
-    Samples,
+    SampleWriter,
     StageMetadata,
     attribute,
     author_metadata,
@@ -82,15 +82,15 @@ class _Curves(FrameForm[CurvesFrame]):
     sampled = ("points", "velocities", "extent")
 
     def shape(self, frame: CurvesFrame) -> Mapping[str, IntArray]:
-        """Return how many points each curve has."""
+        """Return the number of points per curve."""
         return {"curveVertexCounts": frame.counts.astype(np.int32)}
 
     def tears(self, frame: CurvesFrame) -> bool:
-        """Return whether a curve may become two."""
+        """Return whether a curve may split in two."""
         return frame.tears
 
     def describe(self, writer: FramePrim, spec: Any, frame: CurvesFrame) -> None:
-        """Write kind and width of the curves."""
+        """Author type and width of the curves."""
         author_values(spec, LINEAR)
         author_width(spec, frame.width / writer.unit)
 
@@ -101,7 +101,7 @@ class _Curves(FrameForm[CurvesFrame]):
         points: Float32Array,
         code: float,  # noqa: ARG002
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return bounds of what is drawn."""
+        """Return the padded bounds."""
         return {"extent": bounds(points, frame.width / writer.unit / 2)}
 
 
@@ -112,7 +112,7 @@ class _Points(FrameForm[PointsFrame]):
     def values(
         self, writer: FramePrim, frame: PointsFrame, points: Float32Array, code: float
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return ids, widths and bounds of the balls."""
+        """Return ids, widths and bounds of the particles."""
         widths = writer.narrowed("widths", 2 * frame.radii / writer.unit, code)
         extent = bounds(points, widths[:, None] / 2)
         return {"ids": frame.ids, "widths": widths, "extent": extent}
@@ -128,25 +128,25 @@ _XFORMS = XformsForm()
 
 
 def form_of(frame: Frame) -> FrameForm[Any]:
-    """Return how a frame is written."""
+    """Return the form that writes a type of frame."""
     divided = isinstance(frame, TransformsFrame) and frame.xforms
     return _XFORMS if divided else FORMS[type(frame)]
 
 
 class SimulatedPrim:
-    """One prim of frames: its attributes written once, every frame made a block."""
+    """Writer of one simulated prim: constants once, every frame as a block."""
 
     def __init__(
         self,
         path: str,
         meters_per_unit: float,
-        turn: FloatArray | None = None,
+        rotation: FloatArray | None = None,
         fps: float = 24.0,
     ) -> None:
         self.report = CachedMesh(path)
         self.unit = meters_per_unit  # of the layer [m]
-        # How the prim stands in the layer (4,).
-        self.turn = so3.IDENTITY if turn is None else turn
+        # Orientation of the prim in the layer (4,).
+        self.rotation = so3.IDENTITY if rotation is None else rotation
         self.fps = fps  # time codes a second
         self._characters: Characters | None = None
         self._first: Any = None
@@ -159,11 +159,11 @@ class SimulatedPrim:
 
     @cached_property
     def parts(self) -> list[str]:
-        """Names of the prims below, of a frame that has names."""
+        """Names of the child prims of a frame with names."""
         return part_names(self._first.names).names
 
     def begin(self, layer: Any, frame: Frame) -> None:
-        """Write the prim of a first frame: attributes, and what no frame changes."""
+        """Write the prim at the first frame: attributes and constants."""
         self._first, report = frame, self.report
         if isinstance(frame, CharactersFrame):
             from animtool.usd.props.characters import Characters
@@ -181,9 +181,9 @@ class SimulatedPrim:
         kinds, shape = form.kinds(frame), form.shape(frame)
         self._sampled = tuple(kinds)
         for name, kind in kinds.items():
-            place, own = place_of(report.path, name)
-            owner = layer.GetPrimAtPath(place)
-            attribute(owner, own, kind.type_name, interpolation=kind.interpolation)
+            path, leaf = split_attribute(report.path, name)
+            owner = layer.GetPrimAtPath(path)
+            attribute(owner, leaf, kind.type_name, interpolation=kind.interpolation)
         report.sampled = list(kinds)
         if form.tears(frame):
             report.sampled += shape
@@ -194,7 +194,7 @@ class SimulatedPrim:
         form.describe(self, spec, frame)
 
     def block(self, number: int, code: float, frame: Frame) -> Block:
-        """Return a frame as the layer will hold it; ``number`` is the prim's."""
+        """Return a frame as a block to write; ``number`` is the prim's index."""
         codes = np.array([code])
         if isinstance(frame, CharactersFrame):
             assert self._characters is not None
@@ -214,13 +214,13 @@ class SimulatedPrim:
                 else self.narrowed(f"primvars:{name}", array, code)
             )
         values["velocities"] = self._rounded("velocities", frame.velocities, code)[0]
-        held = {name: values[name] for name in self._sampled}
+        sampled = {name: values[name] for name in self._sampled}
         if form.tears(frame):
-            held |= form.shape(frame)
-        return Block(number, codes, _rows(held), len(points), error, code, vertex)
+            sampled |= form.shape(frame)
+        return Block(number, codes, _rows(sampled), len(points), error, code, vertex)
 
     def finish(self, layer: Any) -> None:
-        """Write what shows only behind the last frame."""
+        """Author values that are known only after the last frame."""
         if self._characters is not None:
             self._characters.finish(layer)
             report = self._characters.report
@@ -232,7 +232,7 @@ class SimulatedPrim:
     def narrowed(
         self, name: str, values: npt.NDArray[Any], code: float
     ) -> Float32Array:
-        """Return values ``(N,)`` or ``(N, 3)`` of an attribute in float32."""
+        """Return values ``(N,)`` or ``(N, 3)`` of an attribute as float32."""
         labels = labels_of(self.report, name)
         rows = narrowed(values[None], "f", labels, np.array([code]))
         return np.asarray(rows[0], np.float32)
@@ -240,58 +240,60 @@ class SimulatedPrim:
     def _rounded(
         self, name: str, values: FloatArray, code: float
     ) -> tuple[Float32Array, float, int]:
-        """Return ``(N, 3)`` in the layer's unit, the largest error [m], its point."""
+        """Return rounded points ``(N, 3)``, the largest error [m] and its point."""
         labels = labels_of(self.report, name)
         rows, error, _, vertex = rounded(
             values[None], self.unit, labels, np.array([code])
         )
         return rows[0], error, vertex
 
-    def write_still(self, layer: Any, path: str, frame: Frame) -> None:
-        """Write a frame as a prim that never moves."""
-        still = SimulatedPrim(path, self.unit)
-        still.begin(layer, frame)
+    def write_static(self, layer: Any, path: str, frame: Frame) -> None:
+        """Write a frame as a static prim."""
+        prim_writer = SimulatedPrim(path, self.unit)
+        prim_writer.begin(layer, frame)
         spec = layer.GetPrimAtPath(path)
         remove_attribute(spec, "velocities")
-        for name, rows in still.block(0, 0.0, frame).values.items():
+        for name, rows in prim_writer.block(0, 0.0, frame).values.items():
             if name != "velocities":
                 make = kind_of(name, rows[0]).make
-                Samples(spec.attributes[name], make).finish(rows[0])
+                SampleWriter(spec.attributes[name], make).finish(rows[0])
 
 
 def _rows(values: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """Return the values of one frame as those of several ``(1, …)``."""
+    """Return the values of one frame with a leading frame axis ``(1, …)``."""
     return {name: array[None] for name, array in values.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedJob:
-    """What to write."""
+    """Settings of writing simulated prims."""
 
     model: str  # path of the prim above all others
     names: Sequence[str]  # of the other prims, legal and distinct
     metadata: StageMetadata  # what the layer states
-    meters_per_unit: float  # unit of what is below the model [m]
-    turn: FloatArray | None = None  # from y up to the up axis there (4,); None is none
+    meters_per_unit: float  # length unit below the model [m]
+    rotation: FloatArray | None = (
+        None  # from Y up to the layer's up axis (4,); None for Y
+    )
     # From the world of a take to below the model, at all time codes: columns in that
     # unit ``(F, 4, 4)``, or one; None is the same.
-    way: FloatArray | None = None
+    placement_matrices: FloatArray | None = None
     codes: FloatArray | None = None  # those time codes ``(F,)``
 
     @property
     def paths(self) -> list[str]:
-        """Where the prims are."""
+        """Paths of the prims."""
         return [f"{self.model}/{name}" for name in self.names]
 
     def prims(self) -> list[SimulatedPrim]:
-        """Return the prims, nothing of them written."""
-        unit, turn = self.meters_per_unit, self.turn
+        """Return new writers of the prims."""
+        unit, rotation = self.meters_per_unit, self.rotation
         fps = float(self.metadata.span.fps)
-        return [SimulatedPrim(path, unit, turn, fps) for path in self.paths]
+        return [SimulatedPrim(path, unit, rotation, fps) for path in self.paths]
 
 
 def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
-    """Return a layer with nothing but the prim above the others.
+    """Return a layer with only the parent prim.
 
     output: the file that it becomes; None is usda for stdout.
     """
@@ -301,12 +303,14 @@ def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
     return layer
 
 
-def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[CachedMesh]:
-    """Put prims into a layer, frame by frame; return what was written of each."""
+def grow_simulated(
+    job: SimulatedJob, rows: Rows, growing: GrowingLayer
+) -> list[CachedMesh]:
+    """Write prims to a layer frame by frame; return a report per prim."""
     prims, layer = job.prims(), growing.layer
     reports = [one.report for one in prims]
-    whole = Whole([PointWriter(layer, report, every=True) for report in reports])
-    write_frames(_blocks(job, prims, rows, layer, growing), whole, reports)
+    writer = OneLayer([PointWriter(layer, report, every=True) for report in reports])
+    write_frames(_blocks(job, prims, rows, layer, growing), writer, reports)
     for one in prims:
         one.finish(layer)
     return reports
@@ -315,7 +319,7 @@ def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[Cach
 def chunk_simulated(
     job: SimulatedJob, rows: Rows, layer: Any, files: ClipFiles, size: int
 ) -> tuple[list[Path], list[CachedMesh]]:
-    """Write samples of prims in files of some each, and let a layer join them.
+    """Write samples of prims to chunk files, joined by a layer.
 
     size: samples a file. The layer, in memory, has the prim above the others, and gets
     these without samples.
@@ -358,11 +362,11 @@ def _blocks(
     prims: Sequence[SimulatedPrim],
     rows: Rows,
     layer: Any,
-    growing: Growing | None = None,  # told of each row; None is in chunks
+    growing: GrowingLayer | None = None,  # told of each row; None is in chunks
 ) -> Iterator[Block]:
-    """Yield frames; at the first a layer gets the prims, without samples.
+    """Yield blocks of frames; the prims are created at the first one.
 
-    Each is turned as a whole where another axis is up, or goes to where a rig is.
+    Prims are rotated to the layer's up axis, or moved to a rig's placement.
     """
     types = Sdf.ValueTypeNames
     for i, (code, frames) in enumerate(rows):
@@ -371,11 +375,11 @@ def _blocks(
         for one, frame in () if i else zip(prims, frames, strict=True):
             one.begin(layer, frame)
             spec = layer.GetPrimAtPath(one.report.path)
-            if job.way is not None:
-                _author_way(spec, job, job.way)
-            elif job.turn is not None:
-                turn = quaternion(job.turn)
-                attribute(spec, "xformOp:orient", types.Quatd, turn)
+            if job.placement_matrices is not None:
+                _author_placement(spec, job, job.placement_matrices)
+            elif job.rotation is not None:
+                rotation = quaternion(job.rotation)
+                attribute(spec, "xformOp:orient", types.Quatd, rotation)
                 author_order(spec, "xformOp:orient")
         size = 0
         for k, (one, frame) in enumerate(zip(prims, frames, strict=True)):
@@ -386,33 +390,35 @@ def _blocks(
             growing.added(size)
 
 
-def _author_way(spec: Any, job: SimulatedJob, way: FloatArray) -> None:
-    """Write where a prim is below a model that a rig's stage has somewhere."""
+def _author_placement(
+    spec: Any, job: SimulatedJob, placement_matrices: FloatArray
+) -> None:
+    """Author the transform of a prim below a model placed by the rig's stage."""
     assert job.codes is not None
-    if job.turn is not None:
+    if job.rotation is not None:
         turned = np.eye(4)
-        turned[:3, :3] = so3.to_matrix(job.turn)
-        way = way @ turned
-    rows = np.broadcast_to(way.swapaxes(1, 2), (len(job.codes), 4, 4))
+        turned[:3, :3] = so3.to_matrix(job.rotation)
+        placement_matrices = placement_matrices @ turned
+    rows = np.broadcast_to(placement_matrices.swapaxes(1, 2), (len(job.codes), 4, 4))
     attr = attribute(spec, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
-    samples = Samples(attr, lambda row: Gf.Matrix4d(row.tolist()))
+    samples = SampleWriter(attr, lambda row: Gf.Matrix4d(row.tolist()))
     samples.add(job.codes, rows)
     samples.finish(rows[0])
     author_order(spec, "xformOp:transform")
 
 
 def _refuse_characters(frames: Sequence[Frame]) -> None:
-    """Refuse what is not written frame by frame (SIM151)."""
+    """Refuse characters, which are not written frame by frame (SIM151)."""
     if any(isinstance(frame, CharactersFrame) for frame in frames):
         message = "characters with rigs are written in one piece, not in chunks"
         raise OptionError(Fault("SIM151", message, hint=f"remove {argument('chunk')}"))
 
 
-def _declare(layer: Any, reports: Sequence[CachedMesh], whole: Any) -> None:
-    """Make the attributes that have samples, as another layer has them."""
+def _declare(layer: Any, reports: Sequence[CachedMesh], source: Any) -> None:
+    """Declare the sampled attributes with the types of another layer."""
     for report in reports:
         prim(layer, report.path, over=True)
         for name in report.sampled:
-            path, own = place_of(report.path, name)
-            kind = whole.GetPrimAtPath(path).attributes[own].typeName
-            attribute(prim(layer, path, over=True), own, kind)
+            path, leaf = split_attribute(report.path, name)
+            kind = source.GetPrimAtPath(path).attributes[leaf].typeName
+            attribute(prim(layer, path, over=True), leaf, kind)

@@ -1,4 +1,4 @@
-"""Poses that are left out, where interpolation between others finds them."""
+"""Drops poses that interpolation between the others reproduces."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from animtool.core.record import dataclass
 # extent of its rig, two and a half centimetres of a person. That is a foot in the air,
 # for a frame, of someone far away.
 NEAR = 0.018
-# A foot that stands may be off by this part, a millimetre, hips by this, to keep it.
+# Tolerances of a planted foot (a millimetre), and of hips.
 NEAR_STANDING, NEAR_HIPS = 0.0006, 0.004
-# A joint that turns so little that nothing moves farther by it does not turn.
-NEAR_STILL = 0.003
+# A joint is static if its rotation moves nothing farther than this.
+STATIC_MOVE = 0.003
 # How many frames may lie between two samples, and the spans that must fit before.
 SPANS = {2: (1,), 3: (2,), 4: (3,), 6: (3, 3), 9: (4, 4), 16: (9, 6), 32: (16, 16)}
 
 
 @dataclass(frozen=True)
-class Chain:
-    """Joints that show what a pose is, as `fitting_spans` has them.
+class RotationChain:
+    """Joints that define a pose, as input of `fitting_spans`.
 
     Attributes:
         parents: Which of them is above each, -1 for none ``(S,)``.
         numbers: Which rotation of a pose each has, -1 for its own at rest ``(S,)``.
-        places: In the frame of the one above ``(S, 3)`` [m].
+        positions: In the frame of the one above ``(S, 3)`` [m].
         before: How that is turned there ``(S, 4)``.
         rest: Own rotations at rest ``(S, 4)``.
         feet: A joint of each foot ``(2,)``.
@@ -36,25 +36,25 @@ class Chain:
 
     parents: IntArray
     numbers: IntArray
-    places: FloatArray
+    positions: FloatArray
     before: FloatArray
     rest: FloatArray
     feet: IntArray
     size: float
 
     def fitting(
-        self, turns: FloatArray, stands: BoolArray, begins: IntArray, wide: int
+        self, rotations: FloatArray, stands: BoolArray, begins: IntArray, wide: int
     ) -> tuple[BoolArray, FloatArray]:
-        """Return which spans fit, and how far joints are moved in them."""
+        """Return which spans interpolate well, and the joint errors in them."""
         near = (part * self.size for part in (NEAR, NEAR_STANDING, NEAR_HIPS))
         return _kernels.fitting_spans(
-            turns, self.parents, self.numbers, self.places, self.before, self.rest,
-            self.feet, stands, begins, wide, *near,
+            rotations, self.parents, self.numbers, self.positions, self.before,
+            self.rest, self.feet, stands, begins, wide, *near,
         )  # fmt: skip
 
 
 def kept_samples(
-    turns: Float32Array, chain: Chain, stands: BoolArray
+    rotations: Float32Array, chain: RotationChain, stands: BoolArray
 ) -> tuple[BoolArray, FloatArray]:
     """Return which poses ``(F, M, 4)`` of a character must be written ``(F,)``.
 
@@ -63,12 +63,12 @@ def kept_samples(
     way, evenly. Of all that leave joints near, the fewest samples are chosen.
 
     Args:
-        turns: Of joints.
+        rotations: Of joints.
         chain: These joints.
         stands: When each foot is on the ground, or close to it ``(F, 2)``.
     """
-    exact = turns.astype(np.float64)
-    count = len(turns)
+    exact = rotations.astype(np.float64)
+    count = len(rotations)
     moved = np.zeros((count, 3))
     kept: dict[int, tuple[IntArray, FloatArray]] = {}
     fits = {1: np.ones(count, np.bool_)}
@@ -95,7 +95,7 @@ def kept_samples(
 
 
 def _fewest(fits: dict[int, BoolArray]) -> BoolArray:
-    """Return the fewest frames that lead from the first to the last by spans."""
+    """Return the fewest frames that connect first and last by valid spans."""
     count = len(fits[1])
     steps, best = [1] * count, [0] * count
     known = {wide: good.tolist() for wide, good in fits.items()}
@@ -113,23 +113,23 @@ def _fewest(fits: dict[int, BoolArray]) -> BoolArray:
     return rows
 
 
-def slerped(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:
-    """Return unit quaternions ``(…, 4)`` between two, whose product is not below 0."""
+def slerped(a: FloatArray, b: FloatArray, fraction: FloatArray) -> FloatArray:
+    """Return the slerp of unit quaternions ``(…, 4)`` in one hemisphere."""
     cosine = np.clip(np.einsum("...k,...k->...", a, b), -1.0, 1.0)
     angle = np.arccos(cosine)
     sine = np.sin(angle)
     near = sine < 1e-6
     safe = np.where(near, 1.0, sine)
-    first = np.where(near, 1 - share, np.sin((1 - share) * angle) / safe)
-    last = np.where(near, share, np.sin(share * angle) / safe)
+    first = np.where(near, 1 - fraction, np.sin((1 - fraction) * angle) / safe)
+    last = np.where(near, fraction, np.sin(fraction * angle) / safe)
     return np.asarray(first[..., None] * a + last[..., None] * b)
 
 
-def turning(turns: Float32Array, arms: FloatArray, size: float) -> BoolArray:
-    """Return which joints turn ``(M,)``, of poses ``(F, M, 4)``.
+def turning(rotations: Float32Array, arms: FloatArray, size: float) -> BoolArray:
+    """Return which joints rotate ``(M,)`` in poses ``(F, M, 4)``.
 
     ``arms``: how far what is below each reaches ``(M,)`` [m]; ``size``: of the rig [m].
     """
-    cosine = np.abs((turns * turns[:1]).sum(axis=-1)).min(axis=0)
+    cosine = np.abs((rotations * rotations[:1]).sum(axis=-1)).min(axis=0)
     angles = 2 * np.arccos(np.clip(cosine, 0.0, 1.0))
-    return np.asarray(angles * arms > NEAR_STILL * size)
+    return np.asarray(angles * arms > STATIC_MOVE * size)

@@ -1,4 +1,4 @@
-"""Prims that move as a whole: tracks beside a rig, and copies of meshes.
+"""Writes prims that move rigidly: props of a take, and instances of meshes.
 
 Props, cameras and lights are a prim each; copies a PointInstancer, or Xforms by name.
 """
@@ -21,18 +21,18 @@ from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.motion.frames import MeshFrame, TransformsFrame
 from animtool.motion.motion import Motion
-from animtool.motion.transforms import Reference, Track, Transforms
+from animtool.motion.transforms import PropReference, Track, Transforms
 from animtool.usd.caches.writer import (
     ATTRIBUTES,
+    AttributeKind,
     FrameForm,
     FramePrim,
-    Kind,
     author_values,
     bounds,
 )
 from animtool.usd.layers.names import RigPaths, UsdNames, distinct_names
 from animtool.usd.layers.sdf import (
-    Samples,
+    SampleWriter,
     asset_path,
     attribute,
     author_order,
@@ -46,7 +46,7 @@ from animtool.usd.props.placement import PropPlacements, within
 
 @dataclass(slots=True)
 class PropSamples:
-    """Tracks of a take on their way to a layer, apart from the motion of its rig."""
+    """Prop tracks of a take sampled for a layer."""
 
     tracks: tuple[Track, ...]  # what they are
     # Time codes of the frames that have passed, one array a block.
@@ -55,7 +55,7 @@ class PropSamples:
     times: list[FloatArray] = field(default_factory=list)
 
     def see(self, codes: FloatArray, motion: Motion) -> None:
-        """Keep which times of the tracks frames show."""
+        """Record which times of the tracks are written."""
         assert motion.track_times is not None
         self.codes.append(codes)
         self.times.append(motion.track_times.dense()[..., 0])
@@ -66,7 +66,7 @@ _Make: TypeAlias = Callable[[Any], Any]
 
 
 def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
-    """Return where tracks are on a stage that has a character at a path."""
+    """Return the prim paths of tracks on a stage with a character at a path."""
     return [
         track.path if track.path.startswith("/") else f"{model}/{track.path}"
         for track in tracks
@@ -76,7 +76,7 @@ def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
 def check_props(
     tracks: Sequence[Track], paths: RigPaths, stage: Any = None, *, library: bool
 ) -> None:
-    """Refuse things where the character is, or where another thing is.
+    """Refuse prop paths that overlap the character or each other.
 
     stage: what the layer goes over; None is nothing; library: whether takes are
     variants of the model.
@@ -105,14 +105,14 @@ def check_props(
 
 
 def overlap(one: str, other: str) -> bool:
-    """Return whether a path is another, or one of them is below the other."""
+    """Return whether one path contains the other."""
     return within(one, other) or within(other, one)
 
 
 def author_props(
     layer: Any,
     samples: PropSamples,
-    places: PropPlacements,
+    placements: PropPlacements,
     output: Path | None,
 ) -> tuple[list[str], list[Fault]]:
     """Write the prims of tracks, with samples of what changes.
@@ -121,52 +121,54 @@ def author_props(
 
     Returns their paths, and what there is to say of their frames.
     """
-    paths = prop_paths(samples.tracks, places.model)
+    paths = prop_paths(samples.tracks, placements.model)
     codes, times = np.concatenate(samples.codes), np.concatenate(samples.times)
     notices: list[Fault] = []
     for i, (track, path) in enumerate(zip(samples.tracks, paths, strict=True)):
-        _author_above(layer, path, places)
-        there = places.exists(path)
+        _author_above(layer, path, placements)
+        there = placements.exists(path)
         type_name = "" if there else track.type_name
-        spec = prim(layer, places.spec(path), type_name, over=there)
+        spec = prim(layer, placements.spec(path), type_name, over=there)
         if track.reference is not None:
             _author_reference(spec, track.reference, output)
-        known = places.located(track, path, codes, track.at(times[:, i]))
-        _author_track(spec, track, codes, known, places.unit(path))
-        if known.held is not None and known.held.any():
-            notices.append(_held_notice(track, path, codes, known.held))
+        known = placements.located(track, path, codes, track.at(times[:, i]))
+        _author_track(spec, track, codes, known, placements.unit(path))
+        if known.clamped is not None and known.clamped.any():
+            notices.append(_constant_notice(track, path, codes, known.clamped))
     return paths, notices
 
 
-def _held_notice(track: Track, path: str, codes: FloatArray, held: BoolArray) -> Fault:
-    """Name the frames at which a thing is held, as its file has none such."""
+def _constant_notice(
+    track: Track, path: str, codes: FloatArray, constant: BoolArray
+) -> Fault:
+    """Return a notice of frames where a prop is frozen outside its file's frames."""
     spans = [
         " to ".join(dict.fromkeys(f"{codes[i]:.10g}" for i in (first, end - 1)))
-        for first, end in runs(held)
+        for first, end in runs(constant)
     ]
     message = (
         f"{path} is constant at frames {', '.join(spans)}: its file has none there"
     )
     hint = (
         "set the frame of its file to match the first with frame:"
-        if held.all()
+        if constant.all()
         else None
     )
     return track.note("SCN107", message, hint=hint, severity=Severity.WARNING)
 
 
-def _author_above(layer: Any, path: str, places: PropPlacements) -> None:
-    """Define the prims above a path that nothing else does."""
+def _author_above(layer: Any, path: str, placements: PropPlacements) -> None:
+    """Define the ancestor prims that nothing else defines."""
     for above in list(Sdf.Path(path).GetAncestorsRange())[1:]:
         text = str(above)
-        if above.IsAbsoluteRootPath() or within(places.model, text):
+        if above.IsAbsoluteRootPath() or within(placements.model, text):
             continue
-        spec = places.spec(text)
-        if layer.GetPrimAtPath(spec) is None and not places.exists(text):
+        spec = placements.spec(text)
+        if layer.GetPrimAtPath(spec) is None and not placements.exists(text):
             prim(layer, spec, "Xform")
 
 
-def _author_reference(spec: Any, reference: Reference, output: Path | None) -> None:
+def _author_reference(spec: Any, reference: PropReference, output: Path | None) -> None:
     folder = Path() if output is None else output.parent
     name = asset_path(Path(reference.file), folder)
     prim_path = Sdf.Path(reference.prim) if reference.prim else Sdf.Path()
@@ -177,13 +179,13 @@ def _author_track(
     spec: Any, track: Track, codes: FloatArray, sampled: Transforms, unit: float
 ) -> None:
     types = Sdf.ValueTypeNames
-    # What is referred to has points in a unit of its own.
+    # Points of a referenced file are in that file's unit.
     factor = 1.0 if track.reference is None else track.reference.meters_per_unit / unit
 
     def author(name: str, type_name: Any, rows: Any, make: _Make) -> None:
         quaternions = type_name == types.Quatd
         attr = attribute(spec, name, type_name)
-        samples = Samples(attr, make, quaternions=quaternions)
+        samples = SampleWriter(attr, make, quaternions=quaternions)
         samples.add(codes, rows)
         samples.finish(rows[0])
 
@@ -200,12 +202,12 @@ def _author_track(
         author("xformOp:scale", types.Double3, sampled.scales * factor, vector)
         author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
     for one, values in zip(track.attributes, sampled.values, strict=True):
-        own_type = types.Find(one.type_name)
+        value_type = types.Find(one.type_name)
         if one.width:
             make = _number if one.width == 1 else _numbers
-            author(one.name, own_type, values / (unit if one.length else 1.0), make)
+            author(one.name, value_type, values / (unit if one.length else 1.0), make)
         else:
-            author(one.name, own_type, values, _choice(one.choices))
+            author(one.name, value_type, values, _choice(one.choices))
 
 
 def _choice(choices: Sequence[object]) -> Callable[[Any], object]:
@@ -230,7 +232,7 @@ PROTOTYPES, PHYSICS = "Prototypes", "Physics"  # prims that are no copy
 
 
 class InstancerForm(FrameForm[TransformsFrame]):
-    """Copies as a PointInstancer."""
+    """Instances written as a PointInstancer."""
 
     type_name = "PointInstancer"
     sampled = (
@@ -245,7 +247,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
     points = "positions"
 
     def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
-        """Write the meshes below the prim."""
+        """Write the prototype meshes below the prim."""
         relationship(spec, "prototypes", *_prototypes(writer, spec, frame.meshes))
 
     def values(
@@ -255,7 +257,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
         points: Float32Array,
         code: float,
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return which mesh each is, its turn and scale, and bounds of all."""
+        """Return prototype index, orientation and scale of each, and the bounds."""
         boxes = np.stack([_corners(mesh.points) for mesh in frame.meshes])
         corners = boxes[frame.copied] * (frame.scales[:, None] / writer.unit)
         corners = so3.rotate(frame.rotations[:, None], corners) + points[:, None]
@@ -273,50 +275,50 @@ class InstancerForm(FrameForm[TransformsFrame]):
 
 
 class XformsForm(FrameForm[TransformsFrame]):
-    """Copies with names: an Xform each, with a mesh that refers to a prototype."""
+    """Named instances: an Xform each, whose mesh references a prototype."""
 
     type_name = "Xform"
     points = ""
 
-    def kinds(self, frame: TransformsFrame) -> dict[str, Kind]:
-        """Return the operations of those that move."""
+    def kinds(self, frame: TransformsFrame) -> dict[str, AttributeKind]:
+        """Return the transform ops of the animated instances."""
         return {
             f"{part}.{name}": ATTRIBUTES[name]
             for i, part in enumerate(part_names(frame.names).names)
-            if i not in frame.still
+            if i not in frame.static
             for name in _OPERATIONS
         }
 
     def divide(self, spec: Any, frame: TransformsFrame) -> None:
-        """Write the Xforms, in order."""
+        """Create the Xforms, in order."""
         for part in part_names(frame.names).names:
             prim(spec.layer, f"{spec.path}/{part}", "Xform")
 
     def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
-        """Write meshes, in which order operations follow, and where the still ones are.
+        """Write meshes, xformOpOrder, and transforms of static instances.
 
         The prototypes are a class, which nothing shows.
         """
         layer, paths = spec.layer, _prototypes(writer, spec, frame.meshes)
         layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
         for i, part in enumerate(writer.parts):
-            own = layer.GetPrimAtPath(f"{spec.path}/{part}")
+            body = layer.GetPrimAtPath(f"{spec.path}/{part}")
             names = list(_OPERATIONS)
-            if i in frame.still:
+            if i in frame.static:
                 placed = _placed(frame, i, writer.unit)
-                author_values(own, dict(zip(names, placed, strict=True)))
+                author_values(body, dict(zip(names, placed, strict=True)))
             if not (frame.scales[i] == 1.0).all():
                 scale = Gf.Vec3f(*frame.scales[i].tolist())
-                attribute(own, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale)
+                attribute(body, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale)
                 names.append("xformOp:scale")
-            author_order(own, *names)
-            mesh = prim(layer, f"{own.path}/mesh")
+            author_order(body, *names)
+            mesh = prim(layer, f"{body.path}/mesh")
             mesh.referenceList.Prepend(Sdf.Reference("", paths[frame.copied[i]]))
         if frame.physics is not None:
             from animtool.usd.physics.write import PhysicsWriter
 
             PhysicsWriter(
-                spec, writer.parts, frame.physics, writer.unit, writer.turn
+                spec, writer.parts, frame.physics, writer.unit, writer.rotation
             ).write()
 
     def values(
@@ -326,11 +328,11 @@ class XformsForm(FrameForm[TransformsFrame]):
         points: Float32Array,  # noqa: ARG002
         code: float,  # noqa: ARG002
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return where those are that move."""
+        """Return the transforms of the animated instances."""
         return {
             f"{part}.{name}": value
             for i, part in enumerate(writer.parts)
-            if i not in frame.still
+            if i not in frame.static
             for name, value in zip(
                 _OPERATIONS, _placed(frame, i, writer.unit), strict=True
             )
@@ -340,12 +342,12 @@ class XformsForm(FrameForm[TransformsFrame]):
 def _placed(
     frame: TransformsFrame, i: int, unit: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return translation, in a unit [m], and rotation of a copy."""
+    """Return translation, in a unit [m], and rotation of an instance."""
     return frame.points[i] / unit, frame.rotations[i]
 
 
 def part_names(names: Sequence[str]) -> UsdNames:
-    """Return legal and distinct names of copies.
+    """Return legal, distinct names of instances.
 
     >>> part_names(["brick[3]", "brick_3"]).names
     ['brick_3', 'brick_3_2']
@@ -356,15 +358,15 @@ def part_names(names: Sequence[str]) -> UsdNames:
 
 
 def _prototypes(writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]) -> list[str]:
-    """Write meshes below a prim; return their paths."""
+    """Write prototype meshes below a prim; return their paths."""
     above = prim(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
     paths = [f"{above.path}/mesh_{i + 1}" for i in range(len(meshes))]
     for path, mesh in zip(paths, meshes, strict=True):
-        writer.write_still(spec.layer, path, mesh)
+        writer.write_static(spec.layer, path, mesh)
     return paths
 
 
 def _corners(points: FloatArray) -> FloatArray:
-    """Return the corners ``(8, 3)`` of the box about points ``(N, 3)``."""
+    """Return the corners ``(8, 3)`` of the bounds of points ``(N, 3)``."""
     ends = np.stack([points.min(axis=0), points.max(axis=0)])
     return ends[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T

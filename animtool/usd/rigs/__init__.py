@@ -1,1 +1,1 @@
-"""Rigs as prims: skeletons, meshes, and where a stage has them."""
+"""Rigs as prims: skeletons, meshes, and their placement on a stage."""

@@ -1,4 +1,4 @@
-"""A rig alone as USD: the layer that other departments refer to."""
+"""Writes a rig as a USD layer that other departments reference."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from animtool.usd.layers.sdf import (
 from animtool.usd.rigs.meshes import author_meshes
 from animtool.usd.rigs.skeleton import author_rig
 
-# Low above high is UsdPhysics' way to say that nothing moves there.
+# Low above high locks an axis in UsdPhysics.
 LOCKED = (1.0, -1.0)
 # What is off an axis by less is rounding of float32.
 ON_AXIS = 1e-6
@@ -45,46 +45,48 @@ _AXES = "XYZ"
 
 
 @dataclass(frozen=True, slots=True)
-class PhysicsJoint:
-    """What a joint prim says of a joint."""
+class JointDescription:
+    """Description of a physics joint prim."""
 
     name: str  # USD name of the joint
     type: JointType  # what it can do
     # Unit axis of a pin or prismatic joint, in the joint's rest frame.
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    # How far it may go [rad], [m]; None is any way.
+    # Limits [rad], [m]; None without.
     limits: RangeLimit | BallLimit | None = None
 
 
 def author_physics(
     layer: Any, model: str, rig: Rig, names: Sequence[str], meters_per_unit: float
 ) -> int:
-    """Write bodies and joints below ``MODEL/Physics``; return how many joints.
+    """Write bodies and joints below ``MODEL/Physics``; return the joint count.
 
     meters_per_unit: unit of the layer [m].
     """
-    held = [i for i, joint in enumerate(rig.joints) if joint.type is not JointType.FREE]
-    bodies = sorted({*held, *(rig.joints[i].parent for i in held)} - {-1})
+    jointed = [
+        i for i, joint in enumerate(rig.joints) if joint.type is not JointType.FREE
+    ]
+    bodies = sorted({*jointed, *(rig.joints[i].parent for i in jointed)} - {-1})
     scope = f"{model}/Physics"
     prim(layer, model, over=True)
     for path in (scope, f"{scope}/Bodies", f"{scope}/Joints"):
         prim(layer, path, "Scope")
     world = rest_world(rig)
-    turns = so3.from_matrix(world.linear[0])
+    rotations = so3.from_matrix(world.linear[0])
     for i in bodies:
-        place = world.positions[0, i] / meters_per_unit
-        _body(layer, f"{scope}/Bodies/{names[i]}", place, turns[i])
-    for i in held:
+        position = world.positions[0, i] / meters_per_unit
+        _body(layer, f"{scope}/Bodies/{names[i]}", position, rotations[i])
+    for i in jointed:
         _joint(layer, scope, rig, i, names, meters_per_unit)
-    return len(held)
+    return len(jointed)
 
 
-def _body(layer: Any, path: str, place: FloatArray, turn: FloatArray) -> None:
+def _body(layer: Any, path: str, position: FloatArray, rotation: FloatArray) -> None:
     spec = prim(layer, path, "Xform")
     apply_schemas(spec, ["PhysicsRigidBodyAPI"])
     attribute(spec, "physics:kinematicEnabled", _TYPES.Bool, True)
-    attribute(spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*place.tolist()))
-    attribute(spec, "xformOp:orient", _TYPES.Quatd, quaternion(turn))
+    attribute(spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*position.tolist()))
+    attribute(spec, "xformOp:orient", _TYPES.Quatd, quaternion(rotation))
     author_order(spec, "xformOp:translate", "xformOp:orient")
 
 
@@ -104,10 +106,10 @@ def _joint(
         relationship(spec, "physics:body0", f"{scope}/Bodies/{names[joint.parent]}")
     relationship(spec, "physics:body1", f"{scope}/Bodies/{names[index]}")
     axis, frame = _frame(joint)
-    place = np.array(joint.translation) / meters_per_unit
+    position = np.array(joint.translation) / meters_per_unit
     outer = so3.multiply(np.array(joint.rotation), frame)
     zero = Gf.Vec3f(0.0)
-    attribute(spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*place.tolist()))
+    attribute(spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*position.tolist()))
     attribute(spec, "physics:localPos1", _TYPES.Point3f, zero)
     attribute(spec, "physics:localRot0", _TYPES.Quatf, quatf(outer))
     attribute(spec, "physics:localRot1", _TYPES.Quatf, quatf(frame))
@@ -137,7 +139,7 @@ def _prim_type(joint: Joint) -> str:
 
 
 def _frame(joint: Joint) -> tuple[str, FloatArray]:
-    """Return the axis token, empty for none, and the joint's own frame in the body."""
+    """Return the axis token, empty for none, and the joint frame in the body."""
     if isinstance(joint.limits, BallLimit):
         token = "" if joint.limits.twist is not None else "X"
         return token, so3.from_matrix(joint.limits.axes.T)
@@ -152,14 +154,14 @@ def _frame(joint: Joint) -> tuple[str, FloatArray]:
 
 
 def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
-    """Write the limits of a ball; return the schemas that it needs.
+    """Author the limits of a ball joint; return the schemas to apply.
 
     One that is ``locked`` in place by limits, for it twists, is no spherical joint.
     """
     swing = None if limits.swing is None else np.degrees(limits.swing).tolist()
     if not locked:
         if swing is not None:
-            # The first cone leans towards Y, which is a turn about Z.
+            # The first cone angle leans towards Y, a rotation about Z.
             attribute(spec, "physics:coneAngle0Limit", _TYPES.Float, swing[1])
             attribute(spec, "physics:coneAngle1Limit", _TYPES.Float, swing[0])
         return []
@@ -176,8 +178,8 @@ def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
     return [f"PhysicsLimitAPI:{name}" for name in ranges]
 
 
-def read_physics(stage: Any, meters_per_unit: float) -> dict[str, PhysicsJoint]:
-    """Return what the joint prims of a stage say, by the name of the joint.
+def read_physics(stage: Any, meters_per_unit: float) -> dict[str, JointDescription]:
+    """Return the joint types and limits of physics joints, by joint name.
 
     Joints of other tools are read where they have one axis or none; where there is no
     ``animtool:joint``, a PhysicsJoint is a ball.
@@ -198,17 +200,17 @@ _JOINT_TYPES = {
 }
 
 
-def _read_joint(joint: Any, meters_per_unit: float) -> PhysicsJoint:
+def _read_joint(joint: Any, meters_per_unit: float) -> JointDescription:
     kind = _JOINT_TYPES.get(str(joint.GetTypeName()), JointType.BALL)
     name = str(joint.GetName())
     rotation = UsdPhysics.Joint(joint).GetLocalRot1Attr().Get()
     frame = so3.normalize(np.array([*rotation.imaginary, rotation.real], np.float64))
     if kind is JointType.FIXED:
-        return PhysicsJoint(name, kind)
+        return JointDescription(name, kind)
     token = joint.GetAttribute("physics:axis").Get() or "X"
     axis = _on_axis(so3.rotate(frame, np.eye(3)[_AXES.index(str(token))]))
     if kind is JointType.BALL:
-        return PhysicsJoint(name, kind, limits=read_ball(joint, axis))
+        return JointDescription(name, kind, limits=read_ball(joint, axis))
     scale = math.radians(1.0) if kind is JointType.PIN else meters_per_unit
     low, high = (
         joint.GetAttribute(f"physics:{side}Limit").Get() for side in ("lower", "upper")
@@ -216,18 +218,18 @@ def _read_joint(joint: Any, meters_per_unit: float) -> PhysicsJoint:
     limits = None
     if low is not None and high is not None and math.isfinite(low + high):
         limits = RangeLimit(low * scale, high * scale)
-    return PhysicsJoint(name, kind, axis, limits)
+    return JointDescription(name, kind, axis, limits)
 
 
 def _on_axis(vector: FloatArray) -> tuple[float, float, float]:
     nearest = np.round(vector)
-    whole = np.abs(vector - nearest).max() < ON_AXIS
-    x, y, z = (nearest + 0.0 if whole else vector).tolist()
+    aligned = np.abs(vector - nearest).max() < ON_AXIS
+    x, y, z = (nearest + 0.0 if aligned else vector).tolist()
     return x, y, z
 
 
 def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
-    """Return the limits of a ball about an axis; None is any way."""
+    """Return the limits of a ball joint about an axis; None if free."""
 
     def limit(name: str) -> tuple[float, float] | None:
         low, high = (
@@ -244,7 +246,7 @@ def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
         )
         if first is None or second is None or not 0 <= min(first, second) < math.inf:
             return None
-        # One that has no end is half a turn.
+        # An infinite one is 180 degrees.
         first, second = min(first, 180.0), min(second, 180.0)
         return BallLimit((math.radians(first), math.radians(second)), None, axis)
     twist, about_y, about_z = limit("rotX"), limit("rotY"), limit("rotZ")
@@ -254,12 +256,12 @@ def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
     return None if twist is None and swing is None else BallLimit(swing, twist, axis)
 
 
-# What USD takes where a layer says nothing; an animation over the rig adopts it.
+# USD's fallback rate; an animation over the rig adopts it.
 RATE = Fraction(24)
 
 
 def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
-    """Write a rig layer; return its size in bytes and what is odd about names.
+    """Write a rig layer; return its size in bytes and notices about names.
 
     It holds the model, the SkelRoot, the Skeleton with bind and rest, the meshes and
     blend shapes, and in customData what USD has no place for. It binds no animation.
@@ -301,7 +303,7 @@ def _metadata(layer: Any, rig: Rig, paths: RigPaths) -> None:
 
 
 def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]:
-    """Write joints as UsdPhysics has them, over a rig layer.
+    """Write joints as UsdPhysics over a rig layer.
 
     Returns bytes, and how many joints.
     """

@@ -27,11 +27,11 @@ from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.usd.caches.reader import PointReader, transformed
-from animtool.usd.layers.faults import Spot, bind_transforms
+from animtool.usd.layers.faults import PrimLocation, bind_transforms
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.meshes import SUBDIVISION
-from animtool.usd.rigs.placement import DROP, own_placement
+from animtool.usd.rigs.placement import DROP, local_placement
 from animtool.usd.rigs.prims import (
     SkeletonRig,
     array_value,
@@ -60,18 +60,17 @@ _METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
 def read_meshes(
     skeleton: Any, rig: SkeletonRig, where: str
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], list[Fault]]:
-    """Return meshes, shapes and what is left out of them.
+    """Return meshes, shapes and notices of what is left out.
 
-    Normals that are not one a vertex are left out (USD116), as are the shapes of a mesh
-    that name no target. A mesh that follows joints as a whole has their influences at
-    every vertex; one that follows none stands where its prim places it. Numbers are in
-    the unit of the rig.
+    Normals other than one per vertex are left out (USD116), as are shapes without a
+    target. Rigidly bound meshes get their influences at every vertex; unbound ones are
+    placed by their prim. Values are in the unit of the rig.
     """
     meshes: list[Mesh] = []
     shapes: list[Shape] = []
     notices = unbound_notice(skeleton, where)
     for name, query in bound_meshes(skeleton):
-        at = Spot.of(where, query.GetPrim())
+        at = PrimLocation.of(where, query.GetPrim())
         bind = _bind(query, skeleton, at)
         meshes.append(_mesh(query, name, rig, at, bind, notices))
         count = len(meshes[-1].points.load())
@@ -81,7 +80,7 @@ def read_meshes(
 
 
 def bound_meshes(skeleton: Any) -> list[tuple[str, Any]]:
-    """Return the meshes that a Skeleton moves: distinct names, and queries."""
+    """Return the meshes a Skeleton deforms, as distinct names and queries."""
     used: set[str] = set()
     return [
         (unique_name(prim_name(query.GetPrim()), used), query)
@@ -90,7 +89,7 @@ def bound_meshes(skeleton: Any) -> list[tuple[str, Any]]:
 
 
 def bound_shapes(skeleton: Any) -> tuple[str, ...]:
-    """Return the names of the shapes that meshes of a Skeleton have."""
+    """Return the names of the blend shapes of a Skeleton's meshes."""
     names = (
         str(token)
         for _, query in bound_meshes(skeleton)
@@ -100,15 +99,19 @@ def bound_shapes(skeleton: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def _bind(query: Any, skeleton: Any, at: Spot) -> tuple[float, ...] | None:
-    """Return where a mesh is bound, or placed; None where that is the origin."""
+def _bind(query: Any, skeleton: Any, at: PrimLocation) -> tuple[float, ...] | None:
+    """Return the bind transform of a mesh; None if it is the identity."""
     if query.HasJointInfluences():
         authored = query.GetGeomBindTransform()
     else:
         cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
-        own = cache.GetLocalToWorldTransform(query.GetPrim())
-        authored = own if world == Gf.Matrix4d(1) else own * world.GetInverse()
+        local_to_world = cache.GetLocalToWorldTransform(query.GetPrim())
+        authored = (
+            local_to_world
+            if world == Gf.Matrix4d(1)
+            else local_to_world * world.GetInverse()
+        )
     matrix = np.array(authored, np.float64).T
     if not np.isfinite(matrix).all():
         code = "USD235" if query.HasJointInfluences() else "USD017"
@@ -120,7 +123,7 @@ def _mesh(
     query: Any,
     name: str,
     rig: SkeletonRig,
-    at: Spot,
+    at: PrimLocation,
     bind: tuple[float, ...] | None,
     notices: list[Fault],
 ) -> Mesh:
@@ -130,10 +133,13 @@ def _mesh(
     if not len(points):
         at.fail("USD017", "the mesh has no points")
     normals = None
-    given = array_value(mesh.GetNormalsAttr())
-    if len(given) == len(points) and mesh.GetNormalsInterpolation() == "vertex":
+    authored_normals = array_value(mesh.GetNormalsAttr())
+    if (
+        len(authored_normals) == len(points)
+        and mesh.GetNormalsInterpolation() == "vertex"
+    ):
         normals = floats(mesh.GetNormalsAttr(), 3, at)
-    elif len(given):
+    elif len(authored_normals):
         message = "normals that are not one per vertex are skipped"
         notices.append(at.fault("USD116", message, severity=Severity.NOTE))
     return Mesh(
@@ -148,15 +154,15 @@ def _mesh(
 
 
 def _subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
-    """Return the rule, None where it is the usual one."""
+    """Return the subdivision scheme; None for the default one."""
     scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
     by_scheme = {name: rule for rule, name in SUBDIVISION.items()}.get(scheme)
-    usual = Subdivision.NONE if with_normals else Subdivision.CATMULL_CLARK
-    return None if by_scheme is usual else by_scheme
+    default = Subdivision.NONE if with_normals else Subdivision.CATMULL_CLARK
+    return None if by_scheme is default else by_scheme
 
 
-def _faces(mesh: Any, points: int, at: Spot) -> FloatArray:
-    """Return the faces ``(N, K)``, -1 where one has fewer vertices than others."""
+def _faces(mesh: Any, points: int, at: PrimLocation) -> FloatArray:
+    """Return faces ``(N, K)``, padded with -1."""
     counts, indices = PointReader(mesh.GetPrim()).faces(None)
     if not len(counts):
         at.fail("USD017", "the mesh has no faces")
@@ -174,7 +180,7 @@ def _faces(mesh: Any, points: int, at: Spot) -> FloatArray:
     return faces.astype(np.float64)
 
 
-def _skin(query: Any, points: int, rig: SkeletonRig, at: Spot) -> Skin:
+def _skin(query: Any, points: int, rig: SkeletonRig, at: PrimLocation) -> Skin:
     indices, weights = (
         numbers_of(primvar.ComputeFlattened(), 1)[:, 0]
         for primvar in (
@@ -208,19 +214,19 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: Spot) -> Skin:
 def _shapes(
     query: Any, mesh: str, points: int, where: str, known: set[str]
 ) -> list[Shape]:
-    """Return the shapes of a mesh; one that another mesh has too gets its name."""
+    """Return the blend shapes of a mesh; shapes shared by name keep one name."""
     if not query.HasBlendShapes():
         return []
     order = [str(token) for token in query.GetBlendShapeOrder() or ()]
     targets = query.GetBlendShapeTargetsRel().GetTargets()
     if len(order) != len(targets):
         message = f"{len(order)} blendShapes for {len(targets)} targets"
-        Spot.of(where, query.GetPrim()).fail("USD245", message)
+        PrimLocation.of(where, query.GetPrim()).fail("USD245", message)
     stage = query.GetPrim().GetStage()
     for target in targets:
         if not stage.GetPrimAtPath(target):
             message = f"a blendShapeTarget, {target}, does not exist"
-            Spot.of(where, query.GetPrim()).fail("USD208", message)
+            PrimLocation.of(where, query.GetPrim()).fail("USD208", message)
     return [
         _shape(
             UsdSkel.BlendShape(stage.GetPrimAtPath(target)),
@@ -234,7 +240,7 @@ def _shapes(
 
 
 def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
-    at = Spot.of(where, shape)
+    at = PrimLocation.of(where, shape)
     deltas = floats(shape.GetOffsetsAttr(), 3, at, "USD243")
     vertices = integers(shape.GetPointIndicesAttr())
     rows = len(vertices) or points
@@ -242,7 +248,7 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     turning = [shape.GetNormalOffsetsAttr()]
     turning += [step.GetNormalOffsetsAttr() for step in steps]
     if not len(deltas) and any(attr and len(array_value(attr)) for attr in turning):
-        # It turns normals alone.
+        # It changes normals only.
         deltas = np.zeros((rows, 3))
     if len(deltas) != rows:
         at.fail("USD240", f"{len(deltas)} offsets for {rows} points")
@@ -282,7 +288,7 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
 
 
 def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachment, ...]:
-    """Return the linear curves that one joint each carries, as strands.
+    """Return linear curves bound to one joint each, as strands.
 
     Curves of other kinds, of different lengths, or that follow several joints, are
     passed over. Points are in the unit of the rig.
@@ -293,23 +299,23 @@ def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachmen
 def bound_strands(
     skeleton: Any, rig: SkeletonRig, where: str
 ) -> list[tuple[Attachment, Any]]:
-    """Return what `read_strands` does, each with its prim."""
+    """Return the strands of `read_strands`, each with its prim."""
     strands: list[tuple[Attachment, Any]] = []
     used: set[str] = set()
     for query in skinned_prims(skeleton, UsdGeom.BasisCurves):
         source = query.GetPrim()
-        at = Spot.of(where, source)
+        at = PrimLocation.of(where, source)
         joint = _carrier(query, rig, at)
         points = _points(UsdGeom.BasisCurves(source), query, at)
         if joint is not None and points is not None:
             name = unique_name(prim_name(source), used)
-            kind, held = AttachKind.STRANDS.value, LoadedArray(points)
-            strands.append((Attachment(name, kind, (joint,), points=held), source))
+            kind, array = AttachKind.STRANDS.value, LoadedArray(points)
+            strands.append((Attachment(name, kind, (joint,), points=array), source))
     return strands
 
 
-def _carrier(query: Any, rig: SkeletonRig, at: Spot) -> str | None:
-    """Return the joint that carries a prim as a whole; None where it is not one."""
+def _carrier(query: Any, rig: SkeletonRig, at: PrimLocation) -> str | None:
+    """Return the single joint a prim is rigidly bound to; None if there are others."""
     if not query.HasJointInfluences() or not query.IsRigidlyDeformed():
         return None
     indices = integers(query.GetJointIndicesPrimvar().GetAttr(), Usd.TimeCode.Default())
@@ -325,8 +331,8 @@ def _carrier(query: Any, rig: SkeletonRig, at: Spot) -> str | None:
     return names[int(indices[0])]
 
 
-def _points(curves: Any, query: Any, at: Spot) -> FloatArray | None:
-    """Return points ``(S, K, 3)`` at bind; None of curves that are no strands."""
+def _points(curves: Any, query: Any, at: PrimLocation) -> FloatArray | None:
+    """Return bind points ``(S, K, 3)``; None if the curves are not strands."""
     counts = integers(curves.GetCurveVertexCountsAttr())
     if curves.GetTypeAttr().Get() != UsdGeom.Tokens.linear or not len(counts):
         return None
@@ -365,7 +371,7 @@ def source_meshes(
         if not skeletons:
             return StageMeshes((), (), np.zeros((0, 4, 4)), UpAxis.Y, [])
         rig = skeleton_rig(skeletons[0], path)
-        where = own_placement(skeletons[0].GetPrim(), rig.rig)
+        where = local_placement(skeletons[0].GetPrim(), rig.rig)
         at_rest = where.sized if placement == DROP else where.rest
         meshes = _meshes(skeletons[0], rig, path, at_rest)
         left = unskinned_notice(skeletons[0], str(path), placement)
@@ -392,7 +398,7 @@ def _meshes(
     rig = replace(skeleton_rig.rig, meshes=meshes, shapes=shapes, attach=strands)
     if not meshes and not strands:
         return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
-    spot = Spot.of(path, skeleton)
+    spot = PrimLocation.of(path, skeleton)
     spot.refuse(bind_transforms(skeleton, skeleton_rig.tokens, skins=True))
     attr = skeleton.GetBindTransformsAttr()
     bind = numbers(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
@@ -400,6 +406,6 @@ def _meshes(
     if placement is not None and not placement.is_none:
         rig = placed_rig(rig, placement)
         bind = placement_matrix(placement) @ bind
-        # Joints carry no scale of their own for it: their lengths have it.
+        # Joints have no scale for it: it is in their lengths.
         bind[:, :3, :3] /= placement.size
     return StageMeshes(surfaces_of(rig), strands_of(rig), bind, rig.up, notices)

@@ -1,4 +1,4 @@
-"""Mesh prims: those of rigs with their skin and blend shapes, of bones, and of frames.
+"""Writes mesh prims: skinned rig meshes with blend shapes, bones, and frames.
 
 `author_mesh` says what every mesh is; `doubleSided` and subdivision are stated there.
 """
@@ -38,7 +38,7 @@ from animtool.usd.layers.sdf import (
 )
 from animtool.usd.rigs.skeleton import SCOPE
 
-# Fewer moving vertices than this share are written with their indices: an index is a
+# Fewer moving vertices than this fraction are written with their indices: an index is a
 # third of an offset.
 SPARSE = 0.75
 
@@ -63,7 +63,7 @@ _METHODS = {"linear": "classicLinear", "dual_quaternion": "dualQuaternion"}
 def author_mesh(
     spec: Any, values: Mapping[str, Any], *, subdivision: str = "none", closed: bool
 ) -> None:
-    """Write what a mesh is, apart from what frames change.
+    """Author the constant part of a mesh.
 
     values: its attributes, in their order; closed: whether it is visible from outside
     alone.
@@ -74,24 +74,24 @@ def author_mesh(
 
 
 class MeshForm(FrameForm[MeshFrame]):
-    """A mesh over time, whose normals follow its faces."""
+    """An animated mesh with normals and changing topology."""
 
     type_name = "Mesh"
     sampled = ("points", "velocities", "extent", "normals")
 
     def shape(self, frame: MeshFrame) -> Mapping[str, IntArray]:
-        """Return the faces."""
+        """Return the topology attributes."""
         return {
             "faceVertexCounts": frame.counts.astype(np.int32),
             "faceVertexIndices": frame.indices.astype(np.int32),
         }
 
     def tears(self, frame: MeshFrame) -> bool:
-        """Return whether its faces may be others."""
+        """Return whether the topology may change."""
         return frame.tears
 
     def describe(self, writer: FramePrim, spec: Any, frame: MeshFrame) -> None:  # noqa: ARG002
-        """Write that it is no cage, and whether both sides are visible."""
+        """Author subdivision scheme and sidedness."""
         author_mesh(spec, {}, closed=frame.closed)
 
     def values(
@@ -101,7 +101,7 @@ class MeshForm(FrameForm[MeshFrame]):
         points: Float32Array,
         code: float,  # noqa: ARG002
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return bounds and normals; what does not tear has the first frame's faces."""
+        """Return bounds and normals; untorn meshes keep the first frame's faces."""
         faces = writer.triangles
         if frame.tears:
             faces = triangulated(frame.counts, frame.indices)
@@ -112,9 +112,9 @@ class MeshForm(FrameForm[MeshFrame]):
 def mesh_names(
     surfaces: Sequence[Surface], paths: RigPaths
 ) -> tuple[list[str], dict[str, str]]:
-    """Return paths of the surfaces' prims, and the names that USD forbids, by path.
+    """Return prim paths of meshes, and the original names of renamed ones.
 
-    They stand below the SkelRoot, beside the Skeleton, the animation and strands.
+    They are siblings of Skeleton, animation and strands below the SkelRoot.
     """
     taken = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
     taken.append(SCOPE)
@@ -138,7 +138,7 @@ def author_meshes(
     *,
     bound: bool = True,
 ) -> tuple[list[str], list[Fault]]:
-    """Write meshes below the SkelRoot; return the paths of their prims, and notices.
+    """Write meshes below the SkelRoot; return their paths and notices.
 
     Weights of a skin are normalised, which a note says (SKIN101).
 
@@ -184,7 +184,7 @@ def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> An
 
 
 def _color(spec: Any, color: tuple[float, float, float]) -> None:
-    """Write the colour that viewers show without a material, linear."""
+    """Author displayColor, linear, for viewers without a material."""
     attribute(
         spec,
         "primvars:displayColor",
@@ -195,14 +195,14 @@ def _color(spec: Any, color: tuple[float, float, float]) -> None:
 
 
 def _placed(spec: Any, transform: FloatArray, meters_per_unit: float) -> None:
-    """Place a mesh that follows no joint."""
+    """Author the transform of a mesh without skin."""
     matrix = _matrix(transform, meters_per_unit)
     attribute(spec, "xformOp:transform", _TYPES.Matrix4d, matrix)
     author_order(spec, "xformOp:transform")
 
 
 def _matrix(transform: FloatArray, meters_per_unit: float) -> Any:
-    """Return a transform of column vectors [m] as a row-vector matrix."""
+    """Return a column-vector transform [m] as a row-vector matrix in stage units."""
     rows = transform.T.copy()
     rows[3, :3] /= meters_per_unit
     return Gf.Matrix4d(*rows.ravel().tolist())
@@ -227,8 +227,8 @@ def _skin(
     influences, report = read_influences(skin.indices, skin.weights, len(skin.joints))
     indices, weights = _padded(influences)
     if skin.joints != tuple(tokens):
-        own = Vt.TokenArray([tokens[name] for name in skin.joints])
-        attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
+        joints = Vt.TokenArray([tokens[name] for name in skin.joints])
+        attribute(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
     if (surface.geom_bind != np.eye(4)).any():
         bind = _matrix(surface.geom_bind, meters_per_unit)
         attribute(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, bind)
@@ -250,7 +250,7 @@ def _skin(
 
 
 def _padded(influences: Influences) -> tuple[IntArray, FloatArray]:
-    """Return joints and weights ``(V, I)``, I no more than one vertex has."""
+    """Return joints and weights ``(V, I)``, with I the largest influence count."""
     counts = np.diff(influences.first)
     within = np.arange(max(1, int(counts.max(initial=1)))) < counts[:, None]
     joints, weights = np.zeros(within.shape, np.int64), np.zeros(within.shape)
@@ -287,9 +287,9 @@ def _shapes(layer: Any, spec: Any, surface: Surface, meters_per_unit: float) -> 
 
 def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
     parts = [shape.deltas, *(step.deltas for step in shape.inbetweens)]
-    turns = [shape.normals, *(step.normals for step in shape.inbetweens)]
-    given = [part for part in [*parts, *turns] if part is not None]
-    moves = np.any([part.any(axis=1) for part in given], axis=0)
+    normal_offsets = [shape.normals, *(step.normals for step in shape.inbetweens)]
+    offsets = [part for part in [*parts, *normal_offsets] if part is not None]
+    moves = np.any([part.any(axis=1) for part in offsets], axis=0)
     vertices, rows = shape.vertices, slice(None)
     if vertices is None and moves.mean() < SPARSE:
         vertices = np.flatnonzero(moves)
@@ -326,7 +326,7 @@ def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
 # A bone is an octahedron, widest a fifth of the way along.
 WAIST = 0.2
 HALF_WIDTH = 0.08
-# Of the length, at either end: no two bones share a point, which tools would merge.
+# Gap at either end, of the length: tools would merge points that bones share.
 GAP = 0.005
 
 _FACES = np.array([[[0, b, a], [5, a, b]] for a, b in ((1, 2), (2, 3), (3, 4), (4, 1))])
@@ -399,7 +399,7 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
 
 
 def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return six points a bone: head, four about the waist, tail; and their normals.
+    """Return six points per bone (head, four at the waist, tail) and normals.
 
     Both are ``(B, 6, 3)``.
     """

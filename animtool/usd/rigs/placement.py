@@ -1,4 +1,4 @@
-"""Where a stage has a Skeleton: the one place that composes its transforms.
+"""Placement of a Skeleton on a stage, composed from all transforms above it.
 
 What pxr composes above a Skeleton, ``LocalToWorld`` in metres, is a `Placement` in the
 unit and the up axis of the rig: it is none for a rig in centimetres that a shot in
@@ -24,7 +24,7 @@ from animtool.maths import so3
 from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.props.prim_transforms import world_matrices
 from animtool.usd.rigs.prims import decompose, up_axis, upwards
 
@@ -35,48 +35,48 @@ KEEP, DROP = "keep", "drop"
 
 @dataclass(frozen=True, slots=True)
 class SkeletonPlacement:
-    """Where a Skeleton is over the frames of a take."""
+    """Placement of a Skeleton over the frames of a take."""
 
-    whole: Placement  # all that is above its joints
+    full: Placement  # all that is above its joints
     # The part that a layer over the rig does not replace: without what moves the
     # SkelRoot itself.
     fixed: Placement
     # Why joints cannot hold it, with numbers; empty where they can.
     uneven: str = ""
     # Where the rig's unit or up axis is not its stage's, and no transform says so.
-    apart: str = ""
+    unit_mismatch: str = ""
     rides: bool = False  # whether the fixed part moves
     _up: UpAxis = UpAxis.Y
 
     @property
     def stands(self) -> Placement:
-        """Where it stands and faces, at rest."""
+        """Where it is placed and faces at rest."""
         return self._at_rest()[0]
 
     @property
     def rest(self) -> Placement:
-        """What its rest pose is brought to: its size, upright, where it stands."""
+        """Placement of its rest pose: size, upright rotation and position."""
         stands, sized = self._at_rest()
         return stands.after(sized)
 
     @property
     def sized(self) -> Placement:
-        """What makes its rest pose its size, and upright."""
+        """Scale and upright rotation of its rest pose."""
         return self._at_rest()[1]
 
     @property
     def motion(self) -> Placement:
-        """What moves it where it stands: all but how it stands, frame by frame."""
+        """Placement per frame relative to `stands`."""
         stands, _ = self.fixed.split(self._up)
-        return stands.inverse().after(self.whole).steady()
+        return stands.inverse().after(self.full).steady()
 
     def _at_rest(self) -> tuple[Placement, Placement]:
-        first = self.whole.first()
+        first = self.full.first()
         return self.fixed.first().split(self._up)[0], first.split(self._up)[1]
 
 
 def movers(skeleton: Any) -> list[Any]:
-    """Return the prims whose transforms place a Skeleton, if one of them moves."""
+    """Return the prims whose transforms place a Skeleton, if any is animated."""
     chain = [mover for prim in upwards(skeleton) if (mover := UsdGeom.Xformable(prim))]
     moves = any(mover.TransformMightBeTimeVarying() for mover in chain)
     return chain if moves else []
@@ -85,34 +85,39 @@ def movers(skeleton: Any) -> list[Any]:
 def skeleton_placement(
     skeleton: Any, rig: Rig, codes: Sequence[float] | None = None
 ) -> SkeletonPlacement:
-    """Return where a Skeleton prim is at time codes; None is its first.
+    """Return the placement of a Skeleton at time codes; None is its first.
 
-    rig: as its numbers are, whose unit and up axis the placement is in.
+    rig: in local values; the placement uses its unit and up axis.
     """
     moving = bool(movers(skeleton))
     times = _times(skeleton, codes) if moving else [0.0]
-    whole = world_matrices(skeleton, np.array(times))
-    fixed = whole
+    full = world_matrices(skeleton, np.array(times))
+    fixed = full
     if moving:
-        fixed = _without_root_motion(skeleton, times, whole)
-    if not np.isfinite(whole).all() or not np.isfinite(fixed).all():
-        where = Spot("", str(skeleton.GetPath()))
+        fixed = _without_root_motion(skeleton, times, full)
+    if not np.isfinite(full).all() or not np.isfinite(fixed).all():
+        where = PrimLocation("", str(skeleton.GetPath()))
         where.fail("USD171", "the Skeleton's transform is not finite")
-    units = _Units.of(skeleton, rig, whole[0])
-    held = units.placement(fixed)
+    units = _StageUnits.of(skeleton, rig, full[0])
+    fixed_placement = units.placement(fixed)
     # One frame does not tell.
-    rides = held.moves if codes else moving and _may_ride(skeleton)
+    rides = fixed_placement.moves if codes else moving and _may_ride(skeleton)
     return SkeletonPlacement(
-        units.placement(whole), held, _uneven(whole), units.apart, rides, rig.up
+        units.placement(full),
+        fixed_placement,
+        _uneven(full),
+        units.unit_mismatch,
+        rides,
+        rig.up,
     )
 
 
 def _may_ride(skeleton: Any) -> bool:
-    """Return whether a prim that places a Skeleton moves, but for its SkelRoot."""
+    """Return whether an ancestor other than the SkelRoot moves the Skeleton."""
     root = UsdSkel.Root.Find(skeleton)
-    own = root.GetPath() if root else None
+    root_path = root.GetPath() if root else None
     return any(
-        mover.GetPath() != own and mover.TransformMightBeTimeVarying()
+        mover.GetPath() != root_path and mover.TransformMightBeTimeVarying()
         for mover in movers(skeleton)
     )
 
@@ -128,33 +133,33 @@ def _times(skeleton: Any, codes: Sequence[float] | None) -> list[float]:
 
 
 def fixed_matrices(skeleton: Any, codes: Sequence[float]) -> FloatArray:
-    """Return what a layer over the rig does not replace above a Skeleton's joints.
+    """Return the matrices above a Skeleton's joints that a layer keeps.
 
     As pxr has it ``(F, 4, 4)``, at time codes.
     """
-    whole = world_matrices(skeleton, np.array(codes))
-    return _without_root_motion(skeleton, codes, whole)
+    full = world_matrices(skeleton, np.array(codes))
+    return _without_root_motion(skeleton, codes, full)
 
 
 def _without_root_motion(
-    skeleton: Any, times: Sequence[float], whole: FloatArray
+    skeleton: Any, times: Sequence[float], full: FloatArray
 ) -> FloatArray:
-    """Return transforms without the operations that move the SkelRoot itself."""
+    """Return matrices without the SkelRoot's animated operations."""
     root = UsdSkel.Root.Find(skeleton)
     if not root or not root.TransformMightBeTimeVarying():
-        return whole
-    prim, found = root.GetPrim(), []
+        return full
+    prim, matrices = root.GetPrim(), []
     resets = root.GetResetXformStack()
-    for time, world in zip(times, whole, strict=True):
+    for time, world in zip(times, full, strict=True):
         cache = UsdGeom.XformCache(Usd.TimeCode(time))
         above = Gf.Matrix4d(1) if resets else cache.GetParentToWorldTransform(prim)
         below = Gf.Matrix4d(world) * cache.GetLocalToWorldTransform(prim).GetInverse()
-        own = Gf.Matrix4d(1)
+        local = Gf.Matrix4d(1)
         for operation in reversed(root.GetOrderedXformOps()):
             if not moves_root(operation):
-                own *= operation.GetOpTransform(Usd.TimeCode(time))
-        found.append(below * own * above)
-    return np.array(found, np.float64).reshape(-1, 4, 4)
+                local *= operation.GetOpTransform(Usd.TimeCode(time))
+        matrices.append(below * local * above)
+    return np.array(matrices, np.float64).reshape(-1, 4, 4)
 
 
 def moves_root(operation: Any) -> bool:
@@ -164,21 +169,21 @@ def moves_root(operation: Any) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class _Units:
-    """From the world of a stage to metres, with the up axis of a rig."""
+class _StageUnits:
+    """Conversion from stage world to metres in a rig's up axis."""
 
     unit: float  # of the stage [m]
     size: float  # what the scales of transforms are multiplied by
-    turn: FloatArray | None  # from the stage's up axis, for translations
+    up_rotation: FloatArray | None  # from the stage's up axis, for translations
     righted: FloatArray | None  # likewise for rotations
-    apart: str
+    unit_mismatch: str
 
     @staticmethod
-    def of(skeleton: Any, rig: Rig, matrix: FloatArray) -> _Units:
-        """Return those of a Skeleton that has a transform."""
+    def of(skeleton: Any, rig: Rig, matrix: FloatArray) -> _StageUnits:
+        """Return the conversion for a Skeleton with a transform."""
         stage = skeleton.GetStage()
         unit, up = float(UsdGeom.GetStageMetersPerUnit(stage)), up_axis(stage)
-        apart = []
+        unit_mismatch = []
         size = unit / rig.meters_per_unit
         _, rotation, scales = decompose(matrix)
         if math.isclose(size, 1.0, rel_tol=1e-6):
@@ -186,24 +191,24 @@ class _Units:
         elif np.abs(np.abs(scales) - 1.0).max() <= EVEN:
             # Nothing is made of the other unit: the rig's numbers are in its own.
             size = 1.0
-            apart.append(f"in {unit_name(unit)}, but its rig in")
-            apart[-1] += f" {unit_name(rig.meters_per_unit)}"
-        turn = up_from_up(rig.up, up)
-        turned = righted = None if turn is None else np.array(turn)
+            unit_mismatch.append(f"in {unit_name(unit)}, but its rig in")
+            unit_mismatch[-1] += f" {unit_name(rig.meters_per_unit)}"
+        up_rotation = up_from_up(rig.up, up)
+        turned = righted = None if up_rotation is None else np.array(up_rotation)
         if turned is not None:
             axis = np.array(rig.up.vector)
             if np.abs(so3.rotate(rotation, axis) - axis).max() <= EVEN:
                 righted = None
-                apart.append(f"{up} up, but its rig {rig.up}")
-        return _Units(unit, size, turned, righted, " and ".join(apart))
+                unit_mismatch.append(f"{up} up, but its rig {rig.up}")
+        return _StageUnits(unit, size, turned, righted, " and ".join(unit_mismatch))
 
     def placement(self, matrices: FloatArray) -> Placement:
-        """Return transforms ``(F, 4, 4)`` as a placement, the nearest where uneven."""
+        """Return matrices ``(F, 4, 4)`` as a placement, the nearest if uneven."""
         translations, rotations, scales = decompose(matrices)
         sizes = np.cbrt(np.abs(scales).prod(axis=-1)) * self.size
         translations = translations * self.unit
-        if self.turn is not None:
-            translations = so3.rotate(self.turn, translations)
+        if self.up_rotation is not None:
+            translations = so3.rotate(self.up_rotation, translations)
         if self.righted is not None:
             rotations = so3.multiply(self.righted, rotations)
         sizes = np.where(sizes > 0.0, sizes, 1.0)
@@ -212,7 +217,7 @@ class _Units:
 
 
 def _snapped(placement: Placement) -> Placement:
-    """Return a placement whose rounding is gone, where it is none."""
+    """Return a placement snapped to the identity within rounding."""
     if not placement.moves and placement.is_none:
         return Placement.from_rotation(so3.IDENTITY)
     near = np.abs(placement.sizes - 1.0) <= EVEN / 10
@@ -224,7 +229,7 @@ def _snapped(placement: Placement) -> Placement:
 
 
 def _uneven(matrices: FloatArray) -> str:
-    """Say with numbers why joints cannot hold a transform; empty where they can."""
+    """Return why joints cannot hold a transform, with numbers; empty if they can."""
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=-1)
     mirrored = np.linalg.det(linear) <= 0.0
@@ -246,7 +251,7 @@ def _uneven(matrices: FloatArray) -> str:
     return " and ".join(texts)
 
 
-def refuse_uneven(placement: SkeletonPlacement, where: Spot) -> None:
+def refuse_uneven(placement: SkeletonPlacement, where: PrimLocation) -> None:
     """Refuse a placement that joints cannot hold (USD035)."""
     if not placement.uneven:
         return
@@ -255,8 +260,8 @@ def refuse_uneven(placement: SkeletonPlacement, where: Spot) -> None:
     raise FormatError(where.fault("USD035", message, hint))
 
 
-def uneven_notice(placement: SkeletonPlacement, where: Spot) -> list[Fault]:
-    """Say with numbers which transform is left out (USD109)."""
+def uneven_notice(placement: SkeletonPlacement, where: PrimLocation) -> list[Fault]:
+    """Return a notice of a transform that is left out, with numbers (USD109)."""
     if not placement.uneven:
         return []
     message = f"the character {placement.uneven}, which joints cannot represent: "
@@ -265,14 +270,14 @@ def uneven_notice(placement: SkeletonPlacement, where: Spot) -> list[Fault]:
     return [where.fault("USD109", message, hint, Severity.WARNING)]
 
 
-def apart_notice(placement: SkeletonPlacement, where: str) -> list[Fault]:
-    """Say so where a rig is read in its own unit or up axis (USD110)."""
-    if not placement.apart:
+def unit_mismatch_notice(placement: SkeletonPlacement, where: str) -> list[Fault]:
+    """Return a notice if rig and stage units or up axes differ (USD110)."""
+    if not placement.unit_mismatch:
         return []
     message = (
-        f"the stage is {placement.apart}, but no transform converts between them: "
+        f"the stage is {placement.unit_mismatch}, but no transform converts between "
+        "them: using the rig's"
     )
-    message += "using the rig's"
     hint = "the shot's own transform must match them"
     return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
 
@@ -283,7 +288,7 @@ NOWHERE = SkeletonPlacement(
 
 
 def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) -> Rig:
-    """Return a rig, as its numbers are, with its rest pose where its stage has it.
+    """Return a rig whose rest pose is placed where its stage has it.
 
     choice: ``drop`` leaves out where the stage has it; None keeps it.
     """
@@ -293,7 +298,7 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
     stands = placement.stands
     placed = placed_rig(rig, placement.rest)
     if sized.stands is not None:
-        # Its numbers have it stand somewhere too.
+        # Its values include a placement, too.
         stands = stands.after(sized.stands)
     return replace(
         placed,
@@ -302,8 +307,8 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
     )
 
 
-def own_placement(skeleton: Any, rig: Rig) -> SkeletonPlacement:
-    """Return where a rig is at rest; an uneven placement is left out of that."""
+def local_placement(skeleton: Any, rig: Rig) -> SkeletonPlacement:
+    """Return the rest placement of a rig, without an uneven transform."""
     placement = skeleton_placement(skeleton, rig)
     if placement.uneven:
         return replace(NOWHERE, uneven=placement.uneven)

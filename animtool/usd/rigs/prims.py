@@ -1,4 +1,4 @@
-"""A Skeleton prim as a rig, where its prims stand, and values of attributes."""
+"""Reads a Skeleton prim as a rig, finds its prims, and reads attribute arrays."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.faults import (
     LARGEST_METADATA,
     SMALLEST_METADATA,
-    Spot,
+    PrimLocation,
     joint_order,
     units_and_axis,
 )
@@ -38,7 +38,7 @@ MAX_COMPARED = 20_000
 
 
 def array_value(attr: Any, time: Any = None) -> Any:
-    """Return an attribute's array; an empty one where it has none, or no array.
+    """Return an attribute's array; empty if it has none.
 
     Without a time, that is the default, else the first sample.
     """
@@ -49,17 +49,17 @@ def array_value(attr: Any, time: Any = None) -> Any:
 
 
 def array_of(value: Any) -> Any:
-    """Return a value that is an array; an empty one where it is none."""
+    """Return a value that is an array; otherwise an empty one."""
     return value if isinstance(value, Sized) and not isinstance(value, str) else ()
 
 
 def numbers(attr: Any, width: int, time: Any = None) -> FloatArray:
-    """Return an attribute's rows ``(N, width)``; none where it has another type."""
+    """Return an attribute's rows ``(N, width)``; none for another type."""
     return numbers_of(array_value(attr, time), width)
 
 
 def numbers_of(value: Any, width: int) -> FloatArray:
-    """Return the rows of an array ``(N, width)``; none where it has another type."""
+    """Return the rows of an array ``(N, width)``; none for another type."""
     value = array_of(value)
     numbers = np.array(value)
     if numbers.dtype.kind not in "fiu" or numbers.size != len(value) * width:
@@ -68,7 +68,7 @@ def numbers_of(value: Any, width: int) -> FloatArray:
 
 
 def integers(attr: Any, time: Any = None) -> IntArray:
-    """Return an attribute's integers ``(N,)``; none where it has another type."""
+    """Return an attribute's integers ``(N,)``; none for another type."""
     numbers = np.array(array_value(attr, time))
     if numbers.dtype.kind not in "iu" or numbers.ndim != 1:
         return np.zeros(0, np.int64)
@@ -76,7 +76,7 @@ def integers(attr: Any, time: Any = None) -> IntArray:
 
 
 def stored_data(prim: Any) -> dict[str, Any]:
-    """Return what ``animtool`` in a prim's customData holds, if it is a dictionary."""
+    """Return ``animtool`` of a prim's customData, if it is a dictionary."""
     data = prim.GetCustomDataByKey("animtool")
     return data if isinstance(data, dict) else {}
 
@@ -88,23 +88,23 @@ LARGEST_REST = float(np.finfo(np.float32).max)
 
 @dataclass(frozen=True, slots=True)
 class SkeletonRig:
-    """A rig made of a Skeleton prim."""
+    """A rig read from a Skeleton prim."""
 
     rig: Rig  # its joints, named by the last part of their path
     tokens: list[str]  # their paths as the prim has them
     rest_scales: FloatArray  # scale of the rest transforms ``(J, 3)``
-    notices: tuple[Fault, ...] = ()  # what is odd about the prim
+    notices: tuple[Fault, ...] = ()  # warnings and notes on the prim
 
 
 def open_stage(path: Path) -> Any:
     """Open a stage."""
     stage = open_composed(find_layer(path), path)
-    _check_metadata(stage, Spot(str(path), "/"))
+    _check_metadata(stage, PrimLocation(str(path), "/"))
     return stage
 
 
-def _check_metadata(stage: Any, where: Spot) -> None:
-    """Refuse metadata that no number on the stage could be read by."""
+def _check_metadata(stage: Any, where: PrimLocation) -> None:
+    """Refuse metadata that make the numbers of a stage unreadable."""
     rate = stage.GetTimeCodesPerSecond()
     if not SMALLEST_METADATA <= rate <= LARGEST_METADATA:
         where.fail("USD253", f"timeCodesPerSecond is {rate}", "write 1e-9 to 1e9")
@@ -118,13 +118,13 @@ def _check_metadata(stage: Any, where: Spot) -> None:
 
 
 def find_prim(stage: Any, name: str) -> Any:
-    """Return the prim at an absolute path; None where there is none."""
+    """Return the prim at an absolute path; None if missing."""
     valid = Sdf.Path.IsValidPathString(name) and Sdf.Path(name).IsAbsolutePath()
     return (stage.GetPrimAtPath(name) or None) if valid else None
 
 
 def nearest_prim(stage: Any, name: str) -> str | None:
-    """Return a hint that names the prim whose path is most like one."""
+    """Return a hint that names the prim with the most similar path."""
     all_of_them = islice(stage.Traverse(), MAX_COMPARED)
     names = [str(prim.GetPath()) for prim in all_of_them]
     near = similar(name, names)
@@ -132,20 +132,20 @@ def nearest_prim(stage: Any, name: str) -> str | None:
 
 
 def upwards(prim: Any) -> Iterator[Any]:
-    """Yield a prim and those above it, the nearest first, without the pseudo-root."""
+    """Yield a prim and its ancestors, without the pseudo-root."""
     while prim and not prim.IsPseudoRoot():
         yield prim
         prim = prim.GetParent()
 
 
 def placing_times(prim: Any) -> set[float]:
-    """Return the time codes of samples of what places a prim in the world."""
-    places = filter(None, map(UsdGeom.Xformable, upwards(prim)))
-    return {time for place in places for time in place.GetTimeSamples()}
+    """Return the sample times of a prim's world transform."""
+    xformables = filter(None, map(UsdGeom.Xformable, upwards(prim)))
+    return {time for xformable in xformables for time in xformable.GetTimeSamples()}
 
 
 def find_skeletons(stage: Any, below: str = "/") -> list[Any]:
-    """Return the Skeleton prims on a stage, those inside instances too."""
+    """Return the Skeleton prims of a stage, including instance proxies."""
     start = stage.GetPrimAtPath(below)
     if not start:
         return []
@@ -154,7 +154,7 @@ def find_skeletons(stage: Any, below: str = "/") -> list[Any]:
 
 
 def animation_source(skeleton: Any) -> Any:
-    """Return the prim of the animation that UsdSkel resolves; None without."""
+    """Return the animation prim that UsdSkel resolves; None if unbound."""
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return None
@@ -182,27 +182,30 @@ def skeleton_rig(skeleton: Any, path: Path, *, animated: bool = True) -> Skeleto
     animated: whether it is posed by what is bound to it, as it is not under a layer.
     """
     stage = skeleton.GetPrim().GetStage()
-    where = Spot.of(path, skeleton)
+    where = PrimLocation.of(path, skeleton)
     tokens = [str(token) for token in array_value(skeleton.GetJointsAttr())]
     rest, notices = np.zeros((0, 4, 4)), list[Fault]()
     if tokens:
         rest, notices = readable_rest(skeleton, tokens, where, animated=animated)
     data = stored_data(skeleton.GetPrim())
-    # What animtool wrote has names of its own.
+    # Files by animtool have stored names.
     named = () if data else array_value(skeleton.GetJointNamesAttr())
     model = skeleton.GetPrim().GetParent().GetParent() or skeleton.GetPrim()
     name = model.GetName() if model.GetName() != "/" else skeleton.GetPrim().GetName()
-    places = (skeleton.GetRestTransformsAttr(), skeleton.GetBindTransformsAttr())
-    authored = [attr for attr in places if attr.HasAuthoredValue()]
-    meters, up = _own_units((authored or places)[0], stage)
+    transform_attrs = (
+        skeleton.GetRestTransformsAttr(),
+        skeleton.GetBindTransformsAttr(),
+    )
+    authored = [attr for attr in transform_attrs if attr.HasAuthoredValue()]
+    meters, up = _stated_units((authored or transform_attrs)[0], stage)
     rig = rig_from_tokens(
         tokens, rest, name, where, meters, up, data, [str(name) for name in named]
     )
     return replace(rig, notices=tuple(notices))
 
 
-def check_moves(joints: int, shapes: int, where: Spot) -> None:
-    """Refuse a character that has nothing to move."""
+def check_moves(joints: int, shapes: int, where: PrimLocation) -> None:
+    """Refuse a character without joints or shapes to animate."""
     if not joints and not shapes:
         where.fail("USD002", "there are no joints and no blend shapes")
 
@@ -211,7 +214,7 @@ def rig_from_tokens(
     tokens: Sequence[str],
     rest: FloatArray,
     name: str,
-    where: Spot,
+    where: PrimLocation,
     meters_per_unit: float,
     up: UpAxis,
     data: dict[str, Any],
@@ -241,7 +244,7 @@ def rig_from_tokens(
             message = f"joint {excerpt(token)} holds the control character {match[0]!r}"
             where.fail("DOC023", message)
         unique = uniques[i]
-        own = extras.get(leaf, {})
+        settings = extras.get(leaf, {})
         x, y, z = (translations[i] * meters_per_unit).tolist()
         a, b, c, w = rotations[i].tolist()
         joints.append(
@@ -251,8 +254,8 @@ def rig_from_tokens(
                 translation=(x, y, z),
                 rotation=(a, b, c, w),
                 source_name=_source_name(originals.get(leaf), names[i], leaf, unique),
-                channels=own.get("channels"),
-                tips=own.get("tips", ()),
+                channels=settings.get("channels"),
+                tips=settings.get("tips", ()),
             )
         )
     rig = Rig(name, tuple(joints), meters_per_unit, up)
@@ -260,13 +263,13 @@ def rig_from_tokens(
 
 
 def _are_names(named: Sequence[str], joints: int) -> bool:
-    """Return whether there is a name for each joint, which files of text can hold."""
+    """Return whether there is a valid source name for each joint."""
     plain = all(name.strip() and name.isprintable() for name in named)
     return plain and len(set(named)) == len(named) == joints
 
 
 def _source_name(original: Any, named: str, leaf: str, unique: str) -> str:
-    """Return what a joint's source calls it; empty where that is its own name."""
+    """Return the original name of a joint; empty if unchanged."""
     if original is not None:
         return str(original)
     name = named or leaf
@@ -281,7 +284,7 @@ def _parent(token: str, index: dict[str, int]) -> int:
     return -1
 
 
-def _extras(data: dict[str, Any], where: Spot) -> dict[str, dict[str, Any]]:
+def _extras(data: dict[str, Any], where: PrimLocation) -> dict[str, dict[str, Any]]:
     text = data.get("joints", "")
     if not text:
         return {}
@@ -297,7 +300,7 @@ def _extras(data: dict[str, Any], where: Spot) -> dict[str, dict[str, Any]]:
 
 
 def _joint_extras(entry: dict[str, Any]) -> dict[str, Any]:
-    """Return a joint's channels and tips, checked."""
+    """Return a joint's stored channels and tips, validated."""
     channels, tips = entry.get("channels"), entry.get("tips", ())
     if channels is not None:
         channels = tuple(channels)
@@ -310,8 +313,8 @@ def _joint_extras(entry: dict[str, Any]) -> dict[str, Any]:
     return {"channels": channels, "tips": tuple(points)}
 
 
-def _own_units(attr: Any, stage: Any) -> tuple[float, UpAxis]:
-    """Return unit [m] and up axis of the layer that an attribute's value is from.
+def _stated_units(attr: Any, stage: Any) -> tuple[float, UpAxis]:
+    """Return unit [m] and up axis of the layer that authors an attribute.
 
     A shot in metres may refer to a rig in centimetres: the numbers of the rig, and
     of an animation for it, are centimetres all the same.
@@ -332,7 +335,7 @@ def up_axis(stage: Any) -> UpAxis:
 
 
 def prim_below(stage: Any, prim_path: str | None) -> str:
-    """Return the prim to look below: the one named, the default one, or all."""
+    """Return the prim to search below: the given, default or pseudo-root prim."""
     if prim_path is not None:
         check_prim_path(prim_path)
         return prim_path
@@ -343,7 +346,7 @@ def prim_below(stage: Any, prim_path: str | None) -> str:
 
 
 def composition_notices(stage: Any, where: str) -> list[Fault]:
-    """Name what the stage refers to and does not find."""
+    """Report unresolved references of a stage."""
     texts = sorted(
         {" ".join(str(error).split()) for error in stage.GetCompositionErrors()}
     )
@@ -355,7 +358,7 @@ def composition_notices(stage: Any, where: str) -> list[Fault]:
 def others_notice(
     skeletons: list[Any], where: str, hint: str | None = None
 ) -> list[Fault]:
-    """Name the characters that are passed over where there are several."""
+    """Report the characters that are skipped where there are several."""
     if len(skeletons) < 2:
         return []
     taken, *others = [str(skeleton.GetPath()) for skeleton in skeletons]

@@ -1,4 +1,4 @@
-"""The rest pose of a Skeleton, and what is used where none is authored.
+"""The rest pose of a Skeleton, and its replacement where none is authored.
 
 UsdSkel poses a Skeleton without restTransforms by an animation of all its joints, and
 not at all by one that lacks some.
@@ -19,10 +19,10 @@ from animtool.core.record import dataclass
 from animtool.core.rules import finding
 from animtool.maths import so3
 from animtool.usd.layers.faults import (
-    Spot,
+    PrimLocation,
     finite_transforms,
     joint_parents,
-    own_matrices,
+    matrix_array,
     singular,
     tokens,
     transform_attributes,
@@ -40,12 +40,12 @@ class RestPose:
 
 
 def rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
-    """Return the rest pose of a Skeleton, as authored where it is.
+    """Return the rest pose of a Skeleton, authored if possible.
 
     Else it is the bind pose; without one, the first sample of a bound animation of all
     joints. None where there is neither.
     """
-    rest = own_matrices(skeleton.GetRestTransformsAttr())
+    rest = matrix_array(skeleton.GetRestTransformsAttr())
     if len(rest):
         return RestPose(rest)
     bind = relative_bind(skeleton, joints)
@@ -56,12 +56,12 @@ def rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
 
 
 def relative_bind(skeleton: Any, joints: Sequence[str]) -> FloatArray | None:
-    """Return the bind transforms relative to the parents ``(J, 4, 4)``.
+    """Return the bind transforms relative to their parents ``(J, 4, 4)``.
 
     None where they are of another number, not finite or without an inverse, or
     identities of several joints, which are placeholders.
     """
-    bind = own_matrices(skeleton.GetBindTransformsAttr())
+    bind = matrix_array(skeleton.GetBindTransformsAttr())
     if len(bind) != len(joints) or not np.isfinite(bind).all():
         return None
     if singular(bind).any() or (len(bind) > 1 and (bind == np.eye(4)).all()):
@@ -76,12 +76,12 @@ def relative_bind(skeleton: Any, joints: Sequence[str]) -> FloatArray | None:
 def rest_transforms(
     skeleton: Any, joints: Sequence[str], *, animated: bool = True
 ) -> Iterator[Fault]:
-    """Yield what is wrong with the rest transforms of a Skeleton that has joints.
+    """Yield faults of the rest transforms of a Skeleton with joints.
 
     animated: whether what it is bound to counts, as it does not for a layer over it.
     """
     attr = skeleton.GetRestTransformsAttr()
-    rest = own_matrices(attr)
+    rest = matrix_array(attr)
     if not len(rest):
         yield _missing(skeleton, joints, animated=animated)
     elif len(rest) != len(joints):
@@ -93,7 +93,7 @@ def rest_transforms(
 
 
 def _missing(skeleton: Any, joints: Sequence[str], *, animated: bool) -> Fault:
-    """Return the finding of no rest transforms: a warning where others stand in."""
+    """Return the fault of missing rest transforms: a warning if replaced."""
     where = skeleton.GetRestTransformsAttr().GetPath()
     message = f"no restTransforms for {counted(len(joints), 'joint')}"
     lacking = _lacking(_animation(skeleton), joints) if animated else []
@@ -111,9 +111,9 @@ def _missing(skeleton: Any, joints: Sequence[str], *, animated: bool) -> Fault:
 
 
 def readable_rest(
-    skeleton: Any, joints: Sequence[str], where: Spot, *, animated: bool = True
+    skeleton: Any, joints: Sequence[str], where: PrimLocation, *, animated: bool = True
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return the rest transforms ``(J, 4, 4)`` and a warning where others stand in.
+    """Return rest transforms ``(J, 4, 4)``, and a warning if they are replaced.
 
     What no reader can go on with is raised.
     """
@@ -129,14 +129,14 @@ def readable_rest(
 
 
 def _animation(skeleton: Any) -> Any:
-    """Return the animation that a Skeleton is bound to; None without."""
+    """Return the animation bound to a Skeleton; None if unbound."""
     binding = UsdSkel.BindingAPI(skeleton.GetPrim())
     source = binding.GetInheritedAnimationSource()
     return UsdSkel.Animation(source) if source else None
 
 
 def _lacking(animation: Any, joints: Sequence[str]) -> list[str]:
-    """Return the joints that an animation lacks, where it moves any."""
+    """Return the joints missing from an animation that has joints."""
     if animation is None:
         return []
     moved = set(tokens(animation.GetJointsAttr()))
@@ -160,11 +160,11 @@ def _first_sample(animation: Any, joints: Sequence[str]) -> FloatArray | None:
         if rows.shape != (len(index), width) or not np.isfinite(rows).all():
             return None
         parts.append(rows[[index[joint] for joint in joints]])
-    moves, turns, sizes = parts
-    if not np.linalg.norm(turns, axis=1).all():
+    moves, rotations, sizes = parts
+    if not np.linalg.norm(rotations, axis=1).all():
         return None
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
-    linear = so3.to_matrix(so3.normalize(turns)).swapaxes(-1, -2)
+    linear = so3.to_matrix(so3.normalize(rotations)).swapaxes(-1, -2)
     matrices[:, :3, :3] = sizes[:, :, None] * linear
     matrices[:, 3, :3] = moves
     return matrices

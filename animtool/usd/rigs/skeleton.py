@@ -33,17 +33,17 @@ from animtool.usd.layers.sdf import (
 )
 
 if TYPE_CHECKING:
-    from animtool.usd.layers.faults import Spot
+    from animtool.usd.layers.faults import PrimLocation
 
 
 KEY = "stands"
 
 
-def place_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
-    """Return what a file records of where a rig stands; empty where it does not.
+def rest_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
+    """Return the record of a rig's rest placement; empty if it has none.
 
-    resting: the rig whose rest pose the file has; None is the same. Where that stands
-    somewhere, so is recorded who does not.
+    resting: the rig whose rest pose the file has; None is the same. If that one is
+    placed, a take without placement is recorded as such.
     """
     others = (rig,) if resting is None else (rig, resting)
     if all(one.stands is None and not one.rides for one in others):
@@ -56,8 +56,10 @@ def place_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
     return record | ({"rides": True} if rig.rides else {})
 
 
-def with_recorded_place(rig: Rig, skeleton: Any, animation: Any, where: Spot) -> Rig:
-    """Return a rig, as its numbers are, that stands where its motion is recorded to.
+def with_recorded_rest(
+    rig: Rig, skeleton: Any, animation: Any, where: PrimLocation
+) -> Rig:
+    """Return a rig with the rest placement recorded in its motion file.
 
     skeleton: the prim of its rest pose; None is none; animation: that of its motion;
     None is the rest pose.
@@ -68,28 +70,28 @@ def with_recorded_place(rig: Rig, skeleton: Any, animation: Any, where: Spot) ->
         return rig
     stands, rides = moving
     if skeleton is not None and resting is not moving:
-        # The rest pose is another take's of a library, or has no place.
+        # The rest pose belongs to another take of a library, or is not placed.
         back = stands if resting is None else stands.after(resting[0].inverse())
         rig = placed_rig(rig, back)
     return replace(rig, stands=None if stands.is_none else stands, rides=rides)
 
 
-def _recorded(prim: Any, where: Spot) -> tuple[Placement, bool] | None:
-    """Return what a prim records, and whether it rides; None where it does not."""
+def _recorded(prim: Any, where: PrimLocation) -> tuple[Placement, bool] | None:
+    """Return the recorded placement of a prim, and whether it moves; None if absent."""
     # What writes needs nothing of stages.
     from animtool.usd.rigs.prims import stored_data
 
     record = stored_data(prim).get(KEY)
     if record is None:
         return None
-    place, turn = (
+    position, orientation = (
         record.get(key) if isinstance(record, dict) else None
         for key in ("translate", "rotate")
     )
-    if not isinstance(place, Gf.Vec3d) or not isinstance(turn, Gf.Quatd):
+    if not isinstance(position, Gf.Vec3d) or not isinstance(orientation, Gf.Quatd):
         where.fail("USD007", f"customData animtool:{KEY} is malformed")
-    rotation = np.array([*turn.GetImaginary(), turn.GetReal()], float)
-    translation = np.array(place, float)
+    rotation = np.array([*orientation.GetImaginary(), orientation.GetReal()], float)
+    translation = np.array(position, float)
     length = float(np.linalg.norm(rotation))
     if not np.isfinite(translation).all() or not abs(length - 1.0) < 1e-3:
         where.fail("USD007", f"customData animtool:{KEY} is malformed")
@@ -101,7 +103,7 @@ _TYPES = Sdf.ValueTypeNames
 _EXTRAS_VERSION = 1
 # Below the SkelRoot, what holds the curves.
 SCOPE = "Strands"
-# How wide curves are drawn [m]: the format of rigs says nothing of it.
+# Width of drawn curves [m]: rig files do not define it.
 WIDTH = 4e-4
 
 
@@ -126,7 +128,7 @@ def author_rig(
         named = dict(zip(rig.names, map(str, tokens), strict=True))
         author_strands(layer, strands_of(rig), paths, named, meters_per_unit)
     data: dict[str, Any] = {}
-    if says_more(rig):
+    if has_extra_data(rig):
         data["rig"] = rig_text(stripped(rig))
         if pins := _pins(rig):
             data["pins"] = pins
@@ -135,16 +137,16 @@ def author_rig(
         data["joints"] = extras
     if names.originals:
         data["names"] = names.originals
-    if place := place_record(rig):
-        data[KEY] = place
+    if record := rest_record(rig):
+        data[KEY] = record
     if data:
         spec.SetInfo("customData", {"animtool": data})
 
 
-def says_more(rig: Rig) -> bool:
-    """Return whether a rig holds what USD has no place for.
+def has_extra_data(rig: Rig) -> bool:
+    """Return whether a rig contains data that USD cannot express.
 
-    The type of a joint with channels follows from these, which stand apart.
+    Types of joints with channels follow from these, which are stored separately.
     """
     parts = (rig.controls, rig.chains, rig.attach, rig.colliders, rig.masses)
     return any(map(bool, parts)) or any(
@@ -157,7 +159,7 @@ def says_more(rig: Rig) -> bool:
 
 
 def stripped(rig: Rig) -> Rig:
-    """Return a rig without the arrays, which USD holds."""
+    """Return a rig without the arrays that USD holds."""
     shapes = tuple(
         Shape(shape.name, combine=shape.combine, driven=shape.driven)
         for shape in rig.shapes
@@ -167,15 +169,15 @@ def stripped(rig: Rig) -> Rig:
 
 
 def _pins(rig: Rig) -> dict[str, Any]:
-    """Return the vertices that stay with the skin, by the cloth's name."""
+    """Return the pinned vertices by cloth name."""
     return {
-        entry.name: Vt.IntArray.FromNumpy(_whole(entry.pins, entry.name))
+        entry.name: Vt.IntArray.FromNumpy(_integers(entry.pins, entry.name))
         for entry in rig.attach
         if entry.pins is not None
     }
 
 
-def _whole(source: ArraySource, name: str) -> Any:
+def _integers(source: ArraySource, name: str) -> Any:
     try:
         return np.ascontiguousarray(source.load(), np.int32)
     except ValueError as error:
@@ -191,16 +193,16 @@ def skeleton_hash(tokens: Any, rest: Any, bind: Any) -> str:
 
 
 def _matrices(positions: FloatArray, linear: FloatArray) -> Any:
-    """Return row-vector matrices, as USD has them."""
-    whole = np.zeros((len(positions), 4, 4))
-    whole[:, :3, :3] = linear.swapaxes(-1, -2)
-    whole[:, 3, :3] = positions
-    whole[:, 3, 3] = 1.0
-    return Vt.Matrix4dArray.FromNumpy(whole)
+    """Return row-vector matrices, as in USD."""
+    matrices = np.zeros((len(positions), 4, 4))
+    matrices[:, :3, :3] = linear.swapaxes(-1, -2)
+    matrices[:, 3, :3] = positions
+    matrices[:, 3, 3] = 1.0
+    return Vt.Matrix4dArray.FromNumpy(matrices)
 
 
 def joint_extras(rig: Rig, names: list[str]) -> str:
-    """Return what USD has no place for, as canonical JSON; empty if there is none.
+    """Return joint data that USD cannot express, as canonical JSON; else empty.
 
     Channel orders and the ends of bones [m], by USD name.
     """
@@ -222,7 +224,7 @@ def joint_extras(rig: Rig, names: list[str]) -> str:
 def author_binding(
     layer: Any, paths: RigPaths, *, skeleton: bool, animation: bool = True
 ) -> None:
-    """Bind the animation, and the skeleton too where the rig does not."""
+    """Bind the animation, and the skeleton if the rig does not."""
     spec = layer.GetPrimAtPath(paths.binding)
     if spec is None:
         spec = prim(layer, paths.binding, over=True)
@@ -235,8 +237,8 @@ def author_binding(
 
 def strand_paths(strands: Sequence[Strands], paths: RigPaths) -> tuple[str, ...]:
     """Return paths of the strands' prims."""
-    names_given = [entry.name for entry in strands]
-    names = distinct_names(names_given, names_given, names_given).names
+    source_names = [entry.name for entry in strands]
+    names = distinct_names(source_names, source_names, source_names).names
     return tuple(f"{paths.root}/{SCOPE}/{name}" for name in names)
 
 
@@ -270,9 +272,9 @@ def _curves(spec: Any, points: FloatArray, width: float) -> None:
     count, length = points.shape[:2]
     labels = Labels(f"{spec.path}.points", "point")
     flat = np.ascontiguousarray(narrowed(points.reshape(-1, 3), "f", labels))
-    places, widths = Vt.Vec3fArray.FromNumpy(flat), Vt.FloatArray([width])
+    curve_points, widths = Vt.Vec3fArray.FromNumpy(flat), Vt.FloatArray([width])
     values = {
-        "extent": np.array(UsdGeom.Curves.ComputeExtent(places, widths)),
+        "extent": np.array(UsdGeom.Curves.ComputeExtent(curve_points, widths)),
         **LINEAR,
         "curveVertexCounts": np.full(count, length, np.int32),
         "points": flat,
@@ -282,10 +284,10 @@ def _curves(spec: Any, points: FloatArray, width: float) -> None:
 
 
 def _bound(spec: Any, token: str) -> None:
-    """Bind a prim to one joint as a whole."""
+    """Bind a prim rigidly to one joint."""
     apply_schemas(spec, ["SkelBindingAPI"])
-    own = Vt.TokenArray([token])
-    attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
+    joints = Vt.TokenArray([token])
+    attribute(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
     for name, kind, value in (
         ("jointIndices", _TYPES.IntArray, Vt.IntArray([0])),
         ("jointWeights", _TYPES.FloatArray, Vt.FloatArray([1.0])),

@@ -1,4 +1,4 @@
-"""Prims that a Skeleton moves: which they are, and what they are read by."""
+"""Finds the prims that a Skeleton deforms, and reads their bindings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.core.arguments import flag
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.rig.kinematics import WorldTransforms
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.rigs.prims import (
     SkeletonRig,
     find_skeletons,
@@ -24,12 +24,12 @@ from animtool.usd.rigs.prims import (
 
 
 def is_bones(prim: Any) -> bool:
-    """Return whether a prim is a mesh that was written for the bones of a skeleton."""
+    """Return whether a prim is a mesh that visualizes bones."""
     return bool(prim.GetCustomDataByKey("animtool:bones"))
 
 
 def is_shown_mesh(prim: Any) -> bool:
-    """Return whether a prim is a mesh, and neither a guide nor bones of a skeleton."""
+    """Return whether a prim is a visible mesh: no guide, no bones."""
     return bool(
         prim.IsA(UsdGeom.Mesh)
         and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide
@@ -38,7 +38,7 @@ def is_shown_mesh(prim: Any) -> bool:
 
 
 def skinned_prims(skeleton: Any, schema: Any) -> list[Any]:
-    """Return queries of the prims of a schema that a Skeleton moves."""
+    """Return queries of the prims of a schema that a Skeleton deforms."""
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return []
@@ -59,7 +59,7 @@ _BINDING = ("primvars:skel:jointIndices", "skel:blendShapeTargets")
 
 
 def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
-    """Name what stays at rest because SkelBindingAPI is not applied to it."""
+    """Report prims that stay at rest because SkelBindingAPI is not applied."""
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return []
@@ -79,7 +79,7 @@ def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
 
 
 def ignored_binding(skeleton: Any) -> str:
-    """Return the prim whose binding UsdSkel ignores for want of its schema, or none."""
+    """Return the prim whose binding UsdSkel ignores for lack of its schema, or None."""
     for prim in upwards(skeleton):
         bound = prim.GetRelationship("skel:animationSource")
         if bound and bound.GetTargets() and not prim.HasAPI(UsdSkel.BindingAPI):
@@ -93,13 +93,13 @@ BINDING_HINT = (
 
 
 def prim_name(prim: Any) -> str:
-    """Return the name that a prim was written from."""
+    """Return the original name of a prim."""
     data = stored_data(prim)
     return str(data.get("name", prim.GetName()))
 
 
 def unique_name(name: str, used: set[str]) -> str:
-    """Return a name, with a number where it is used; it is used from then on."""
+    """Return a name, numbered if already used; it counts as used from then on."""
     unique, number = name, 2
     while unique in used:
         unique, number = f"{name}_{number}", number + 1
@@ -107,7 +107,7 @@ def unique_name(name: str, used: set[str]) -> str:
     return unique
 
 
-def floats(attr: Any, width: int, at: Spot, code: str = "USD017") -> FloatArray:
+def floats(attr: Any, width: int, at: PrimLocation, code: str = "USD017") -> FloatArray:
     """Return the rows of an attribute ``(N, width)``; ``code``: of one not finite."""
     # Points that are sampled only are those of the first sample.
     values = numbers(attr, width, Usd.TimeCode.EarliestTime())
@@ -117,8 +117,8 @@ def floats(attr: Any, width: int, at: Spot, code: str = "USD017") -> FloatArray:
     return values
 
 
-def joint_names(query: Any, rig: SkeletonRig, at: Spot) -> tuple[str, ...]:
-    """Return the rig's names of the joints that a prim's indices count."""
+def joint_names(query: Any, rig: SkeletonRig, at: PrimLocation) -> tuple[str, ...]:
+    """Return the rig joint names that a prim's joint indices refer to."""
     order = query.GetJointOrder()
     index = {token: i for i, token in enumerate(rig.tokens)}
     tokens: Sequence[str] = rig.tokens if order is None else [str(t) for t in order]
@@ -130,7 +130,7 @@ def joint_names(query: Any, rig: SkeletonRig, at: Spot) -> tuple[str, ...]:
 
 
 def played_world(path: Path, codes: FloatArray) -> WorldTransforms:
-    """Return the world transforms of the first skeleton of a stage, by UsdSkel.
+    """Return the world transforms of a stage's first skeleton, by UsdSkel.
 
     codes: time codes, between samples too ``(F,)``.
     """
@@ -160,7 +160,7 @@ MAX_NAMED = 40
 
 
 def character_paths(stage: Any) -> list[str]:
-    """Return the prims that stand for the characters of a stage.
+    """Return the root prims of the characters of a stage.
 
     Of each Skeleton that is the component it is part of, else its SkelRoot.
     """
@@ -178,7 +178,7 @@ def _character(skeleton: Any) -> str:
 
 
 def holds_character(stage: Any, prim_path: str, where: str) -> bool:
-    """Return whether a stage has a character at a path, or is a rig to put there.
+    """Return whether a stage has a character at a path, or could place one there.
 
     A rig alone has one character, at the top, and nothing where the path begins: a
     shot will have it at the path. Any other stage is the shot itself, in which the

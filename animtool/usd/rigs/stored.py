@@ -1,4 +1,4 @@
-"""What a rig says beyond USD, beside what USD says of it now."""
+"""Merges rig data stored in customData with the current USD content."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.file import rig_of_document
 from animtool.rig.parts import AttachKind, Attachment, LoadedArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.usd.layers.faults import Spot, own_matrices
+from animtool.usd.layers.faults import PrimLocation, matrix_array
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import read_meshes, read_strands
-from animtool.usd.rigs.placement import own_placement, rest_rig, uneven_notice
+from animtool.usd.rigs.placement import local_placement, rest_rig, uneven_notice
 from animtool.usd.rigs.prims import (
     LARGEST_REST,
     SkeletonRig,
@@ -45,10 +45,10 @@ from animtool.usd.rigs.skinned import unique_name
 def joined_attachments(
     rig: Rig, strands: Mapping[str, Attachment], pins: Mapping[str, Any]
 ) -> tuple[tuple[Attachment, ...], list[str]]:
-    """Return a rig's attachments with their arrays, and names of those left out.
+    """Return a rig's attachments with arrays, and names of dropped ones.
 
-    Strands are as USD has them; others than the rig's stand last. What is left out has
-    lost its mesh or curves, or the vertices that it pins.
+    Strands come from USD; those unknown to the rig are last. Dropped entries have lost
+    their mesh or curves, or the vertices they pin.
     """
     others = dict(strands)
     counts = {mesh.name: len(mesh.points.load()) for mesh in rig.meshes}
@@ -58,9 +58,13 @@ def joined_attachments(
         if entry.kind == AttachKind.STRANDS and entry.name in others:
             attachments.append(others.pop(entry.name))
         elif entry.kind == AttachKind.CLOTH and _fits(entry, counts, pins):
-            held = np.array(pins[entry.name], float) if entry.name in pins else None
+            pin_values = (
+                np.array(pins[entry.name], float) if entry.name in pins else None
+            )
             attachments.append(
-                replace(entry, pins=None if held is None else LoadedArray(held))
+                replace(
+                    entry, pins=None if pin_values is None else LoadedArray(pin_values)
+                )
             )
         elif entry.kind in {AttachKind.STRANDS, AttachKind.CLOTH}:
             lost.append(entry.name)
@@ -74,14 +78,14 @@ def joined_attachments(
 
 
 def _fits(entry: Attachment, counts: dict[str, int], pins: Mapping[str, Any]) -> bool:
-    """Return whether a cloth has its mesh, and that the vertices of its pins."""
-    given = np.array(pins.get(entry.name, ()))
+    """Return whether a cloth's mesh exists and its pins are valid vertices."""
+    indices = np.array(pins.get(entry.name, ()))
     count = counts.get(entry.mesh, 0)
-    whole = given.ndim == 1 and (not len(given) or given.dtype.kind in "iu")
-    return bool(count and whole and ((given >= 0) & (given < count)).all())
+    integral = indices.ndim == 1 and (not len(indices) or indices.dtype.kind in "iu")
+    return bool(count and integral and ((indices >= 0) & (indices < count)).all())
 
 
-# Rest transforms nearer than this [m], [1] are the same but for rounding.
+# Rest transforms closer than this [m], [1] differ only by rounding.
 SAME = 1e-9
 
 
@@ -93,12 +97,12 @@ def joined_rig(
     bind: Any,
     path: Path,
 ) -> tuple[Rig, list[Fault]]:
-    """Return a rig with what its customData says beyond USD.
+    """Return a rig with the data of its customData.
 
-    Where the Skeleton is what it was when it was written, joints are exactly those of
-    the rig that it was written from. Else USD's own tree, rest and bind count, what
-    names joints that are gone is left out, and a warning says so (USD117). Cloth and
-    strands have no arrays yet; see `with_attachments`.
+    If the Skeleton is unchanged since it was written, joints equal those of the source
+    rig. Otherwise USD's hierarchy, rest and bind win, references to removed joints are
+    dropped with a warning (USD117). Cloth and strands have no arrays yet; see
+    `with_attachments`.
     """
     text = data.get("rig")
     if not text:
@@ -113,7 +117,7 @@ def joined_rig(
         message = f"customData animtool:rig is malformed: {reason}"
         raise FormatError(Fault("USD007", message, str(path))) from error
     shapes = _shapes(stored, read)
-    whole = replace(
+    joined = replace(
         stored,
         meshes=read.meshes,
         shapes=shapes,
@@ -121,18 +125,18 @@ def joined_rig(
     )
     notices: list[Fault] = []
     if data.get("hash") != skeleton_hash(tokens, rest, bind):
-        whole, notices = _edited(whole, read, str(path))
-    names = dict(zip(read.names, whole.names, strict=True))
-    meshes = tuple(_renamed(mesh, names) for mesh in whole.meshes)
-    return replace(whole, meshes=meshes), notices
+        joined, notices = _edited(joined, read, str(path))
+    names = dict(zip(read.names, joined.names, strict=True))
+    meshes = tuple(_renamed(mesh, names) for mesh in joined.meshes)
+    return replace(joined, meshes=meshes), notices
 
 
 def with_attachments(
     joined: Rig, read: Rig, data: dict[str, Any], path: Path
 ) -> tuple[Rig, list[Fault]]:
-    """Return a joined rig whose cloth and strands have what USD holds of them.
+    """Return a joined rig whose cloth and strands have their USD arrays.
 
-    Those whose mesh or curves USD lost or broke are left out, and named (USD119).
+    Those with missing or invalid mesh or curves are dropped and reported (USD119).
     """
     if not data.get("rig"):
         return joined, []
@@ -150,7 +154,7 @@ def with_attachments(
 
 
 def _renamed(mesh: Mesh, names: dict[str, str]) -> Mesh:
-    """Return a mesh whose skin names joints as the rig does."""
+    """Return a mesh whose skin uses the rig's joint names."""
     if mesh.skin is None:
         return mesh
     joints = tuple(names[name] for name in mesh.skin.joints)
@@ -158,13 +162,13 @@ def _renamed(mesh: Mesh, names: dict[str, str]) -> Mesh:
 
 
 def _shapes(stored: Rig, read: Rig) -> tuple[Shape, ...]:
-    """Return shapes in the stored order, their arrays as USD has them."""
-    held = {shape.name: shape for shape in read.shapes}
+    """Return shapes in stored order, with USD's arrays."""
+    by_name = {shape.name: shape for shape in read.shapes}
     known = {shape.name for shape in stored.shapes}
     return (
         *(
-            replace(held[shape.name], combine=shape.combine, driven=shape.driven)
-            if shape.name in held
+            replace(by_name[shape.name], combine=shape.combine, driven=shape.driven)
+            if shape.name in by_name
             else shape
             for shape in stored.shapes
         ),
@@ -186,7 +190,7 @@ def _edited(stored: Rig, read: Rig, where: str) -> tuple[Rig, list[Fault]]:
         if old is None:
             changed.append(joint.name)
             joints.append(joint)
-        elif parents[old.name] == parent and _alike(old, joint):
+        elif parents[old.name] == parent and _equal_rest(old, joint):
             joints.append(replace(old, parent=joint.parent))
         else:
             changed.append(old.name)
@@ -212,14 +216,14 @@ def _edited(stored: Rig, read: Rig, where: str) -> tuple[Rig, list[Fault]]:
     ]
 
 
-def _alike(one: Joint, other: Joint) -> bool:
-    apart = np.abs(np.subtract(one.translation, other.translation)).max()
+def _equal_rest(one: Joint, other: Joint) -> bool:
+    offset = np.abs(np.subtract(one.translation, other.translation)).max()
     along = abs(float(np.dot(one.rotation, other.rotation)))
-    return bool(apart <= SAME and along >= 1 - SAME)
+    return bool(offset <= SAME and along >= 1 - SAME)
 
 
 def _without(rig: Rig, gone: list[str]) -> Rig:
-    """Return a rig without what names joints that are gone."""
+    """Return a rig without references to removed joints."""
     lost = set(gone)
     joints = tuple(
         replace(
@@ -256,7 +260,7 @@ def _control(control: Control, lost: set[str]) -> Control:
 
 
 def _driver(driver: Driver | None, lost: set[str]) -> Driver | None:
-    """Return a driver; None where it reads a joint that is lost."""
+    """Return a driver; None if it reads a removed joint."""
     read = () if driver is None else driver.names
     return None if lost & {split_coordinate(name)[0] for name in read} else driver
 
@@ -268,12 +272,14 @@ SCALE_TOLERANCE = 1e-4
 
 
 def read_rig(path: Path) -> Rig:
-    """Return the rig of a USD file, with what there is to say of it as its notices."""
-    rig, notices = read_whole_rig(path)
+    """Return the rig of a USD file with its notices."""
+    rig, notices = read_rig_with_data(path)
     return replace(rig, notices=tuple(notices))
 
 
-def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
+def read_rig_with_data(
+    path: Path, prim_path: str | None = None
+) -> tuple[Rig, list[Fault]]:
     """Return the rig of a USD file's Skeleton, that of its default prim first.
 
     With bind pose, meshes, shapes and strands, and what its customData holds beyond
@@ -289,7 +295,7 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
         of_skeleton = skeleton_rig(skeletons[0], path, animated=False)
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, of_skeleton, str(path))
-        where = Spot.of(path, skeleton)
+        where = PrimLocation.of(path, skeleton)
         check_moves(len(of_skeleton.rig.joints), len(shapes), where)
         notices += of_skeleton.notices
         notices += others_notice(
@@ -310,20 +316,20 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
             rig,
             data,
             of_skeleton.tokens,
-            own_matrices(skeleton.GetRestTransformsAttr()),
-            own_matrices(skeleton.GetBindTransformsAttr()),
+            matrix_array(skeleton.GetRestTransformsAttr()),
+            matrix_array(skeleton.GetBindTransformsAttr()),
             path,
         )
-        whole, losses = with_attachments(joined, rig, data, path)
-        placement = own_placement(skeleton.GetPrim(), of_skeleton.rig)
+        complete, losses = with_attachments(joined, rig, data, path)
+        placement = local_placement(skeleton.GetPrim(), of_skeleton.rig)
         notices += uneven_notice(placement, where)
-        return rest_rig(whole, placement), notices + edits + losses
+        return rest_rig(complete, placement), notices + edits + losses
 
 
 def _bind_poses(
     skeleton: Any, of_skeleton: SkeletonRig
 ) -> tuple[dict[str, Pose], FloatArray]:
-    """Return the local bind transforms that are not those of rest, and their scales.
+    """Return local bind transforms that differ from rest, and their scales.
 
     The scales ``(J, 3)`` are no part of the poses.
     """
@@ -338,22 +344,24 @@ def _bind_poses(
     above = np.where((rig.parents < 0)[:, None, None], np.eye(4), world[rig.parents])
     if (np.linalg.det(above) == 0).any():
         return {}, np.ones((len(rig.joints), 3))
-    places, turns, scales = decompose(world @ np.linalg.inv(above))
-    places = places * rig.meters_per_unit
-    moved = np.abs(places - rig.rest_translations).max(axis=1)
+    translations, rotations, scales = decompose(world @ np.linalg.inv(above))
+    translations = translations * rig.meters_per_unit
+    moved = np.abs(translations - rig.rest_translations).max(axis=1)
     moved = moved > BIND_TOLERANCE * np.abs(rig.rest_translations).max()
-    moved |= so3.angle_between(turns, rig.rest_rotations) > BIND_TOLERANCE
+    moved |= so3.angle_between(rotations, rig.rest_rotations) > BIND_TOLERANCE
     poses = {
-        rig.names[j]: Pose(tuple(places[j].tolist()), tuple(turns[j].tolist()))
+        rig.names[j]: Pose(
+            tuple(translations[j].tolist()), tuple(rotations[j].tolist())
+        )
         for j in np.flatnonzero(moved).tolist()
     }
     return poses, scales
 
 
 def _scale_notice(rig: SkeletonRig, bind: FloatArray, where: str) -> list[Fault]:
-    """Name the joints whose scale at rest or at bind time a rig does not hold."""
-    apart = np.abs(np.stack([rig.rest_scales, bind]) - 1.0).max(axis=(0, 2))
-    names = [rig.rig.names[j] for j in np.flatnonzero(apart > SCALE_TOLERANCE)]
+    """Report joints with a rest or bind scale, which rigs cannot hold."""
+    off = np.abs(np.stack([rig.rest_scales, bind]) - 1.0).max(axis=(0, 2))
+    names = [rig.rig.names[j] for j in np.flatnonzero(off > SCALE_TOLERANCE)]
     if not names:
         return []
     message = f"the scale of rest or bind transforms is ignored: {listed(names)}"

@@ -1,4 +1,4 @@
-"""The rig that an animation layer is made for."""
+"""The target rig of an animation layer."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ from animtool.usd.takes.over_rig import OverRig
 
 @dataclass(frozen=True, slots=True)
 class RigTarget:
-    """A rig on a stage, and where a layer over it has its prims."""
+    """A rig on a stage, and the prim paths of a layer over it."""
 
     path: Path
     stage: Any
@@ -66,20 +66,20 @@ class RigTarget:
     start: Fraction | None  # the stage's start time code, where it states one
     operations: list[str]  # transform operations of the SkelRoot that place it
     moves: bool  # whether it has others, which move it: the take replaces those
-    skeletons: int  # how many skeletons share the SkelRoot's extent
+    skeletons: int  # number of skeletons below the SkelRoot
     unit: float  # length unit that the stage states [m]; the rig has its own
     up: UpAxis  # up axis that the stage states
-    notices: list[Fault]  # what is odd about it
+    notices: list[Fault]  # warnings and notes
 
     def placement(self, codes: FloatArray | None = None) -> SkeletonPlacement:
-        """Return where the rig's stage has its Skeleton, at time codes."""
+        """Return the rig's Skeleton placement at time codes."""
         prim = self.stage.GetPrimAtPath(self.on_stage(self.paths.skeleton))
         times = None if codes is None else codes.tolist()
         return skeleton_placement(prim, self.skeleton.rig, times)
 
     @property
     def names(self) -> UsdNames:
-        """Names of its joints, and those of their source where they are others."""
+        """Names of its joints, and their original names if different."""
         rig, tokens = self.skeleton.rig, self.skeleton.tokens
         originals = {
             leaf: joint.source_name
@@ -90,18 +90,18 @@ class RigTarget:
         return UsdNames(rig.names, originals, [])
 
     def on_stage(self, path: str) -> str:
-        """Return where the rig's own stage has a prim of a layer over it."""
+        """Return the stage path of a prim of the layer over the rig."""
         model = Sdf.Path(self.stage_model)
         return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.paths.model), model))
 
     def on_layer(self, path: Any) -> str:
-        """Return where a layer over the rig has a prim of its own stage."""
+        """Return the layer path of a prim of the rig's stage."""
         model = Sdf.Path(self.paths.model)
         return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.stage_model), model))
 
 
 def open_target(path: Path, prim_path: str | None) -> RigTarget:
-    """Open the stage that holds a rig: a rig layer, or a shot that refers to one."""
+    """Open the stage that holds a rig: a rig layer, or a shot that references one."""
     with usd_errors(path), without_usd_warnings():
         return _target(open_stage(path), path, prim_path)
 
@@ -172,7 +172,7 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
 
 
 def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
-    """Say so where a shot is in other units than the rig that it refers to."""
+    """Report a shot in other units than the rig it references."""
     unit, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
     same_unit = math.isclose(unit, rig.meters_per_unit, rel_tol=1e-6)
     if same_unit and up is rig.up:
@@ -184,7 +184,7 @@ def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
 
 
 def _bound_in_shot(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
-    """Say so where a shot itself binds an animation to a rig that it refers to."""
+    """Report a shot that itself binds an animation to the referenced rig."""
     layer = stage.GetRootLayer()
     skeleton = layer.GetPrimAtPath(paths.skeleton)
     if skeleton is not None and skeleton.specifier == Sdf.SpecifierDef:
@@ -197,7 +197,7 @@ def _bound_in_shot(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
 
 
 def _operations(root: Any) -> tuple[list[str], list[str]]:
-    """Return the transform operations that place a SkelRoot, and that move it."""
+    """Return the xform ops that place a SkelRoot, and those that animate it."""
     placing: list[str] = []
     moving: list[str] = []
     for operation in UsdGeom.Xformable(root).GetOrderedXformOps():
@@ -207,7 +207,7 @@ def _operations(root: Any) -> tuple[list[str], list[str]]:
 
 
 def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
-    """Return the path of the prim that stands for the character."""
+    """Return the path of the character's root prim."""
     if prim_path is not None and root.GetPath().HasPrefix(Sdf.Path(prim_path)):
         return Sdf.Path(prim_path)
     default = stage.GetDefaultPrim()
@@ -217,7 +217,7 @@ def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
 
 
 def _binding(skeleton: Any, root: Any, model: Any) -> str:
-    """Return the prim nearest the Skeleton that binds an animation, else the root.
+    """Return the nearest prim above the Skeleton that binds an animation, or the root.
 
     What binds above the model is not the character's alone: the root is nearer.
     """
@@ -247,8 +247,8 @@ _NONE: IntArray = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
-class JointMap:
-    """How the joints of a take stand in a target rig."""
+class RigJointMap:
+    """Map from the joints of a take to those of a target rig."""
 
     rig: Rig  # the target's joints
     # Joint of the take for each joint of the target ``(J,)``, -1 for none.
@@ -266,19 +266,19 @@ class JointMap:
     size: float = 1.0  # of the world, a length of 1 m in the numbers of the rig
 
     def at(self, codes: FloatArray, motion: Motion) -> Motion:
-        """Return the motion of the target at time codes ``(F,)``; see `apply`."""
+        """Return the target's motion at time codes ``(F,)``; see `apply`."""
         if self.to_rig is not None:
             motion = placed_motion(motion, self.roots, self.to_rig(codes))
         return self.apply(motion)
 
     def apply(self, motion: Motion) -> Motion:
-        """Return the motion of the target; joints that the take lacks are at rest."""
+        """Return the target's motion; joints missing from the take are at rest."""
         scales = motion.scales
         mapped = None
         if scales is not None or (self.rest_scales != 1.0).any():
             if scales is None:
-                still = np.zeros((motion.frames, 0, 3))
-                mapped = Channel(self.rest_scales, _NONE, still)
+                constant = np.zeros((motion.frames, 0, 3))
+                mapped = Channel(self.rest_scales, _NONE, constant)
             else:
                 mapped = self._channel(scales, self.rest_scales)
         return Motion(
@@ -293,12 +293,14 @@ class JointMap:
 
     def _channel(self, channel: Channel, rest: FloatArray) -> Channel:
         has = self.source >= 0
-        still = rest.copy()
-        still[has] = channel.rest[self.source[has]]
-        place = {int(joint): i for i, joint in enumerate(channel.animated)}
-        animated = [j for j, s in enumerate(self.source.tolist()) if s in place]
-        columns = [place[int(self.source[j])] for j in animated]
-        return Channel(still, np.array(animated, np.int64), channel.values[:, columns])
+        constant = rest.copy()
+        constant[has] = channel.rest[self.source[has]]
+        column_of = {int(joint): i for i, joint in enumerate(channel.animated)}
+        animated = [j for j, s in enumerate(self.source.tolist()) if s in column_of]
+        columns = [column_of[int(self.source[j])] for j in animated]
+        return Channel(
+            constant, np.array(animated, np.int64), channel.values[:, columns]
+        )
 
 
 def map_joints(
@@ -308,15 +310,15 @@ def map_joints(
     *,
     force_fit: bool = False,
     over: OverRig | None = None,
-) -> JointMap:
+) -> RigJointMap:
     """Match joints by path, else by name, legal or original.
 
     over: how the take comes to the numbers of the rig; None is that they are its own.
     """
     names = joint_names(take.joints, strip_namespaces)
-    own = [legal_name(joint.source_name or joint.name) for joint in take.joints]
+    legal = [legal_name(joint.source_name or joint.name) for joint in take.joints]
     by_key: dict[str, list[int]] = {}
-    for paths in (take.paths(own), take.paths(names.names)):
+    for paths in (take.paths(legal), take.paths(names.names)):
         for i, path in enumerate(paths):
             by_key.setdefault(f"/{path}", []).append(i)
     for i, (joint, name) in enumerate(zip(take.joints, names.names, strict=True)):
@@ -350,17 +352,22 @@ def map_joints(
         hint, kind = "they stay at rest", Severity.NOTE
         notices.append(naming("USD111", message, resting, where, hint, kind))
     shapes, shape_faults = match_shapes(target, [shape.name for shape in take.shapes])
-    found_at = np.array(source, np.int64)
+    source_index = np.array(source, np.int64)
     fit: RigFit | None = None
     differences: list[Fault] = []
     if take.joints and skeleton.rig.joints:
         rig = skeleton.rig if over is None else placed_rig(skeleton.rig, over.sized)
         fit, differences = check_fit(
-            at_origin(take), rig, found_at, where, forced=force_fit, unmatched=notices
+            at_origin(take),
+            rig,
+            source_index,
+            where,
+            forced=force_fit,
+            unmatched=notices,
         )
-    return JointMap(
+    return RigJointMap(
         skeleton.rig,
-        found_at,
+        source_index,
         skeleton.rest_scales,
         notices + shape_faults + differences,
         shapes,
@@ -372,7 +379,7 @@ def map_joints(
 
 
 def _check_shapes(take: Rig, target: RigTarget) -> None:
-    """Refuse a take that has no joint of a rig and is not one of its shapes alone."""
+    """Refuse a take that shares neither joints nor shapes with a rig."""
     rig, known = target.skeleton.rig, _known_shapes(target)
     names = [shape.name for shape in take.shapes]
     shared = known is None or {arkit_name(n) or n for n in names} & {
@@ -394,7 +401,7 @@ def _check_shapes(take: Rig, target: RigTarget) -> None:
 def match_shapes(
     target: RigTarget, shapes: Sequence[str]
 ) -> tuple[tuple[str, ...], list[Fault]]:
-    """Return the names that a rig has for some shapes, and what is odd about them.
+    """Return the rig's names of shapes, and notices of ambiguous ones.
 
     A shape of ARKit's is found however the rig spells it (USD118); what is on no mesh
     is named (USD114). A rig without meshes says nothing of the shapes that it will
@@ -410,8 +417,8 @@ def match_shapes(
     ]
     # Of two that would become one, the first keeps the name.
     matches = [
-        name if name not in matches[:i] else own
-        for i, (own, name) in enumerate(zip(shapes, matches, strict=True))
+        name if name not in matches[:i] else legal
+        for i, (legal, name) in enumerate(zip(shapes, matches, strict=True))
     ]
     where = str(target.path)
     notices = []
@@ -428,7 +435,7 @@ def match_shapes(
 
 
 def _known_shapes(target: RigTarget) -> set[str] | None:
-    """Return the shapes that a rig's meshes have; None where it has no mesh."""
+    """Return the blend shapes of a rig's meshes; None without meshes."""
     root = target.stage.GetPrimAtPath(target.on_stage(target.paths.root))
     meshes = [
         prim
@@ -445,7 +452,7 @@ def _known_shapes(target: RigTarget) -> set[str] | None:
 
 
 def compose_check(target: RigTarget, layer: Any) -> Any:
-    """Return a stage of the layer over its rig, as a shot would compose them."""
+    """Return a stage of the layer over its rig, composed as in a shot."""
     stage = Usd.Stage.CreateInMemory()
     root = stage.GetRootLayer()
     if target.paths.model == target.stage_model:
@@ -460,7 +467,7 @@ def compose_check(target: RigTarget, layer: Any) -> Any:
 
 
 def resolved_animation(stage: Any, skeleton_path: str) -> str:
-    """Return the path of the animation that UsdSkel resolves for a Skeleton."""
+    """Return the animation path that UsdSkel resolves for a Skeleton."""
     skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(skeleton_path))
     source = animation_source(skeleton)
     return "" if source is None else str(source.GetPath())

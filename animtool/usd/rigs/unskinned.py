@@ -1,4 +1,4 @@
-"""Meshes that no joint moves, and a transform does: what a cache has not of them."""
+"""Rigidly animated meshes of a character, which a point cache leaves out."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOVED = 1e-6
 def unskinned_notice(
     skeleton: Any, where: str, choice: str | None = None
 ) -> list[Fault]:
-    """Name the meshes of a character that move, and that no joint moves (USD147).
+    """Report animated meshes of a character that no joint deforms (USD147).
 
     choice: its placement; with ``drop`` what moves all of the character is no motion.
     """
@@ -55,7 +55,7 @@ def unskinned_notice(
 
 
 def _skinned(root: Any) -> set[Any]:
-    """Return the paths of what joints move below a SkelRoot."""
+    """Return the paths of skinned prims below a SkelRoot."""
     cache = UsdSkel.Cache()
     cache.Populate(root, Usd.TraverseInstanceProxies())
     return {
@@ -67,7 +67,7 @@ def _skinned(root: Any) -> set[Any]:
 
 
 def _distance(prim: Any, skeleton: Any, choice: str | None) -> float:
-    """Return how far a mesh goes from where it is first [m]."""
+    """Return how far a mesh moves from its first position [m]."""
     chain = [*movers(prim), *(movers(skeleton) if choice == DROP else ())]
     times = sorted({time for mover in chain for time in mover.GetTimeSamples()})
     if len(times) < 2:
@@ -78,14 +78,14 @@ def _distance(prim: Any, skeleton: Any, choice: str | None) -> float:
     if choice == DROP:
         matrices = matrices @ np.linalg.inv(fixed_matrices(skeleton, codes.tolist()))
     corners = _corners(prim)
-    places = corners @ matrices[:, :3, :3] + matrices[:, None, 3, :3]
-    away = np.linalg.norm(places - places[:1], axis=-1).max(initial=0.0)
+    positions = corners @ matrices[:, :3, :3] + matrices[:, None, 3, :3]
+    away = np.linalg.norm(positions - positions[:1], axis=-1).max(initial=0.0)
     unit = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
     return float(away) * float(unit) if np.isfinite(away) else 0.0
 
 
 def _corners(prim: Any) -> FloatArray:
-    """Return the corners ``(8, 3)`` of the box about a mesh."""
+    """Return the corners ``(8, 3)`` of a mesh's bounds."""
     points = numbers(PointReader(prim).attr, 3, Usd.TimeCode.EarliestTime())
     if not len(points):
         return np.zeros((1, 3))

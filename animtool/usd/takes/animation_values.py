@@ -1,4 +1,4 @@
-"""The values of a SkelAnimation over frames, checked."""
+"""Reads and validates the values of a SkelAnimation over frames."""
 
 from __future__ import annotations
 
@@ -19,25 +19,29 @@ from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel
-from animtool.usd.layers.faults import UNIT_TOLERANCE, Spot
+from animtool.usd.layers.faults import UNIT_TOLERANCE, PrimLocation
 from animtool.usd.rigs.prims import array_value, numbers
 from animtool.usd.takes.library import take_range
 
 
 def scale_channel(dense: FloatArray) -> Channel | None:
-    """Return the channel of scales ``(F, J, 3)``; None where nothing is scaled."""
+    """Return the channel of scales ``(F, J, 3)``; None if all are one."""
     return None if (dense == 1.0).all() else Channel.from_dense(dense)
 
 
 def animated_shapes(animation: Any) -> list[str]:
-    """Return the shapes that an animation has weights of."""
+    """Return the blend shapes of an animation."""
     if not animation.GetBlendShapeWeightsAttr().HasAuthoredValue():
         return []
     return [str(token) for token in array_value(animation.GetBlendShapesAttr())]
 
 
 def shape_weights(
-    animation: Any, codes: list[float], shapes: int, where: Spot, drift: float = 0.0
+    animation: Any,
+    codes: list[float],
+    shapes: int,
+    where: PrimLocation,
+    drift: float = 0.0,
 ) -> Channel:
     """Return weights of an animation's shapes at time codes; see `sampled_values`."""
     attr = animation.GetBlendShapeWeightsAttr()
@@ -50,12 +54,12 @@ def sampled_values(
     codes: list[float],
     count: int,
     width: int,
-    where: Spot,
+    where: PrimLocation,
     *,
     of: str = "joint",
     drift: float = 0.0,
 ) -> FloatArray:
-    """Return an attribute's samples ``(F, J, K)``; F is 1 where it does not change.
+    """Return an attribute's samples ``(F, J, K)``; F is 1 if it is constant.
 
     drift: how far from a frame a sample is that frame's [time codes].
     """
@@ -83,7 +87,7 @@ def sampled_values(
 def nearest_samples(
     times: list[float], codes: list[float], drift: float
 ) -> list[float]:
-    """Return the sample of each frame that has one so near, else the frame's time.
+    """Return the time of the nearest sample within tolerance, else the frame's.
 
     >>> nearest_samples([1.0, 2.02, 3.5], [1.0, 2.0, 3.0], 0.05)
     [1.0, 2.02, 3.0]
@@ -101,24 +105,26 @@ def nearest_samples(
 
 
 def _time_text(time: Any) -> str:
-    """Return a time in words; the earliest is that of a value that does not change."""
+    """Return a time as text; the earliest stands for a constant value."""
     if time.IsEarliestTime():
         return "the only value"
     return f"time code {time.GetValue():g}"
 
 
 def normalised(
-    rotations: FloatArray, names: Sequence[str], codes: list[float], where: Spot
+    rotations: FloatArray, names: Sequence[str], codes: list[float], where: PrimLocation
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return rotations ``(F, J, 4)`` at unit length, and a warning of the worst."""
+    """Return rotations ``(F, J, 4)`` at unit length, and a warning of the worst one."""
     lengths = np.sqrt(np.einsum("fjc,fjc->fj", rotations, rotations))
-    apart = np.abs(lengths - 1.0)
+    deviations = np.abs(lengths - 1.0)
     notices = []
-    if apart.size and apart.max() > UNIT_TOLERANCE:
-        frame, joint = (int(i) for i in np.unravel_index(apart.argmax(), apart.shape))
-        count = int((apart > UNIT_TOLERANCE).sum())
+    if deviations.size and deviations.max() > UNIT_TOLERANCE:
+        frame, joint = (
+            int(i) for i in np.unravel_index(deviations.argmax(), deviations.shape)
+        )
+        count = int((deviations > UNIT_TOLERANCE).sum())
         message = (
-            f"{count} of {counted(apart.size, 'quaternion')} are not unit length, "
+            f"{count} of {counted(deviations.size, 'quaternion')} are not unit length, "
             f"most of all joint {excerpt(names[joint])} at frame "
             f"{frame_label(codes[frame])}: |q| = {lengths[frame, joint]:.6g}; they "
             "are normalised"
@@ -133,10 +139,10 @@ def normalised(
 FINEST_GRID = 8
 # More frames than any take of unevenly spaced keys: there, a key has gone astray.
 MAX_FRAMES = 100_000
-# Samples within this share of a step, or of a time code, from a frame are that frame's:
+# Samples within this fraction of a step or time code from a frame are that frame's:
 # exporters add up float steps, which drift. Shutter offsets are many times larger.
 LARGEST_DRIFT = 0.02
-# Where samples fit no other grid, those so near to a whole time code are that frame's
+# Where samples fit no other grid, those this near an integer time code are that frame's
 # [time codes]; further away, a sample may be meant where it is.
 OFF_FRAME = 0.05
 # Steps that people and exporters mean, and steps of rates that differ by a little.
@@ -159,74 +165,74 @@ class SampleGrid:
 
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """First frame, and the last where the take or its stage states one."""
+    """First frame, and the last if the take or its stage authors one."""
 
     first: Fraction
     last: Fraction | None
 
 
 def _span(stage: Any, animation: Any) -> _Span:
-    own = take_range(animation)
-    if own is not None:
-        return _Span(*own)
+    authored = take_range(animation)
+    if authored is not None:
+        return _Span(*authored)
     stated = stage.HasAuthoredTimeCodeRange()
     last = time_fraction(stage.GetEndTimeCode()) if stated else None
     return _Span(time_fraction(stage.GetStartTimeCode()), last)
 
 
 def among_rest(
-    rest: FloatArray, rows: FloatArray | None, places: IntArray, frames: int
+    rest: FloatArray, rows: FloatArray | None, columns: IntArray, frames: int
 ) -> FloatArray:
-    """Return the values of some joints among those of a rig at rest ``(F, J, …)``.
+    """Return values of some joints, the others at rest ``(F, J, …)``.
 
-    places: of each joint in the rig, -1 where it has none such; no rows are at rest.
+    columns: rig joint of each row, -1 if unknown; without rows all are at rest.
     """
     dense = np.repeat(rest[None], frames, axis=0)
     if rows is not None:
-        known = places >= 0
-        dense[:, places[known]] = rows[:, known]
+        known = columns >= 0
+        dense[:, columns[known]] = rows[:, known]
     return dense
 
 
 def sample_grid(
-    stage: Any, animation: Any, times: list[float], where: Spot
+    stage: Any, animation: Any, times: list[float], where: PrimLocation
 ) -> SampleGrid:
-    """Return the frames of an animation."""
+    """Return the frame grid of an animation."""
     grid = _grid(times, _span(stage, animation), where)
     return _plain_rate(grid, rate_from_float(stage.GetTimeCodesPerSecond()))
 
 
 def _plain_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
-    """Return a grid with the step of the usual rate that its own is written for.
+    """Return a grid with the step of the standard rate near its own rate.
 
     A layer that says 23.976 for 24000/1001 has its frames 1.001001 time codes apart in
     a stage of 24.
     """
     rate = fps / grid.step
-    usual = rate_from_float(float(rate))
-    drift = float(abs(fps / usual - grid.step) * (grid.count - 1))
-    if usual == rate or drift > LARGEST_DRIFT * min(float(grid.step), 1.0):
+    plain = rate_from_float(float(rate))
+    drift = float(abs(fps / plain - grid.step) * (grid.count - 1))
+    if plain == rate or drift > LARGEST_DRIFT * min(float(grid.step), 1.0):
         return grid
     last = float(grid.start + grid.step * (grid.count - 1))
     # The last sample drifts most, on top of what it has already.
     code = grid.drift_code if grid.drift > drift else last
-    return replace(grid, step=fps / usual, drift=grid.drift + drift, drift_code=code)
+    return replace(grid, step=fps / plain, drift=grid.drift + drift, drift_code=code)
 
 
-def _grid(times: list[float], span: _Span, where: Spot) -> SampleGrid:
+def _grid(times: list[float], span: _Span, where: PrimLocation) -> SampleGrid:
     if not times and span.last is not None:
         # Nothing moves, for as long as the take or its stage lasts.
-        still = min(max(0, math.floor(span.last - span.first)), MAX_FRAMES) + 1
-        return SampleGrid(span.first, Fraction(1), still, True)
+        frames = min(max(0, math.floor(span.last - span.first)), MAX_FRAMES) + 1
+        return SampleGrid(span.first, Fraction(1), frames, True)
     if len(times) < 2:
         start = time_fraction(times[0]) if times else span.first
         return SampleGrid(start, Fraction(1), 1, True)
     grid = _exact_grid(times) or _drifting_grid(times) or _astray_grid(times)
-    return _whole_codes(times, where) if grid is None else _from_stated(grid, span)
+    return _integer_codes(times, where) if grid is None else _from_stated(grid, span)
 
 
 def _exact_grid(times: list[float]) -> SampleGrid | None:
-    """Return the coarsest grid that holds every sample; None where it is too fine."""
+    """Return the coarsest grid that contains every sample; None if too fine."""
     exact = [time_fraction(time) for time in times]
     gaps = {b - a for a, b in pairwise(exact)}
     step = _common_divisor(gaps)
@@ -237,10 +243,10 @@ def _exact_grid(times: list[float]) -> SampleGrid | None:
 
 
 def _drifting_grid(times: list[float]) -> SampleGrid | None:
-    """Return a grid that every sample is near to; None where there is none."""
+    """Return a grid near every sample; None if there is none."""
     codes = np.array(times)
     gaps = np.diff(codes)
-    # Attributes that drift apart have samples of one frame almost at the same time.
+    # Drifting attributes have samples of one frame at almost equal times.
     gaps = gaps[gaps > LARGEST_DRIFT * np.quantile(gaps, 0.75, method="lower")]
     middle, mean = Fraction(float(np.median(gaps))), Fraction(float(gaps.mean()))
     steps = [middle.limit_denominator(most) for most in PLAIN_STEP_DENOMINATORS]
@@ -250,7 +256,7 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
 
 
 def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
-    """Return the grid of a step if every sample is near one of its frames."""
+    """Return the grid of a step if every sample is near a frame of it."""
     length = float(step)
     most = LARGEST_DRIFT * min(length, 1.0)
     is_plain = step.denominator <= PLAIN_STEP_DENOMINATORS[-1]
@@ -272,14 +278,14 @@ def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
 
 
 def _astray_grid(times: list[float]) -> SampleGrid | None:
-    """Return the grid of samples of which some are astray from whole time codes.
+    """Return the integer grid of samples of which some are off.
 
     None where two would be one, or where the others fit none either.
     """
     codes = np.array(times)
-    whole = np.round(codes)
-    off = np.abs(codes - whole)
-    moved = np.where(off <= OFF_FRAME, whole, codes)
+    nearest = np.round(codes)
+    off = np.abs(codes - nearest)
+    moved = np.where(off <= OFF_FRAME, nearest, codes)
     if (np.diff(moved) <= 0).any():
         return None
     grid = _exact_grid(moved.tolist())
@@ -290,8 +296,8 @@ def _astray_grid(times: list[float]) -> SampleGrid | None:
     return replace(grid, drift=float(off[worst]), drift_code=float(codes[worst]))
 
 
-def _whole_codes(times: list[float], where: Spot) -> SampleGrid:
-    """Return every time code that the samples span."""
+def _integer_codes(times: list[float], where: PrimLocation) -> SampleGrid:
+    """Return all integer time codes that the samples span."""
     exact = [time_fraction(time) for time in times]
     first, last = math.floor(exact[0]), math.ceil(exact[-1])
     if last - first > MAX_FRAMES:
@@ -303,7 +309,7 @@ def _whole_codes(times: list[float], where: Spot) -> SampleGrid:
 
 
 def _from_stated(grid: SampleGrid, span: _Span) -> SampleGrid:
-    """Return a grid from the stated first frame on, where that is just after its first.
+    """Return a grid that starts at the authored first frame, if just before its own.
 
     Samples within a frame before the first serve its motion blur.
     """
@@ -317,6 +323,6 @@ def _from_stated(grid: SampleGrid, span: _Span) -> SampleGrid:
 
 
 def _common_divisor(gaps: set[Fraction]) -> Fraction:
-    """Return the largest step that every gap is a multiple of."""
+    """Return the largest step that divides every gap."""
     denominator = math.lcm(*(gap.denominator for gap in gaps))
     return Fraction(math.gcd(*(int(gap * denominator) for gap in gaps)), denominator)

@@ -21,9 +21,9 @@ from animtool.motion.motion import Motion
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.surfaces import surfaces_of
-from animtool.usd.layers.chunks import Whole, write_frames
+from animtool.usd.layers.chunks import OneLayer, write_frames
 from animtool.usd.layers.jobs import (
-    Form,
+    LayerForm,
     UsdJob,
     UsdResult,
     UsdTake,
@@ -42,7 +42,7 @@ from animtool.usd.layers.sdf import (
     save_layer,
 )
 from animtool.usd.layers.stderr import without_usd_warnings, without_version_warnings
-from animtool.usd.rigs.skeleton import KEY, author_binding, author_rig, place_record
+from animtool.usd.rigs.skeleton import KEY, author_binding, author_rig, rest_record
 from animtool.usd.takes.extents import author_extents
 from animtool.usd.takes.joint_writer import AnimationWriter, round_blocks
 
@@ -50,17 +50,19 @@ BLOCK_FRAMES = 512  # of a take that is written in one call
 
 
 def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
-    """Author the layers of a job in memory; nothing is written yet.
+    """Author the layers of a job in memory; nothing is saved yet.
 
     The takes are drawn one after the other: one that is authored need not be kept.
     """
     suffix = job.output or Path("stdout.usda")
     outputs = output_paths(suffix, job.form)
-    animation = new_layer(outputs[1 if job.form is Form.SPLIT else 0])
+    animation = new_layer(outputs[1 if job.form is LayerForm.SPLIT else 0])
     authored = Authored(animation)
     notices: list[Fault] = []
-    if job.form is not Form.LAYER:
-        authored.rig = new_layer(outputs[0]) if job.form is Form.SPLIT else animation
+    if job.form is not LayerForm.LAYER:
+        authored.rig = (
+            new_layer(outputs[0]) if job.form is LayerForm.SPLIT else animation
+        )
     with Sdf.ChangeBlock():
         if authored.rig is not None:
             author_rig(authored.rig, job.rig, job.names, job.paths, job.meters_per_unit)
@@ -110,8 +112,8 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
-    """A take whose samples are authored: its writer, what it wrote, its curves."""
+class _LayerPart:
+    """A take with authored samples: writer, report and curves."""
 
     writer: AnimationWriter
     written: WrittenTake
@@ -120,8 +122,8 @@ class _Part:
 
 def _author_take(
     job: UsdJob, authored: Authored, take: UsdTake, *, first: bool
-) -> _Part:
-    """Author a SkelAnimation and what binds it; extents and curves come later."""
+) -> _LayerPart:
+    """Author a SkelAnimation and its binding; extents and curves come later."""
     layer, paths = authored.animation, job.paths
     if take.name:
         from animtool.usd.takes.library import take_paths
@@ -132,9 +134,9 @@ def _author_take(
         prim(layer, paths.root, over=True)
     if take.name and first:
         _begin_library(job, authored, take.name)
-    with_skeleton = job.form is not Form.LAYER and not take.name
+    with_skeleton = job.form is not LayerForm.LAYER and not take.name
     author_binding(layer, paths, skeleton=with_skeleton)
-    write_frames(take.blocks, Whole([writer]), [writer.rounding])
+    write_frames(take.blocks, OneLayer([writer]), [writer.rounding])
     if job.target is None:
         writer.finish([], replaces_motion=False)
     else:
@@ -145,7 +147,7 @@ def _author_take(
         from animtool.usd.props.writer import author_props
 
         rig_layer = None if authored.rig is layer else authored.rig
-        places = prop_placements(
+        placements = prop_placements(
             job.paths,
             job.target,
             rig_layer,
@@ -155,7 +157,7 @@ def _author_take(
             take.to_rig,
         )
         written.props, written.notices = author_props(
-            layer, take.props, places, job.output
+            layer, take.props, placements, job.output
         )
     if take.name:
         from animtool.usd.takes.library import author_range
@@ -167,22 +169,22 @@ def _author_take(
             written.span.first,
             written.span.last,
         )
-    if job.form is Form.LAYER and job.names.originals:
+    if job.form is LayerForm.LAYER and job.names.originals:
         # For a reader that has no rig: names of joints in their source.
         _author_data(layer.GetPrimAtPath(paths.animation), "names", job.names.originals)
     if take.reduced:
         _author_data(layer.GetPrimAtPath(paths.animation), "reduced", value=True)
-    if take.place:
-        _author_data(layer.GetPrimAtPath(paths.animation), KEY, take.place)
-    return _Part(writer, written, take.curves)
+    if take.rest_record:
+        _author_data(layer.GetPrimAtPath(paths.animation), KEY, take.rest_record)
+    return _LayerPart(writer, written, take.curves)
 
 
 def _author_data(animation: Any, key: str, value: Mapping[str, Any] | bool) -> None:
-    """State something of a SkelAnimation that USD has no place for."""
-    held = dict(animation.GetInfo("customData") or {})
+    """Author SkelAnimation data that USD cannot express, as customData."""
+    data_before = dict(animation.GetInfo("customData") or {})
     stated = value if isinstance(value, bool) else dict(value)
-    data = {**held.get("animtool", {}), key: stated}
-    animation.SetInfo("customData", {**held, "animtool": data})
+    data = {**data_before.get("animtool", {}), key: stated}
+    animation.SetInfo("customData", {**data_before, "animtool": data})
 
 
 def _written(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake:
@@ -199,17 +201,17 @@ def _written(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake
 
 
 def _begin_library(job: UsdJob, authored: Authored, name: str) -> None:
-    """Select the first take, and bind the skeleton outside of the variants."""
+    """Select the first take, and bind the skeleton outside the variants."""
     from animtool.usd.takes.library import author_selection
 
     author_selection(authored.animation, job.paths, name)
-    if job.form is not Form.LAYER:
+    if job.form is not LayerForm.LAYER:
         author_binding(authored.animation, job.paths, skeleton=True, animation=False)
 
 
 @dataclass(slots=True)
 class Authored:
-    """Layers in memory."""
+    """Authored layers in memory."""
 
     animation: Any  # holds the SkelAnimation
     rig: Any = None  # holds the skeleton; the same layer in a stage, None in a layer
@@ -217,7 +219,7 @@ class Authored:
 
     @property
     def layers(self) -> list[Any]:
-        """The layer of the animation, and that of the rig where it is another."""
+        """The animation layer, and the rig layer if separate."""
         separate = self.rig is not None and self.rig is not self.animation
         return [self.animation, self.rig] if separate else [self.animation]
 
@@ -228,26 +230,26 @@ def write_usd(
     result: UsdResult,
     save: Callable[[Any, Path | None], int] = save_layer,
 ) -> None:
-    """Write the layers of a job, that which refers to the others last."""
+    """Save the layers of a job, the referencing layer last."""
     if job.output is None:
         with _quietly(result):
             result.bytes = save(authored.animation, None)
         return
     result.outputs = output_paths(job.output, job.form)
     layers = [authored.animation]
-    if job.form is Form.SPLIT:
+    if job.form is LayerForm.SPLIT:
         root = new_layer(job.output)
         root.subLayerPaths = [f"./{path.name}" for path in result.outputs[1::-1]]
         author_metadata(root, _metadata(job, result.takes))
         layers = [authored.rig, authored.animation, root]
     with _quietly(result), together():
         for layer, path in zip(layers, result.outputs, strict=True):
-            own = save if layer is authored.animation else save_layer
-            result.bytes += own(layer, path)
+            saver = save if layer is authored.animation else save_layer
+            result.bytes += saver(layer, path)
 
 
 def _quietly(result: UsdResult) -> AbstractContextManager[None]:
-    """Hold back what USD says of files with splines, or a library's time codes."""
+    """Context that drops USD's messages about splines and libraries."""
     newer = any(take.curves or take.name for take in result.takes)
     return without_version_warnings() if newer else nullcontext()
 
@@ -258,7 +260,7 @@ def _metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
     if job.target is not None:
         unit, up = job.target.unit, job.target.up
     spans = [take.span for take in takes]
-    first, last = min(own.first for own in spans), max(own.last for own in spans)
+    first, last = min(each.first for each in spans), max(each.last for each in spans)
     span = FrameSpan(first, last, job.fps)
     return StageMetadata(default, span, unit, up, job.shot)
 
@@ -304,7 +306,13 @@ def write(
     """
     path = Path(path)
     layer = None if rig_layer is None else Path(rig_layer)
-    form = Form.LAYER if layer is not None else Form.SPLIT if split else Form.STAGE
+    form = (
+        LayerForm.LAYER
+        if layer is not None
+        else LayerForm.SPLIT
+        if split
+        else LayerForm.STAGE
+    )
     if layer is not None and (split or bones or unit is not None):
         message = "split, bones and unit need a stage, but rig_layer writes a layer"
         raise OptionError(Fault("CLI002", message))
@@ -328,7 +336,7 @@ _Blocks = Iterator[tuple[FloatArray, Motion]]
 def _stage_job(
     take: Take,
     path: Path,
-    form: Form,
+    form: LayerForm,
     prim_path: str | None,
     unit: LengthUnit | str | None,
     bones: bool,
@@ -353,7 +361,7 @@ def _stage_job(
         clock.start,
         clock.step,
         shapes=tuple(shape.name for shape in rig.shapes),
-        place=place_record(rig),
+        rest_record=rest_record(rig),
     )
     return job, written, [replace(n, path=str(path)) for n in names.notices]
 
@@ -374,14 +382,14 @@ def _layer_job(
 
     target = open_target(layer, prim_path)
     stream = reorient(TakeStream.of(take), target.skeleton.rig.up)
-    way = over_rig(stream, target.placement, None, str(layer), target.skeleton.rig)
-    take = way.stream.collect()
-    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, over=way)
+    carried = over_rig(stream, target.placement, None, str(layer), target.skeleton.rig)
+    take = carried.stream.collect()
+    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, over=carried)
     clock = replace(
         take.clock, fps=target.fps, step=take.clock.step * target.fps / take.clock.fps
     )
     job = UsdJob(
-        form=Form.LAYER,
+        form=LayerForm.LAYER,
         output=path,
         rig=mapping.rig,
         names=target.names,
@@ -402,7 +410,7 @@ def _layer_job(
         chosen=mapping.source >= 0 if (mapping.source < 0).any() else None,
         shapes=mapping.shapes,
     )
-    notices = target.notices + way.notices + mapping.notices
+    notices = target.notices + carried.notices + mapping.notices
     return job, written, notices
 
 

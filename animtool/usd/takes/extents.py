@@ -1,4 +1,4 @@
-"""The bounds of a SkelRoot over time, and what UsdSkel resolves of what is authored."""
+"""Extents of a SkelRoot over time, and a check of what UsdSkel resolves."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def shape_bounds(
         points = PointReader(mesh).at(Usd.TimeCode.Default())
         if not len(points):
             continue
-        own, _ = cache.ComputeRelativeTransform(mesh, root)
-        matrix = np.array(own, np.float64)
+        local, _ = cache.ComputeRelativeTransform(mesh, root)
+        matrix = np.array(local, np.float64)
         placed = transformed(points, matrix)
         pad = _shape_padding(mesh, reach) * float(np.linalg.norm(matrix[:3, :3], 2))
         lows.append(placed.min(axis=0) - pad)
@@ -56,7 +56,7 @@ def shape_bounds(
 
 
 def _shape_padding(prim: Any, reach: dict[str, float]) -> float:
-    """Return how far shapes move a point of a mesh at most."""
+    """Return the largest displacement of a mesh's points by shapes."""
     from pxr import UsdSkel
 
     binding = UsdSkel.BindingAPI(prim)
@@ -70,7 +70,7 @@ def _shape_padding(prim: Any, reach: dict[str, float]) -> float:
             continue
         steps = [step.GetAttr() for step in shape.GetInbetweens()]
         if steps:
-            # On the way to an inbetween, a small weight may move points as far as it.
+            # Below an inbetween's weight, a small weight may move points as far as it.
             weight = max(weight, 1.0)
         pad += weight * max(map(_largest, (shape.GetOffsetsAttr(), *steps)))
     return pad
@@ -87,7 +87,7 @@ def author_extents(
     layers: Sequence[Any],
     writers: Sequence[tuple[str, AnimationWriter]],
 ) -> None:
-    """Write the SkelRoot's extent as UsdSkel would compute it, for every take.
+    """Author the SkelRoot's extent as UsdSkel computes it, for every take.
 
     That is the bounds of the joints and a padding which depends on the meshes at
     rest alone, so one frame tells it; where the SkelRoot holds several skeletons
@@ -120,7 +120,7 @@ def author_extents(
 
 
 def _composed(job: UsdJob, layers: Sequence[Any]) -> Any:
-    """Return a stage of what is authored, over its rig."""
+    """Return a stage of the authored layers over the rig."""
     from pxr import Usd
 
     if job.target is not None:
@@ -173,19 +173,19 @@ def _computed(root: Any, code: Any) -> Float32Array:
 def _are_computed(
     root: Any, codes: Sequence[FloatArray], bounds: Sequence[Float32Array]
 ) -> bool:
-    """Return whether bounds are to the last bit those that USD computes.
+    """Return whether bounds equal those of USD to the last bit.
 
     The first, the middle and the last are compared.
     """
-    times, own = np.concatenate(codes), np.concatenate(bounds)
+    times, authored = np.concatenate(codes), np.concatenate(bounds)
     return all(
-        np.array_equal(own[i], _computed(root, float(times[i])))
+        np.array_equal(authored[i], _computed(root, float(times[i])))
         for i in {0, len(times) // 2, len(times) - 1}
     )
 
 
 def _padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
-    """Return what UsdSkel adds to the bounds of the joints.
+    """Return UsdSkel's padding of the joint bounds.
 
     With every joint at the origin, that is all that is left of the extent.
     """
@@ -208,7 +208,7 @@ def _padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
 
 
 def _author_shape_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
-    """Write bounds of meshes that shapes alone move, where there are any.
+    """Author bounds of meshes deformed by shapes only.
 
     Without joints, USD computes none. These hold every frame: the points at rest, and
     as far around as the weights can move a point of the mesh.
@@ -223,7 +223,7 @@ def _author_shape_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> No
 
 
 def _check_resolved(job: UsdJob, stage: Any, animation: str, *, library: bool) -> None:
-    """Refuse a binding that UsdSkel does not follow."""
+    """Refuse a binding that UsdSkel does not resolve."""
     from animtool.usd.rigs.target import resolved_animation
 
     resolved = resolved_animation(stage, job.paths.skeleton)

@@ -1,4 +1,4 @@
-"""Joints: a motion as a SkelAnimation, block by block."""
+"""Writes motion as a SkelAnimation, block by block."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from animtool.usd.layers.finite import Labels, narrowed
 from animtool.usd.layers.jobs import RootPath, Rounding, WrittenBlock
 from animtool.usd.layers.names import RigPaths
 from animtool.usd.layers.sdf import (
-    Samples,
+    SampleWriter,
     attribute,
     author_order,
     prim,
@@ -37,7 +37,7 @@ def round_blocks(
     root_motion: bool = False,
     size: float = 1.0,
 ) -> Iterator[WrittenBlock]:
-    """Yield blocks rounded to what USD holds, and what the rounding did.
+    """Yield blocks rounded to USD's precision, and the rounding errors.
 
     size: what the rig's stage scales it by, where the error is seen.
     """
@@ -94,7 +94,7 @@ def _weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array | None
 def _move_root(
     rig: Rig, translations: FloatArray, rotations: FloatArray, meters_per_unit: float
 ) -> RootPath:
-    """Put the first root at rest in place; return the motion that this takes away.
+    """Put the first root joint at rest in place; return the removed root motion.
 
     The SkelRoot's transform X and the local transforms M' of the roots satisfy
     X · M' = M, with M' of the first root at rest.
@@ -102,14 +102,14 @@ def _move_root(
     first, *others = rig.roots
     rest_t = rig.rest_translations[first] / meters_per_unit
     rest_r = rig.rest_rotations[first]
-    turn = so3.multiply(rotations[:, first], so3.conjugate(rest_r))
-    move = translations[:, first] - so3.rotate(turn, rest_t)
+    rotation = so3.multiply(rotations[:, first], so3.conjugate(rest_r))
+    move = translations[:, first] - so3.rotate(rotation, rest_t)
     translations[:, first], rotations[:, first] = rest_t, rest_r
-    back = so3.conjugate(turn)
+    back = so3.conjugate(rotation)
     for other in others:
         translations[:, other] = so3.rotate(back, translations[:, other] - move)
         rotations[:, other] = so3.multiply(back, rotations[:, other])
-    return RootPath(move, turn)
+    return RootPath(move, rotation)
 
 
 _TRANSFORMS = {
@@ -121,7 +121,7 @@ _TRANSFORMS = {
 
 @dataclass
 class AnimationWriter:
-    """Writes a SkelAnimation and what moves with it."""
+    """Writer of a SkelAnimation and the related SkelRoot values."""
 
     layer: Any
     paths: RigPaths  # the character's prims
@@ -132,19 +132,19 @@ class AnimationWriter:
     rounding: Rounding = field(default_factory=Rounding)  # what rounding did so far
 
     def __post_init__(self) -> None:
-        """Make the prim and its attributes."""
+        """Create the prim and its attributes."""
         spec = prim(self.layer, self.paths.animation, "SkelAnimation")
         types = Sdf.ValueTypeNames
         names = self.joints
         if self.chosen is not None:
             names = [n for n, keep in zip(names, self.chosen, strict=True) if keep]
         self._count = len(names)
-        self._transforms: dict[str, Samples] = {}
+        self._transforms: dict[str, SampleWriter] = {}
         if names:
             tokens = Vt.TokenArray(names)
             attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
             self._transforms = {
-                name: Samples(
+                name: SampleWriter(
                     attribute(spec, name, kind),
                     make,
                     quaternions=name == "rotations",
@@ -154,7 +154,7 @@ class AnimationWriter:
                 for name, (kind, make) in _TRANSFORMS.items()
             }
         self._weights: list[Float32Array] = []
-        self._weight_samples: Samples | None = None
+        self._weight_samples: SampleWriter | None = None
         self._codes: list[FloatArray] = []
         self._extents: list[Float32Array] = []
         self._root_path: list[RootPath] = []
@@ -185,7 +185,7 @@ class AnimationWriter:
         return [n for n, samples in named.items() if samples and samples.sampled]
 
     def finish(self, placing: list[str], *, replaces_motion: bool) -> None:
-        """Write the defaults of what never changed and the SkelRoot's motion.
+        """Author constant values as defaults, and the SkelRoot's motion.
 
         replaces_motion: whether it has others, which must no longer move it.
         """
@@ -200,32 +200,32 @@ class AnimationWriter:
             author_order(self.layer.GetPrimAtPath(self.paths.root), *placing)
 
     def padded_bounds(self, padding: float | np.float32) -> list[Float32Array]:
-        """Return the bounds of the joints, padded: ``(F, 2, 3)``, one array a block."""
+        """Return padded joint bounds ``(F, 2, 3)``, one array per block."""
         pad = np.array([[-padding] * 3, [padding] * 3], np.float32)
         with np.errstate(over="ignore"):
             return [extents + pad for extents in self._extents]
 
     def author_bounds(self, extents: list[Float32Array]) -> None:
-        """Write the SkelRoot's bounds ``(F, 2, 3)``, one array a block."""
+        """Author the SkelRoot's bounds ``(F, 2, 3)``, one array per block."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
         attr = attribute(spec, "extent", Sdf.ValueTypeNames.Float3Array)
-        samples = Samples(attr, Vt.Vec3fArray.FromNumpy)
+        samples = SampleWriter(attr, Vt.Vec3fArray.FromNumpy)
         for codes, bounds in zip(self._codes, extents, strict=True):
             samples.add(codes, bounds)
         samples.finish(np.zeros((2, 3), np.float32))
 
     @property
     def codes(self) -> list[FloatArray]:
-        """Time codes of every sample, one array a block."""
+        """Time codes of every sample, one array per block."""
         return self._codes
 
     @property
     def weights(self) -> list[Float32Array]:
-        """Weights of the shapes ``(F, S)``, one array a block; none where none move."""
+        """Shape weights ``(F, S)``, one array per block; none if constant."""
         return self._weights
 
     def _author_weights(self) -> None:
-        """Write the weights of the shapes that are not zero in every frame."""
+        """Author the weights of shapes that are nonzero in some frame."""
         used = np.any([(rows != 0.0).any(axis=0) for rows in self._weights], axis=0)
         if not used.any():
             return
@@ -235,24 +235,24 @@ class AnimationWriter:
         tokens = Vt.TokenArray(names)
         attribute(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
         attr = attribute(spec, "blendShapeWeights", types.FloatArray)
-        samples = Samples(attr, Vt.FloatArray.FromNumpy)
+        samples = SampleWriter(attr, Vt.FloatArray.FromNumpy)
         for codes, rows in zip(self._codes, self._weights, strict=True):
             samples.add(codes, rows[:, used])
         samples.finish(np.zeros(len(names), np.float32))
         self._weight_samples = samples
 
     def _author_root(self, placing: list[str]) -> None:
-        """Write the SkelRoot's motion, behind the operations that place it."""
+        """Author the SkelRoot's motion after its placing operations."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
         types = Sdf.ValueTypeNames
         names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
-        move = Samples(attribute(spec, names[0], types.Double3), vector)
-        turn = Samples(
+        move = SampleWriter(attribute(spec, names[0], types.Double3), vector)
+        samples = SampleWriter(
             attribute(spec, names[1], types.Quatd), quaternion, quaternions=True
         )
         author_order(spec, *placing, *names)
         for codes, path in zip(self._codes, self._root_path, strict=True):
             move.add(codes, path.translations)
-            turn.add(codes, path.rotations)
+            samples.add(codes, path.rotations)
         move.finish(np.zeros(3))
-        turn.finish(so3.IDENTITY)
+        samples.finish(so3.IDENTITY)

@@ -1,10 +1,10 @@
-"""Clip libraries: many takes on one character, each bound by a variant of its model.
+"""Clip libraries: takes of one character, each bound by a variant of its model.
 
-Every take is a SkelAnimation ``Anim_{take}`` beside the Skeleton. The variant set
+Every take is a SkelAnimation ``Anim_{take}`` next to the Skeleton. The variant set
 ``take`` of the model binds one: a variant holds ``skel:animationSource``, the
 SkelRoot's extent and, where it carries the root's motion, its transform. None of
-these stands outside of the variants, where it would be stronger than they are.
-``customData`` of a SkelAnimation says which frames are its own::
+these is authored outside the variants, where it would be stronger than they are.
+``customData`` of a SkelAnimation has the frames of the take::
 
     animtool = { dictionary take = { string name, timecode start, timecode end } }
 """
@@ -35,7 +35,7 @@ STRONGER_HINT = (
 
 
 def take_paths(paths: RigPaths, name: str) -> RigPaths:
-    """Return where a take has its prims: what binds it is inside of its variant.
+    """Return the prim paths of a take; its binding is inside its variant.
 
     An empty name is of a file that holds one, without variants.
 
@@ -59,14 +59,14 @@ def take_paths(paths: RigPaths, name: str) -> RigPaths:
 
 
 def author_selection(layer: Any, paths: RigPaths, name: str) -> None:
-    """Select the variant of a take, whose variant the layer has."""
+    """Select the variant of a take in its layer."""
     layer.GetPrimAtPath(paths.model).variantSelections[TAKE_SET] = name
 
 
 def author_range(
     layer: Any, animation: str, name: str, first: Fraction, last: Fraction
 ) -> None:
-    """State a take's name in its source and its frames on its SkelAnimation."""
+    """Author a take's source name and frames on its SkelAnimation."""
     # Time codes, so that an offset of a sublayer or reference shifts them too.
     begin, end = Sdf.TimeCode(float(first)), Sdf.TimeCode(float(last))
     take = {"name": name, "start": begin, "end": end}
@@ -74,7 +74,7 @@ def author_range(
 
 
 def take_range(animation: Any) -> tuple[Fraction, Fraction] | None:
-    """Return the first and last frame that a SkelAnimation states; None for none."""
+    """Return the first and last frame of a SkelAnimation; None if not authored."""
     data = animation.GetPrim().GetCustomDataByKey("animtool:take")
     if not isinstance(data, dict):
         return None
@@ -97,7 +97,7 @@ class TakeSet:
 
 
 def find_take_set(start: Any) -> TakeSet | None:
-    """Return the takes that a prim, or the nearest prim above it, chooses from.
+    """Return the take set of a prim or its nearest ancestor with one.
 
     Prims inside of instances cannot choose and are passed over.
     """
@@ -110,7 +110,7 @@ def find_take_set(start: Any) -> TakeSet | None:
 
 
 def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
-    """Return the takes with one bound, on their stage's session layer alone."""
+    """Return the takes with one selected, in the stage's session layer only."""
     if takes is None:
         message = f"unknown take {excerpt(name)}: the file is not a clip library"
         hint = f"a library has a variant set {TAKE_SET!r}"
@@ -128,15 +128,15 @@ def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
 
 
 def check_variant(stage: Any, layer: Any, paths: RigPaths, where: str | None) -> None:
-    """Refuse a variant whose values something on the stage overrides."""
-    for place in sorted({paths.root, paths.binding}):
-        spec = layer.GetPrimAtPath(place)
-        for own in spec.properties if spec else ():
-            path = own.path.StripAllVariantSelections()
+    """Refuse a variant whose values the stage overrides."""
+    for prim_path in sorted({paths.root, paths.binding}):
+        spec = layer.GetPrimAtPath(prim_path)
+        for property_spec in spec.properties if spec else ():
+            path = property_spec.path.StripAllVariantSelections()
             stack = stage.GetPropertyAtPath(path).GetPropertyStack(
                 Usd.TimeCode.Default()
             )
-            if stack and stack[0].path != own.path:
+            if stack and stack[0].path != property_spec.path:
                 message = f"{path} of the rig is stronger than that of a variant"
                 raise OutputError(Fault("USD032", message, where, (), STRONGER_HINT))
 
@@ -147,7 +147,7 @@ MAX_NAMED = 40
 def check_library(
     path: Path, name: str, prim_path: str | None, *, overwrite: bool
 ) -> None:
-    """Refuse a file that a take cannot be added to.
+    """Refuse a file that takes cannot be added to.
 
     overwrite: whether a take of that name may be replaced.
     """
@@ -173,29 +173,29 @@ def check_library(
 
 
 def merged_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
-    """Return a library with a take of another layer added, or replaced by it.
+    """Return a library with another layer's take added or replaced.
 
     Every other take, and what it selects, stays as it is.
     """
-    whole = new_layer(path)
-    whole.TransferContent(find_layer(path))
+    merged = new_layer(path)
+    merged.TransferContent(find_layer(path))
     model = Sdf.Path(paths.model)
     animation = Sdf.Path(f"{paths.animation}_{name}")
     variant = model.AppendVariantSelection(TAKE_SET, name)
     with Sdf.ChangeBlock():
         for spot in (animation.GetParentPath(), model):
-            if whole.GetPrimAtPath(spot) is None:
-                Sdf.CreatePrimInLayer(whole, spot)
-        _make_variant(whole.GetPrimAtPath(model), name)
-        Sdf.CopySpec(layer, animation, whole, animation)
-        Sdf.CopySpec(layer, variant, whole, variant)
-    whole.startTimeCode = min(whole.startTimeCode, layer.startTimeCode)
-    whole.endTimeCode = max(whole.endTimeCode, layer.endTimeCode)
-    return whole
+            if merged.GetPrimAtPath(spot) is None:
+                Sdf.CreatePrimInLayer(merged, spot)
+        _make_variant(merged.GetPrimAtPath(model), name)
+        Sdf.CopySpec(layer, animation, merged, animation)
+        Sdf.CopySpec(layer, variant, merged, variant)
+    merged.startTimeCode = min(merged.startTimeCode, layer.startTimeCode)
+    merged.endTimeCode = max(merged.endTimeCode, layer.endTimeCode)
+    return merged
 
 
 def _make_variant(model: Any, name: str) -> None:
-    """Make sure of a variant, and of the set that it is in."""
+    """Create a variant and its set if missing."""
     if TAKE_SET not in model.variantSets:
         model.variantSetNameList.prependedItems.append(TAKE_SET)
         Sdf.VariantSetSpec(model, TAKE_SET)

@@ -1,4 +1,4 @@
-"""What a layer holds of where a take is, over a rig that a stage has somewhere."""
+"""Converts a take for a layer over a rig that a stage places."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.motion.reorient import off_its_place
+from animtool.motion.reorient import at_stage_origin
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_world
 from animtool.rig.placed import placed_rig, placement_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
-from animtool.usd.layers.faults import Spot
+from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.rigs.placement import (
     DROP,
     KEEP,
@@ -28,9 +28,9 @@ from animtool.usd.rigs.placement import (
 
 @dataclass(frozen=True, slots=True)
 class OverRig:
-    """How a take comes to the numbers of a rig."""
+    """A take converted to the space of a rig layer."""
 
-    stream: TakeStream  # without where it stands, where that is dropped
+    stream: TakeStream  # without its placement, where that is dropped
     sized: Placement  # makes the rig, as its numbers are, as large and as upright
     # From where the take is to the rig's numbers, at time codes ``(F,)``; None: the
     # same.
@@ -45,56 +45,63 @@ def over_rig(
     where: str,
     raw: Rig,
 ) -> OverRig:
-    """Return how a take comes to the numbers of a rig that a stage has somewhere.
+    """Return a take in the space of a rig that a stage places.
 
-    The layer makes the character as large and as upright as the take. Where that
-    stands is kept, or dropped: the rig's stage then has it where it has the rig.
+    The layer gives the character the size and up axis of the take. The take's placement
+    is kept, or dropped in favor of the stage placement of the rig.
 
     Args:
         stream: The take, with the up axis of the rig.
-        placement: Where the rig's stage has it, at time codes; None is the first.
-        choice: ``keep``, ``drop``, or None: drop where the rig stands somewhere, unless
-            the take rides on what the rig does not.
+        placement: Stage placement of the rig at time codes; None is the first.
+        choice: ``keep``, ``drop``, or None: drop if the rig is placed, unless the take
+            moves with a prim that the rig does not.
         where: The rig layer, for notices.
-        raw: The rig, as its numbers are.
+        raw: The rig in local values.
     """
-    own = placement(None)
-    spot = Spot(where, "")
+    rig_placement = placement(None)
+    spot = PrimLocation(where, "")
     if choice == KEEP:
-        refuse_uneven(own, spot)
-    notices = uneven_notice(own, spot)
+        refuse_uneven(rig_placement, spot)
+    notices = uneven_notice(rig_placement, spot)
     left = [notice for notice in stream.notices if notice.code == "USD109"]
-    if own.uneven and left and all(own.uneven in notice.message for notice in left):
+    if (
+        rig_placement.uneven
+        and left
+        and all(rig_placement.uneven in notice.message for notice in left)
+    ):
         # The rig has the very transform that the take is read without.
         others = [notice for notice in stream.notices if notice not in left]
         stream, notices = replace(stream, notices=others), []
-    stands, rig = own.stands, stream.rig
-    placed = own.rides or not own.fixed.is_none
-    if choice is None and _stands_there(rig, raw, own):
-        # Its numbers hold the place of the rig, and nothing records that.
-        rig = replace(rig, stands=stands, rides=own.rides)
+    stands, rig = rig_placement.stands, stream.rig
+    placed = rig_placement.rides or not rig_placement.fixed.is_none
+    if choice is None and _rests_at_stage_placement(rig, raw, rig_placement):
+        # Its values include the rig's placement, which is not recorded.
+        rig = replace(rig, stands=stands, rides=rig_placement.rides)
         stream = replace(stream, rig=rig)
     alone = not rig.has_rest and rig.stands is None and choice != KEEP
-    if alone and _is_sized(rig, raw, own.sized.size):
+    if alone and _is_sized(rig, raw, rig_placement.sized.size):
         alone, choice = False, choice or KEEP
-    if own.uneven or alone or not placed:
+    if rig_placement.uneven or alone or not placed:
         # Without a rest pose it is in the space of its rig, which this is.
-        stream = off_its_place(stream) if choice == DROP else stream
+        stream = at_stage_origin(stream) if choice == DROP else stream
         kept = choice != DROP
-        notices += placement_notice(rig, where, kept=kept, over=own.stands)
+        notices += placement_notice(rig, where, kept=kept, over=rig_placement.stands)
         return OverRig(stream, _NONE, None, notices)
-    somewhere = own.rides or not stands.is_none
+    somewhere = rig_placement.rides or not stands.is_none
     kept = choice == KEEP or (choice is None and (stream.rig.rides or not somewhere))
-    notices += placement_notice(rig, where, kept=kept, over=own.stands)
+    notices += placement_notice(rig, where, kept=kept, over=rig_placement.stands)
     if not kept:
-        back = own.sized.inverse()
+        back = rig_placement.sized.inverse()
         to_rig = None if back.is_none else lambda _: back
-        return OverRig(off_its_place(stream), own.sized, to_rig, notices)
-    if not own.rides:
-        back = own.fixed.inverse()
-        return OverRig(stream, own.sized, lambda _: back, notices)
+        return OverRig(at_stage_origin(stream), rig_placement.sized, to_rig, notices)
+    if not rig_placement.rides:
+        back = rig_placement.fixed.inverse()
+        return OverRig(stream, rig_placement.sized, lambda _: back, notices)
     return OverRig(
-        stream, own.sized, lambda codes: placement(codes).fixed.inverse(), notices
+        stream,
+        rig_placement.sized,
+        lambda codes: placement(codes).fixed.inverse(),
+        notices,
     )
 
 
@@ -105,13 +112,15 @@ _NONE = Placement(np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones(1)
 NEAR = 1e-3
 
 
-def _stands_there(take: Rig, raw: Rig, own: SkeletonPlacement) -> bool:
-    """Return whether a take rests where a stage has a rig, and not where it is alone.
+def _rests_at_stage_placement(
+    take: Rig, raw: Rig, rig_placement: SkeletonPlacement
+) -> bool:
+    """Return whether a take rests at the stage placement of the rig, not its own.
 
     As a take does that was read from such a stage, and came as another kind of file:
     a BVH, whose joints are not turned at rest, has its roots there.
     """
-    if take.stands is not None or not take.has_rest or own.stands.is_none:
+    if take.stands is not None or not take.has_rest or rig_placement.stands.is_none:
         return False
     index = {joint.source_name or joint.name: j for j, joint in enumerate(raw.joints)}
     pairs = [
@@ -126,7 +135,7 @@ def _stands_there(take: Rig, raw: Rig, own: SkeletonPlacement) -> bool:
     size = float(np.ptp(rests, axis=0).max())
     placed, alone = (
         np.abs(rest_world(placed_rig(raw, at)).positions[0, theirs] - rests).max(axis=1)
-        for at in (own.rest, own.sized)
+        for at in (rig_placement.rest, rig_placement.sized)
     )
     roots = np.array([take.joints[j].parent < 0 for j, _ in pairs])
     return any(
@@ -137,7 +146,7 @@ def _stands_there(take: Rig, raw: Rig, own: SkeletonPlacement) -> bool:
 
 
 def _is_sized(take: Rig, raw: Rig, size: float) -> bool:
-    """Return whether bones are as long as a rig's in the world, and not in its space.
+    """Return whether bone lengths match the rig in world scale, not in local scale.
 
     An animation without its Skeleton says no more of the space that it is in.
     """

@@ -1,4 +1,4 @@
-"""A SkelAnimation on a stage as a take."""
+"""Reads a SkelAnimation of a stage as a take."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from animtool.core.rates import rate_from_float
 from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import off_its_place, placed_motion
+from animtool.motion.reorient import at_stage_origin, placed_motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.placed import placement_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import (
-    Spot,
+    PrimLocation,
+    matrix_array,
     missing_parts,
     names_twice,
-    own_matrices,
     tokens,
     transform_attributes,
     unknown_joints,
@@ -41,12 +41,12 @@ from animtool.usd.rigs.placement import (
     DROP,
     NOWHERE,
     SkeletonPlacement,
-    apart_notice,
     movers,
     refuse_uneven,
     rest_rig,
     skeleton_placement,
     uneven_notice,
+    unit_mismatch_notice,
 )
 from animtool.usd.rigs.prims import (
     SkeletonRig,
@@ -63,7 +63,7 @@ from animtool.usd.rigs.prims import (
     stored_data,
     up_axis,
 )
-from animtool.usd.rigs.skeleton import with_recorded_place
+from animtool.usd.rigs.skeleton import with_recorded_rest
 from animtool.usd.rigs.skinned import (
     BINDING_HINT,
     MAX_NAMED,
@@ -99,8 +99,8 @@ def read_usd(
     their first sample.
 
     take: which take of a clip library; None is the one that it selects.
-    placement: ``drop`` leaves out where the character stands and faces, but for what
-        moves its SkelRoot; its size and its up axis stay. None keeps it.
+    placement: ``drop`` leaves out position and heading of the character, except motion
+        of its SkelRoot; size and up axis stay. None keeps it.
     """
     path = Path(path)
     with usd_errors(path), without_usd_warnings():
@@ -126,7 +126,7 @@ def _read_stage(
 
 
 def _takes(stage: Any, below: str) -> TakeSet | None:
-    """Return the takes that the character has to choose from."""
+    """Return the take set of the character."""
     skeletons = find_skeletons(stage, below)
     if skeletons:
         return find_take_set(skeletons[0].GetPrim())
@@ -164,11 +164,11 @@ def read_character(
     stream.notices += skeleton.notices
     moving = None if animation is None else animation.GetPrim()
     if prim is None:
-        stream.notices += _lost_motion(animation, Spot.of(path, animation))
+        stream.notices += _lost_motion(animation, PrimLocation.of(path, animation))
     else:
         _join_stored(stream, skeletons[0], skeleton, path)
-    where = Spot.of(path, prim or moving)
-    stream.rig = with_recorded_place(stream.rig, prim, moving, where)
+    where = PrimLocation.of(path, prim or moving)
+    stream.rig = with_recorded_rest(stream.rig, prim, moving, where)
     if choice == DROP:
         stream = _dropped(stream, placement, prim, str(path))
     else:
@@ -183,24 +183,28 @@ def read_character(
 
 
 def _placement(
-    prim: Any, rig: Rig, codes: list[float] | None, where: Spot, choice: str | None
+    prim: Any,
+    rig: Rig,
+    codes: list[float] | None,
+    where: PrimLocation,
+    choice: str | None,
 ) -> tuple[SkeletonPlacement, list[Fault]]:
-    """Return where a Skeleton is at time codes, which its take has to hold."""
+    """Return the placement of a Skeleton at time codes, which its take includes."""
     if prim is None:
         return NOWHERE, []
     placement = skeleton_placement(prim, rig, codes)
     if choice != DROP:
         refuse_uneven(placement, where)
     notices = uneven_notice(placement, where)
-    notices += apart_notice(placement, where.path or "")
+    notices += unit_mismatch_notice(placement, where.path or "")
     return (NOWHERE if placement.uneven else placement), notices
 
 
 def _placed(
     motion: Motion, rig: Rig, placement: SkeletonPlacement, choice: str | None
 ) -> Motion:
-    """Return a motion, as the numbers of a rig are, where its stage has it."""
-    path = placement.motion if choice == DROP else placement.whole
+    """Return the motion moved to the stage placement of its rig."""
+    path = placement.motion if choice == DROP else placement.full
     if path.is_none:
         return motion
     roots = np.array(rig.roots, np.int64)
@@ -210,7 +214,7 @@ def _placed(
 def _dropped(
     stream: TakeStream, placement: SkeletonPlacement, prim: Any, path: str
 ) -> TakeStream:
-    """Return a take without where it stands, which its motion is without already.
+    """Return a take without its stage placement, which is kept separately.
 
     Its joints still hold what the file records of that.
     """
@@ -219,28 +223,28 @@ def _dropped(
     left = replace(kept, rides=placement.rides)
     stream.notices += placement_notice(left, path, kept=False, stays=raw.rides)
     stream.rig = rest_rig(raw, placement, DROP)
-    held = stream.rig.stands
-    stream = off_its_place(stream)
+    stands = stream.rig.stands
+    stream = at_stage_origin(stream)
     stream.rig = replace(stream.rig, rides=False)
     if left.stands is not None or left.rides:
-        stream.dropped = _left_place(placement, held, prim, raw)
+        stream.dropped = _dropped_placement(placement, stands, prim, raw)
     return stream
 
 
-def _left_place(
-    placement: SkeletonPlacement, held: Placement | None, prim: Any, rig: Rig
+def _dropped_placement(
+    placement: SkeletonPlacement, rig_stands: Placement | None, prim: Any, rig: Rig
 ) -> Callable[[FloatArray], Placement]:
-    """Return where a take without it stood, at time codes of its stage."""
+    """Return a function of the dropped placement by stage time codes."""
     stage: Any = None if prim is None else prim.GetStage()
 
     def stood(codes: FloatArray) -> Placement:
-        own = placement
+        at_codes = placement
         if placement.rides:
             # Named here, the stage lives as long as the function, and its prims.
             skeleton = stage.GetPrimAtPath(prim.GetPath())
-            own = skeleton_placement(skeleton, rig, codes.tolist())
-        stands, _ = own.fixed.split(rig.up)
-        return stands if held is None else stands.after(held)
+            at_codes = skeleton_placement(skeleton, rig, codes.tolist())
+        stands, _ = at_codes.fixed.split(rig.up)
+        return stands if rig_stands is None else stands.after(rig_stands)
 
     return stood
 
@@ -248,7 +252,7 @@ def _left_place(
 def _join_stored(
     stream: TakeStream, skeleton: Any, rig: SkeletonRig, path: Path
 ) -> None:
-    """Give the take's rig what the Skeleton's customData says of it beyond USD."""
+    """Add the rig data of the Skeleton's customData to a take."""
     data = stored_data(skeleton.GetPrim())
     if not data.get("rig"):
         return
@@ -258,30 +262,30 @@ def _join_stored(
         stream.rig,
         data,
         rig.tokens,
-        own_matrices(skeleton.GetRestTransformsAttr()),
-        own_matrices(skeleton.GetBindTransformsAttr()),
+        matrix_array(skeleton.GetRestTransformsAttr()),
+        matrix_array(skeleton.GetBindTransformsAttr()),
         path,
     )
     names = [shape.name for shape in joined.shapes]
-    places = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
-    stream.blocks = _among(stream.blocks, places, len(names))
+    columns = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
+    stream.blocks = _among(stream.blocks, columns, len(names))
     # Meshes and curves stay where they are, and with them cloth and strands.
-    held = {AttachKind.CLOTH, AttachKind.STRANDS}
-    attach = tuple(entry for entry in joined.attach if entry.kind not in held)
+    cached = {AttachKind.CLOTH, AttachKind.STRANDS}
+    attach = tuple(entry for entry in joined.attach if entry.kind not in cached)
     stream.rig = replace(joined, meshes=(), attach=attach)
     stream.notices += notices
 
 
-def _among(blocks: Iterator[Motion], places: IntArray, count: int) -> Iterator[Motion]:
-    """Yield blocks whose weights stand at some places among others, which are 0."""
+def _among(blocks: Iterator[Motion], columns: IntArray, count: int) -> Iterator[Motion]:
+    """Yield blocks whose weights fill some columns; the others are 0."""
     for block in blocks:
         old = block.weights
         if old is None:
             yield block
             continue
         rest = np.zeros((count, 1))
-        rest[places] = old.rest
-        animated = places[old.animated]
+        rest[columns] = old.rest
+        animated = columns[old.animated]
         order = np.argsort(animated)
         weights = Channel(rest, animated[order], old.values[:, order])
         yield replace(block, weights=weights)
@@ -292,7 +296,7 @@ def _bound_animation(skeleton: Any) -> Any:
         return None
     if source := animation_source(skeleton):
         return UsdSkel.Animation(source)
-    # An animation that UsdSkel cannot use is bound all the same: reading says why.
+    # Bind an animation that UsdSkel cannot use, too: reading it reports why.
     binding = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
     return UsdSkel.Animation(binding) if binding else None
 
@@ -314,8 +318,8 @@ def _first_animation(stage: Any, below: str) -> Any:
     return None
 
 
-def _lost_motion(animation: Any, where: Spot) -> list[Fault]:
-    """Say so where a layer alone moves a SkelRoot, whose rig is elsewhere."""
+def _lost_motion(animation: Any, where: PrimLocation) -> list[Fault]:
+    """Report root motion of a layer that is read without its rig."""
     parent = animation.GetPrim().GetParent()
     order = parent.GetAttribute("xformOpOrder")
     if not order or not order.HasAuthoredValue():
@@ -327,7 +331,7 @@ def _lost_motion(animation: Any, where: Spot) -> list[Fault]:
 
 def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     joints = tokens(animation.GetJointsAttr())
-    where = Spot.of(path, animation)
+    where = PrimLocation.of(path, animation)
     where.refuse(names_twice(animation.GetJointsAttr()))
     data = stored_data(animation.GetPrim())
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
@@ -350,10 +354,10 @@ def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
 def _resting(
     skeleton: SkeletonRig, stage: Any, path: Path, prim: Any, choice: str | None
 ) -> tuple[TakeStream, SkeletonPlacement]:
-    """Return a rig without animation: one frame, at rest; and where that is."""
+    """Return a take of one frame at rest, for a rig without animation."""
     shapes = () if skeleton.tokens else bound_shapes(UsdSkel.Skeleton(prim))
     rig = skeleton.rig
-    check_moves(len(rig.joints), len(shapes), Spot.of(path, prim))
+    check_moves(len(rig.joints), len(shapes), PrimLocation.of(path, prim))
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     motion = Motion(
         Channel.from_dense(rig.rest_translations[None]),
@@ -361,7 +365,9 @@ def _resting(
         scale_channel(skeleton.rest_scales[None]),
         Channel.from_dense(np.zeros((1, len(shapes), 1))) if shapes else None,
     )
-    placement, notices = _placement(prim, rig, None, Spot.of(path, prim), choice)
+    placement, notices = _placement(
+        prim, rig, None, PrimLocation.of(path, prim), choice
+    )
     motion = _placed(motion, rig, placement, choice)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     start = time_fraction(stage.GetStartTimeCode())
@@ -389,9 +395,9 @@ def _read(
     prim: Any,
     choice: str | None,
 ) -> tuple[TakeStream, SkeletonPlacement]:
-    where = Spot.of(path, animation)
-    places, notices = _places(skeleton, animation, prim, where)
-    attributes = _attributes(animation, places, where, notices)
+    where = PrimLocation.of(path, animation)
+    columns, notices = _columns(skeleton, animation, prim, where)
+    attributes = _attributes(animation, columns, where, notices)
     shapes = animated_shapes(animation)
     check_moves(len(skeleton.rig.joints), len(shapes), where)
     sources = [*attributes.values(), *([] if prim is None else movers(prim))]
@@ -411,16 +417,16 @@ def _read(
         "scales": skeleton.rest_scales,
     }
 
-    def whole(name: str, rest: FloatArray) -> FloatArray:
-        """Return an attribute for the Skeleton's joints, at rest if not animated."""
+    def dense(name: str, rest: FloatArray) -> FloatArray:
+        """Return an attribute for all Skeleton joints; unanimated ones at rest."""
         attr, width, rows = attributes.get(name), rest.shape[1], None
         if attr is not None:
             rows = sampled_values(
-                attr, codes, len(places), width, where, drift=grid.drift
+                attr, codes, len(columns), width, where, drift=grid.drift
             )
-        return among_rest(rest, rows, places, len(codes))
+        return among_rest(rest, rows, columns, len(codes))
 
-    translations, rotations, scales = (whole(*part) for part in rests.items())
+    translations, rotations, scales = (dense(*part) for part in rests.items())
     translations *= meters
     rotations, off = normalised(rotations, rig.names, codes, where)
     rotations = so3.align_signs(rotations)
@@ -436,8 +442,8 @@ def _read(
     moving = [] if prim is None else movers(prim)
     sampled = sorted({time for mover in moving for time in mover.GetTimeSamples()})
     moved = nearest_samples(sampled, codes, grid.drift)
-    placement, odd = _placement(prim, rig, moved, where, choice)
-    notices += odd
+    placement, placement_notices = _placement(prim, rig, moved, where, choice)
+    notices += placement_notices
     motion = _placed(motion, rig, placement, choice)
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     stream = TakeStream.of(Take(rig, clock, motion))
@@ -448,14 +454,14 @@ def _read(
 
 
 def _attributes(
-    animation: Any, places: IntArray, where: Spot, notices: list[Fault]
+    animation: Any, columns: IntArray, where: PrimLocation, notices: list[Fault]
 ) -> dict[str, Any]:
-    """Return what an animation must have for UsdSkel to use it, by name.
+    """Return the attributes UsdSkel requires of an animation, by name.
 
     Nothing where it moves no joint: it has weights of shapes alone, or only names
     joints, which then stay at rest.
     """
-    if not len(places):
+    if not len(columns):
         return {}
     missing = list(missing_parts(animation, tokens(animation.GetJointsAttr())))
     if any(fault.severity is Severity.ERROR for fault in missing):
@@ -466,21 +472,21 @@ def _attributes(
     return transform_attributes(animation)
 
 
-def _places(
-    skeleton: SkeletonRig, animation: Any, prim: Any, where: Spot
+def _columns(
+    skeleton: SkeletonRig, animation: Any, prim: Any, where: PrimLocation
 ) -> tuple[IntArray, list[Fault]]:
-    """Return where joints are in the Skeleton, and a warning of those left out (-1)."""
+    """Return Skeleton columns of the animation's joints (-1 unknown), and a warning."""
     attr = animation.GetJointsAttr()
     index = {token: i for i, token in enumerate(skeleton.tokens)}
-    places = np.array([index.get(token, -1) for token in tokens(attr)], np.int64)
+    columns = np.array([index.get(token, -1) for token in tokens(attr)], np.int64)
     if prim is None:
-        return places, []
+        return columns, []
     unknown = unknown_joints(attr, skeleton.tokens, prim.GetPath())
-    return places, [replace(fault, path=where.path) for fault in unknown]
+    return columns, [replace(fault, path=where.path) for fault in unknown]
 
 
-def _grid_notices(grid: SampleGrid, samples: int, where: Spot) -> list[Fault]:
-    """Return notices of samples that are not evenly spaced, or not on frames."""
+def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[Fault]:
+    """Return notices of samples that are uneven or off frames."""
     notices = []
     every = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
     if not grid.even:

@@ -75,7 +75,7 @@ Evaluate = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class CurveReport:
-    """What became of a curve."""
+    """Result of writing one curve."""
 
     name: str
     knots: int  # knots of the spline
@@ -89,10 +89,9 @@ class CurveReport:
 def author_controls(
     layer: Any, prim_path: str, controls: Mapping[str, Curves]
 ) -> list[CurveReport]:
-    """Write the curves of controls, and return what became of each, by control.
+    """Write the curves of controls; return a report per control.
 
-    The attribute of a control whose name USD forbids has the name as its display
-    name.
+    Controls with names illegal in USD keep them as display names.
     """
     names = distinct_names(*[list(controls)] * 3)
     reports = []
@@ -117,7 +116,7 @@ def author_curve(
     curves: Curves,
     evaluate: Evaluate,
 ) -> CurveReport:
-    """Write one curve as a spline on a custom attribute, and measure it.
+    """Write one curve as a spline on a custom attribute, and measure its error.
 
     evaluate: its values ``(F,)`` at times ``(F,)``, to measure against and to continue
     it by.
@@ -149,7 +148,7 @@ def author_curve(
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
-    """A segment, or the part of one.
+    """A segment of a curve, or a part of it.
 
     Its control points ``(4, 2)`` are (time from the segment's first key, value).
     """
@@ -194,7 +193,7 @@ def _pieces(curves: Curves, i: int) -> list[_Piece]:
 
 
 def _contained(handle: FloatArray, h: float) -> FloatArray:
-    """Return a handle no longer than its segment, slope kept."""
+    """Return a handle clamped to its segment, slope kept."""
     length = abs(handle[0])
     return handle * (h / length) if length > h else handle
 
@@ -205,7 +204,7 @@ def _vertical(handle: FloatArray) -> bool:
 
 
 def _parameter(times: FloatArray, at: float) -> float:
-    """Return where a monotonic cubic from 0 reaches a time: bisection, to the ulp."""
+    """Return the parameter of a monotonic cubic from 0 at a time, by bisection."""
     _, a, b, c = times.tolist()
     low, high = 0.0, 1.0
     while low < (middle := (low + high) / 2) < high:
@@ -250,7 +249,7 @@ def _knots(pieces: list[_Piece], curves: Curves, where: str) -> list[Any]:
 
 
 def _tangent(handle: FloatArray) -> tuple[float, float]:
-    """Return width and slope of a handle, as offset in time and value."""
+    """Return width and slope of a handle from its time and value offsets."""
     width, rise = handle.tolist()
     return (width, rise / width) if width > 0 else (0.0, 0.0)
 
@@ -271,7 +270,7 @@ def _extrapolation(
 
 
 def _measure(spline: Any, curves: Curves, evaluate: Evaluate) -> tuple[float, float]:
-    """Return the largest difference, and that at the end of a cycle."""
+    """Return the largest error, and the error at the end of a cycle."""
     times = curves.times
     steps = np.arange(SAMPLES) / SAMPLES
     inside = times[:-1, None] + np.diff(times)[:, None] * steps
@@ -279,12 +278,12 @@ def _measure(spline: Any, curves: Curves, evaluate: Evaluate) -> tuple[float, fl
     away = span * (np.arange(3 * SAMPLES) + 0.5) / SAMPLES
     at = np.concatenate([times[0] - away, inside.ravel(), times[-1] + away])
 
-    def apart(when: FloatArray) -> float:
+    def difference(when: FloatArray) -> float:
         mine = evaluate(when)
         theirs = np.array([spline.Eval(float(time)) for time in when])
         return float(np.abs(theirs - mine).max())
 
-    last = apart(times[-1:])
+    last = difference(times[-1:])
     if curves.post[0] in {Extrapolation.CYCLE, Extrapolation.OSCILLATE}:
-        return apart(at), last
-    return max(apart(at), last), 0.0
+        return difference(at), last
+    return max(difference(at), last), 0.0

@@ -1,4 +1,4 @@
-"""The takes of all characters of a stage."""
+"""Reads the takes of all characters of a stage."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.usd.takes.read import read_character
 
 
 def read_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
-    """Return what reads the take of each Skeleton of a stage, by its path.
+    """Return a reader of each Skeleton's take, by its path.
 
     A layer without its rig holds none.
     """

@@ -1,1 +1,1 @@
-"""What `validate --fix` does to findings that have one safe and obvious remedy."""
+"""Fixes of `validate --fix` for findings with one safe remedy."""

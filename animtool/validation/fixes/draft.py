@@ -1,4 +1,4 @@
-"""A draft of files with fixes: what is edited, and what one fix says of another."""
+"""Drafts of files under repair: one interface for texts and layers."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from animtool.usd.fixes.table import EDITS
 from animtool.validation.subjects.subject import CheckedFile
 
 
-class Draft(Protocol):
-    """Content of a file; a step returns another draft and leaves this one."""
+class FileDraft(Protocol):
+    """Content of a file; a step returns a new draft."""
 
     @property
     def checked(self) -> CheckedFile:
-        """The content as rules look at it."""
+        """The content as a subject of rules."""
 
     @property
     def findings(self) -> Sequence[Fault]:
-        """Findings of the rules in it."""
+        """Findings in the content."""
 
     def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
-        """Return the findings that one step fixes, of all that are left to try."""
+        """Return the findings to fix in the next step."""
 
-    def step(self, faults: Sequence[Fault]) -> Step:
-        """Return the content with findings of `batch` fixed."""
+    def step(self, faults: Sequence[Fault]) -> FixStep:
+        """Return the content with the findings of `batch` fixed."""
 
-    def finish(self, cases: Sequence[Fault], /) -> Step:
-        """Return the content with those findings fixed that had to wait."""
+    def finish(self, cases: Sequence[Fault], /) -> FixStep:
+        """Return the content with the deferred findings fixed."""
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
-        """Yield the findings that can be fixed, each on its own."""
+        """Yield the findings that can be fixed one by one."""
 
     def difference(self) -> str:
-        """Return what fixes changed in the file, for a person."""
+        """Return the changes as text."""
 
     def outputs(self) -> Sequence[Path]:
-        """Return new files that the content needs beside it."""
+        """Return new files written next to the content."""
 
     def write(self, output: Path) -> Sequence[str]:
-        """Write the content to the file or another, and return remarks on it.
+        """Write the content to a file, and return notices.
 
         Raises:
             OutputError: It cannot be written.
@@ -55,15 +55,15 @@ class Draft(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class FixStep:
     """The result of one step."""
 
-    draft: Draft  # the content after it
+    draft: FileDraft  # the content after it
     done: Sequence[tuple[Fault, str]] = ()  # findings that were fixed, and how
     refused: Sequence[tuple[Fault, str]] = ()  # findings that were not, and why
 
 
-# What a finding's code is mended by in documents; USD layers have edits of their own.
+# Fixes of documents by code; USD layers have a separate table.
 FIXES = {
     "RIG210": "animtool.validation.fixes.texts:summed",
     "RIG219": "animtool.validation.fixes.names:distinct",
@@ -74,14 +74,14 @@ FIXES = {
 
 
 class NotMendedError(Exception):
-    """A finding of a code that has a fix, which is not safe here; says why."""
+    """A finding whose fix is not safe here; the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mend:
-    """What mends a finding."""
+    """Edits that fix a finding."""
 
-    remedy: str  # what is done, for the report
+    remedy: str  # what the fix does, for the report
     edits: tuple[Edit, ...]  # of the file's text
     # Of new npz files, by file and name.
     arrays: Mapping[Path, Mapping[str, npt.NDArray[Any]]] = field(default_factory=dict)
@@ -92,7 +92,7 @@ Fix = Callable[[CheckedFile, Fault], Mend]
 
 
 def fix_of(code: str) -> Fix | None:
-    """Return what mends findings of a code; None where nothing does.
+    """Return the fix of a code; None if there is none.
 
     >>> fix_of("RIG201") is None
     True
@@ -101,7 +101,7 @@ def fix_of(code: str) -> Fix | None:
 
 
 def has_fix(code: str) -> bool:
-    """Return whether findings of a code may have a safe remedy.
+    """Return whether findings of a code may have a safe fix.
 
     >>> has_fix("RIG210"), has_fix("USD204"), has_fix("RIG201")
     (True, True, False)

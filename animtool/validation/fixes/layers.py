@@ -1,4 +1,4 @@
-"""USD layers fixed in memory, all findings of a code at a time."""
+"""USD layers fixed in memory, all findings of a code at once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.usd.fixes.table import EDITS
-from animtool.validation.fixes.draft import Step
+from animtool.validation.fixes.draft import FixStep
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_file
 from animtool.validation.subjects.subject import CheckedFile
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LayerDraft:
-    """The content of a USD layer; what it brings in stays as it is."""
+    """The content of a USD layer; composed layers stay unchanged."""
 
     path: Path  # the file
     content: Any = None  # the layer's content; None is that of the file
@@ -29,7 +29,7 @@ class LayerDraft:
 
     @cached_property
     def checked(self) -> CheckedFile:
-        """The content as rules look at it."""
+        """The content as a subject of rules."""
         from animtool.usd.fixes.target import edited_layer
 
         with edited_layer(self.path, self.content):
@@ -37,11 +37,11 @@ class LayerDraft:
 
     @cached_property
     def findings(self) -> Sequence[Fault]:
-        """Findings of the rules in it."""
+        """Findings in the layer."""
         return findings_in(self.checked)
 
     def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
-        """Return the findings of the code whose fix comes first, the deepest first.
+        """Return the findings of the first code to fix, deepest prims first.
 
         The extent of a prim depends on those below it.
         """
@@ -50,8 +50,8 @@ class LayerDraft:
         chosen = (fault for fault in cases if fault.code == first)
         return sorted(chosen, key=lambda fault: -(fault.where or "").count("/"))
 
-    def step(self, faults: Sequence[Fault]) -> Step:
-        """Return the layer with findings fixed, as far as they are its own."""
+    def step(self, faults: Sequence[Fault]) -> FixStep:
+        """Return the layer with findings fixed if they are local to it."""
         from animtool.usd.fixes.target import edited_layer
 
         done: list[tuple[Fault, str]] = []
@@ -63,14 +63,14 @@ class LayerDraft:
             content = layer.content()
         lines = [f"{self.path}: {fault.code} {remedy}" for fault, remedy in done]
         other = LayerDraft(self.path, content, (*self.edits, *lines))
-        return Step(other if done else self, done, refused)
+        return FixStep(other if done else self, done, refused)
 
-    def finish(self, _: Sequence[Fault], /) -> Step:
-        """Return the layer as it is: no fix has to wait."""
-        return Step(self)
+    def finish(self, _: Sequence[Fault], /) -> FixStep:
+        """Return the layer unchanged: no fix is deferred."""
+        return FixStep(self)
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
-        """Yield the findings that are of this layer and have a safe remedy."""
+        """Yield the findings in this layer that have a safe fix."""
         from animtool.usd.fixes.target import NotFixableError, edited_layer
 
         with edited_layer(self.path, self.content) as layer:
@@ -82,22 +82,22 @@ class LayerDraft:
                 yield fault
 
     def difference(self) -> str:
-        """Return the edits, a line each: a crate has no text to compare."""
+        """Return the edits, one per line: a crate has no text diff."""
         return "".join(f"{line}\n" for line in self.edits)
 
     def outputs(self) -> Sequence[Path]:
-        """Return new files that the layer needs: none."""
+        """Return new files next to the layer: none."""
         return ()
 
     def write(self, output: Path) -> Sequence[str]:
-        """Write the layer to a file, and return what else that changed."""
+        """Write the layer to a file, and return other changes of the copy."""
         from animtool.usd.fixes.target import write_copy
 
         return write_copy(self.path, self.content, output)
 
 
 def _applied(layer: EditedLayer, fault: Fault) -> tuple[str, str]:
-    """Apply the fix of a finding; return why not, or else what it changed."""
+    """Apply the fix of a finding; return why not, or what changed."""
     from animtool.usd.fixes.target import NotFixableError
 
     where = "" if fault.where in {None, "/"} else f"{fault.where}: "

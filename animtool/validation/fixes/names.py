@@ -1,4 +1,4 @@
-"""Names that USD does not allow, or cannot tell apart, with all that refers to them."""
+"""Renames entries whose names USD forbids or cannot distinguish, and references."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.rig.drivers import renamed_coordinates, split_coordinate
 from animtool.rig.expressions import parse_expression
 from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.validation.fixes.draft import Mend, NotMendedError
-from animtool.validation.fixes.texts import place_of
+from animtool.validation.fixes.texts import pointer_of
 from animtool.validation.rules.rig_parts import legal, names_in
 from animtool.validation.subjects.open import DOCUMENT_SUFFIXES
 from animtool.validation.subjects.rig import RigSubject
@@ -25,15 +25,15 @@ from animtool.validation.subjects.subject import CheckedFile
 
 
 def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
-    """Yield files that use one of the names of a rig, and the first of them.
+    """Yield files that use a name of a rig, with the first such name.
 
-    A use is a key or value that is the name, or has it as a part, such as
-    ``joint/NAME.rotation``; words in comments and texts are none. Rigs with joints of
-    their own, and files for one of these, have names of their own and are left out.
+    A use is a key or value that is or contains the name, such as
+    ``joint/NAME.rotation``, but not words in comments and texts. Rigs with separate
+    joints, and files for these, are skipped.
     """
-    own = rig.resolve()
+    rig_path = rig.resolve()
     for path in _documents(rig):
-        if path.resolve() == own:
+        if path.resolve() == rig_path:
             continue
         try:
             text = read_text(path)
@@ -41,13 +41,13 @@ def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
             continue
         if not any(name in text for name in names):
             continue
-        use = _first_use(path, text, own, names)
+        use = _first_use(path, text, rig_path, names)
         if use is not None:
             yield path, use
 
 
 def _first_use(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | None:
-    """Return the first name that a file uses for something of a rig."""
+    """Return the first name of a rig that a file uses."""
     try:
         value = document_of(text, path).value
     except AnimtoolError:
@@ -60,7 +60,7 @@ def _first_use(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | 
 
 
 def _is_used(name: str, texts: Sequence[str]) -> bool:
-    """Return whether a name is one of some keys and values, or a part of one."""
+    """Return whether a name occurs in keys or values, or in part of one."""
     part = re.compile(rf"(?:^|[/\[#,]){re.escape(name)}(?:$|[/.\]#,])")
     return any(part.search(text) for text in texts)
 
@@ -85,7 +85,7 @@ def _documents(rig: Path) -> Iterator[Path]:
 
 
 def _may_mean(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
-    """Return whether a file's names may be those of a rig."""
+    """Return whether names in a file may refer to a rig."""
     stated = value.get("rig")
     if not isinstance(stated, str):
         return True
@@ -95,7 +95,7 @@ def _may_mean(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
 
 
 def _has_names_of(other: Path, rig: Path) -> bool:
-    """Return whether a rig is that one, or a sidecar of some rig."""
+    """Return whether a rig is the given one, or a sidecar."""
     if other == rig:
         return True
     if READERS.get(other.suffix.lower()) is not DOCUMENT:
@@ -120,8 +120,8 @@ USES = {
 }
 # Where expressions read joints.
 FORMULAS = ("joints/*/driven/expr", "shapes/*/driven/expr", "controls/*/driven/expr")
-# What a list's names are called by in the places of `ignore`.
-_PLACES = {
+# Names of the lists in the locations of `ignore`.
+_LISTS = {
     "joints": ("joints", "colliders", "masses"),
     "meshes": ("meshes",),
     "shapes": ("shapes",),
@@ -129,31 +129,31 @@ _PLACES = {
 
 
 def allowed(checked: CheckedFile, fault: Fault) -> Mend:
-    """Return the file with every name of a list as USD allows it."""
-    rig = _whole(checked)
-    key = str(place_of(fault)[0])
+    """Return the file with every name of a list made legal for USD."""
+    rig = _complete_rig(checked)
+    key = str(pointer_of(fault)[0])
     old = [name for name in names_in(rig, key) if legal(name) != name]
     return _renamed(rig, key, old)
 
 
 def distinct(checked: CheckedFile, fault: Fault) -> Mend:
-    """Return the file with another name for one of two that USD cannot tell apart.
+    """Return the file with one of two names renamed that are equal in USD.
 
     Of the two the one that USD does not allow, or the second of these.
     """
-    rig = _whole(checked)
-    key, number = place_of(fault)[:2]
+    rig = _complete_rig(checked)
+    key, number = pointer_of(fault)[:2]
     entry = rig.written(str(key))[number]
     names = names_in(rig, key)
     for name in (entry["name"], entry.get("mirror")):
-        alike = [other for other in names if name and legal(other) == legal(name)]
-        if len(alike) > 1:
-            odd = [other for other in alike if legal(other) != other]
-            return _renamed(rig, str(key), odd[-1:])
+        equal = [other for other in names if name and legal(other) == legal(name)]
+        if len(equal) > 1:
+            renamed = [other for other in equal if legal(other) != other]
+            return _renamed(rig, str(key), renamed[-1:])
     raise NotMendedError(f"renames {entry['name']!r} to make it unique")
 
 
-def _whole(checked: CheckedFile) -> RigSubject:
+def _complete_rig(checked: CheckedFile) -> RigSubject:
     rig: RigSubject = checked.subject
     if "from" in rig.document.value:
         raise NotMendedError("the names are in another file")
@@ -170,7 +170,7 @@ def _renamed(rig: RigSubject, key: str, old: list[str]) -> Mend:
 
 
 def _fresh(old: list[str], names: list[str]) -> dict[str, str]:
-    """Return a name for each old one, such as none other becomes in USD."""
+    """Return a unique USD name for each old one."""
     new: dict[str, str] = {}
     kept = {legal(name) for name in names if name not in old} | {*names}
     for name in old:
@@ -202,12 +202,14 @@ def renaming(
     if key == "joints":
         yield from _formulas(value, new)
     for at, where in _named(value, ("ignore", "*", "where"), ()):
-        place = where
+        location = where
         for old, name in new.items():
-            lists = "|".join(_PLACES[key])
-            place = re.sub(rf"\b({lists})\[{re.escape(old)}\]", rf"\1[{name}]", place)
-        if place != where:
-            yield Replace(at, place)
+            lists = "|".join(_LISTS[key])
+            location = re.sub(
+                rf"\b({lists})\[{re.escape(old)}\]", rf"\1[{name}]", location
+            )
+        if location != where:
+            yield Replace(at, location)
 
 
 def _formulas(value: Mapping[str, Any], new: Mapping[str, str]) -> Iterator[Edit]:
@@ -223,7 +225,7 @@ def _formulas(value: Mapping[str, Any], new: Mapping[str, str]) -> Iterator[Edit
 def _named(
     node: Any, steps: tuple[str, ...], at: Location
 ) -> Iterator[tuple[Location, str]]:
-    """Yield the names at a path of `USES`, and where they are."""
+    """Yield the names at a path of `USES`, and their locations."""
     if not steps:
         if isinstance(node, str):
             yield at, node

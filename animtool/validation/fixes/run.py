@@ -1,4 +1,4 @@
-"""Mended files, written: all of them or none."""
+"""Writes fixed files: all of them or none."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from animtool.validation.run import Report, validate_files
 
 @dataclass(frozen=True, slots=True)
 class Fixes:
-    """What was mended."""
+    """Result of fixing files."""
 
     files: tuple[FileMend, ...]  # those with findings of a code that has a fix
-    report: Report  # what is found after it
-    notes: tuple[str, ...] = ()  # remarks on files as a whole
+    report: Report  # validation after the fixes
+    notes: tuple[str, ...] = ()  # notes on complete files
 
     @property
     def left(self) -> tuple[tuple[Fault, str], ...]:
-        """Findings that have a fix and stay, and why."""
+        """Findings with a fix that remain, and why."""
         return tuple(entry for file in self.files for entry in file.left)
 
 
 def plan_files(report: Report, options: ValidateOptions) -> Iterator[FileMend]:
-    """Yield what mending makes of the files of a report; nothing is written.
+    """Yield the planned fixes of a report's files; nothing is written.
 
     The report is that of `validate_files` with the same options.
     """
@@ -53,7 +53,7 @@ def fix_files(
     *,
     overwrite: bool = False,
 ) -> Fixes:
-    """Mend what is wrong in files as far as that is safe, and validate them again.
+    """Apply all safe fixes to files, and validate them again.
 
     Args:
         files: Of any kind that is checked.
@@ -68,8 +68,8 @@ def fix_files(
     named = _with_fixes(report)
     kept = [path for path in named if is_layer(path) and not overwrite]
     # A file and a link to it are one.
-    own = {path.resolve(): path for path in reversed(named) if path not in kept}
-    changed = list(reversed(own.values()))
+    targets = {path.resolve(): path for path in reversed(named) if path not in kept}
+    changed = list(reversed(targets.values()))
     check_outputs(changed, [], overwrite=True)
     plans = [_plan(path, options) for path in changed]
     with together():
@@ -92,7 +92,7 @@ def fix_copy(
     *,
     overwrite: bool = False,
 ) -> Fixes:
-    """Write a copy of a USD layer with what is wrong fixed, and validate the copy.
+    """Write a fixed copy of a USD layer, and validate the copy.
 
     A layer with nothing to fix is copied as it is.
 
@@ -108,12 +108,12 @@ def fix_copy(
             (OUT003), or one of the two is no plain layer (OUT004).
         OutputError: It cannot be written.
     """
-    from animtool.usd.fixes.target import check_copy, spare_composed_layers
+    from animtool.usd.fixes.target import check_copy, refuse_composed_layers
 
     options = (options or ValidateOptions()).resolved()
     check_copy(source, output)
     check_outputs([output], [source], overwrite=overwrite)
-    spare_composed_layers(source, output)
+    refuse_composed_layers(source, output)
     plan = _plan(source, options)
     notes = plan.after.write(output)
     report = validate_files([output], options)
@@ -125,14 +125,14 @@ def _plan(path: Path, options: ValidateOptions) -> FileMend:
 
 
 def _with_fixes(report: Report, *, packed: bool = False) -> list[Path]:
-    """Return files, or packages, with findings that a fix is known for."""
+    """Return files, or packages, with fixable findings."""
     named = {fault.path for fault in report.findings if has_fix(fault.code)}
     fixable = (path for path in report.files if str(path) in named)
     return [path for path in fixable if has_fixes(path) and is_package(path) is packed]
 
 
 def _kept(report: Report, paths: Sequence[Path]) -> Iterator[str]:
-    """Yield what could be fixed in USD files that stay as they are."""
+    """Yield fixable findings of USD files that stay unchanged."""
     if not paths:
         return
     fixable = with_fixable(report).fixable

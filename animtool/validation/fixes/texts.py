@@ -1,4 +1,4 @@
-"""Documents mended in memory, a finding at a time, with all else as it stands."""
+"""Documents fixed in memory, one finding at a time, with all other text kept."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from animtool.documents.document import document_of, read_text
 from animtool.documents.edit import Add, EditError, Remove, Replace, edited
 from animtool.documents.references import split_reference
 from animtool.rig.parts import ArrayRef
-from animtool.validation.fixes.draft import Mend, NotMendedError, Step, fix_of
+from animtool.validation.fixes.draft import FixStep, Mend, NotMendedError, fix_of
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_document
 from animtool.validation.subjects.rig import RigSubject
@@ -38,10 +38,10 @@ from animtool.validation.subjects.subject import CheckedFile
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
 
-def place_of(fault: Fault) -> tuple[Any, ...]:
+def pointer_of(fault: Fault) -> tuple[Any, ...]:
     """Return the keys and numbers of a finding's ``where``.
 
-    >>> place_of(Fault("RIG210", "", where="meshes[2].skin.weights"))
+    >>> pointer_of(Fault("RIG210", "", where="meshes[2].skin.weights"))
     ('meshes', 2, 'skin', 'weights')
     """
     steps = _STEP.findall(fault.where or "")
@@ -49,36 +49,36 @@ def place_of(fault: Fault) -> tuple[Any, ...]:
 
 
 def left_out(checked: CheckedFile, fault: Fault) -> Mend:
-    """Return the file without an entry, and without the list that it was alone in."""
+    """Return the file without an entry, and without its list if that is empty then."""
     if checked.document is None:
         raise NotMendedError("the file has no text")
     entries = checked.document.value["ignore"]
-    place = place_of(fault)
-    entry = entries[place[1]]
-    location = place if len(entries) > 1 else ("ignore",)
+    pointer = pointer_of(fault)
+    entry = entries[pointer[1]]
+    location = pointer if len(entries) > 1 else ("ignore",)
     return Mend(f"removes the entry for {entry['code']}", (Remove(location),))
 
 
 def from_bind(checked: CheckedFile, fault: Fault) -> Mend:
-    """Return the file with a joint's rest pose, taken from its bind pose."""
+    """Return the file with a joint's rest pose taken from its bind pose."""
     rig: RigSubject = checked.subject
-    place = place_of(fault)
-    entry = rig.written("joints")[place[1]]
+    pointer = pointer_of(fault)
+    entry = rig.written("joints")[pointer[1]]
     pose = rig.document.value["bind"][entry["name"]]
     keys = [key for key in ("translate", "rotate") if pose.get(key) is not None]
-    edits = tuple(Add(place, key, pose[key]) for key in keys)
+    edits = tuple(Add(pointer, key, pose[key]) for key in keys)
     return Mend(f"sets the rest pose of {entry['name']!r} to its bind pose", edits)
 
 
 def summed(checked: CheckedFile, fault: Fault) -> Mend:
-    """Return the file with weights that are divided by their sums, in a new npz.
+    """Return the file with normalized weights in a new npz.
 
     That is what every reader of the file does with them. The npz that holds them now
     may be another rig's too, and stays as it is.
     """
     rig: RigSubject = checked.subject
-    place = place_of(fault)
-    skin = rig.rig.meshes[place[1]].skin
+    pointer = pointer_of(fault)
+    skin = rig.rig.meshes[pointer[1]].skin
     if "from" in rig.document.value or skin is None:
         raise NotMendedError("the mesh is in another file")
     weights = skin.weights
@@ -89,11 +89,11 @@ def summed(checked: CheckedFile, fault: Fault) -> Mend:
     text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
     remedy = f"writes {path.name} with the weights divided by their sums"
     arrays = {path: {weights.key: _divided(weights)}}
-    return Mend(remedy, (Replace(place, text),), arrays)
+    return Mend(remedy, (Replace(pointer, text),), arrays)
 
 
 def _free(path: Path, key: str) -> Path:
-    """Return a file beside another that is not there yet."""
+    """Return an unused path next to a file."""
     problem = name_problem(f"{path.stem}_{key}.npz")
     if problem is not None:
         raise NotMendedError(f"the name of the array, {excerpt(key)}, {problem}")
@@ -122,25 +122,25 @@ class TextDraft:
 
     @classmethod
     def read(cls, path: Path) -> TextDraft:
-        """Return a file as it is."""
+        """Return the draft of a file, unchanged."""
         text = read_text(path)
         return cls(path, text, text)
 
     @cached_property
     def checked(self) -> CheckedFile:
-        """The text as rules look at the file."""
+        """The text as a subject of rules."""
         return open_document(document_of(self.text, self.path))
 
     @cached_property
     def findings(self) -> Sequence[Fault]:
-        """Findings of the rules in it."""
+        """Findings in the text."""
         return findings_in(self.checked)
 
     def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
-        """Return the first: after it the others may stand elsewhere."""
+        """Return the first finding: its fix may move the others."""
         return cases[:1]
 
-    def step(self, faults: Sequence[Fault]) -> Step:
+    def step(self, faults: Sequence[Fault]) -> FixStep:
         """Return the text with a finding fixed, unless that writes arrays.
 
         What writes arrays comes last, as the rest is checked on files that are there.
@@ -150,16 +150,16 @@ class TextDraft:
             mend = self._mend(fault)
             text = edited(self.text, self.path, mend.edits)
             if mend.arrays:
-                return Step(self)
+                return FixStep(self)
             other = replace(self, text=text)
             # That it can be read is looked at here.
             _ = other.findings
         except (NotMendedError, EditError, AnimtoolError) as error:
-            return Step(self, refused=[(fault, str(error))])
-        return Step(other, [(fault, mend.remedy)])
+            return FixStep(self, refused=[(fault, str(error))])
+        return FixStep(other, [(fault, mend.remedy)])
 
-    def finish(self, cases: Sequence[Fault]) -> Step:
-        """Return the text with the findings fixed whose remedy writes arrays."""
+    def finish(self, cases: Sequence[Fault]) -> FixStep:
+        """Return the text with the findings fixed that need new arrays."""
         text, done = self.text, []
         added = {path: dict(arrays) for path, arrays in self.arrays.items()}
         for fault in cases:
@@ -174,10 +174,10 @@ class TextDraft:
             for path, arrays in mend.arrays.items():
                 added.setdefault(path, {}).update(arrays)
         codes = frozenset(fault.code for fault, _ in done)
-        return Step(replace(self, text=text, arrays=added, awaited=codes), done)
+        return FixStep(replace(self, text=text, arrays=added, awaited=codes), done)
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
-        """Yield the findings that can be fixed, each on its own."""
+        """Yield the findings that can be fixed one by one."""
         for fault in faults:
             try:
                 edited(self.text, self.path, self._mend(fault).edits)
@@ -186,7 +186,7 @@ class TextDraft:
             yield fault
 
     def difference(self) -> str:
-        """Return what changes, as ``diff -u`` writes it."""
+        """Return the changes as a unified diff."""
         name = self.path.as_posix()
         lines = difflib.unified_diff(
             _lines(self.before), _lines(self.text), f"a/{name}", f"b/{name}"
@@ -197,11 +197,11 @@ class TextDraft:
         )
 
     def outputs(self) -> Sequence[Path]:
-        """Return the npz files that the text needs beside it."""
+        """Return the npz files written next to the text."""
         return tuple(self.arrays)
 
     def write(self, output: Path) -> Sequence[str]:
-        """Write the text to a file, its new arrays before it."""
+        """Write the text to a file, after its new arrays."""
         with together():
             with ahead(list(self.arrays)):
                 for path, arrays in self.arrays.items():
@@ -213,7 +213,7 @@ class TextDraft:
         return ()
 
     def _check_arrays(self) -> None:
-        """Refuse arrays that are read otherwise than they were written."""
+        """Refuse arrays that do not read back equal."""
         if not self.arrays:
             return
         unread = {*self.awaited, "RIG018", "RIG019"}
@@ -230,7 +230,7 @@ class TextDraft:
 
 
 def _lines(text: str) -> list[str]:
-    r"""Return lines with their ends, of which only \n counts."""
+    r"""Return lines with their ends; only \n counts."""
     return [line + "\n" for line in text.split("\n")[:-1]] + [
         rest for rest in text.split("\n")[-1:] if rest
     ]

@@ -1,4 +1,4 @@
-"""Reports in the forms that people and services read, as text."""
+"""Report formats for people and services."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ FORMATS = {
 
 
 def written(
-    report: Report, form: str, *, whole: bool = False, calling: Calling = in_python
+    report: Report, form: str, *, repeats: bool = False, calling: Calling = in_python
 ) -> str:
-    """Return a report in one of the forms of `FORMATS`.
+    """Return a report in one of `FORMATS`.
 
     Args:
         report: What was found.
         form: Of `FORMATS`.
-        whole: Print each finding as text, repeats in one file too. Other forms have
+        repeats: Print each finding as text, repeats in one file too. Other forms have
             all of them in any case.
         calling: What arguments are called.
     """
     if form == "text":
-        return text_report(report, whole=whole, calling=calling)
+        return text_report(report, repeats=repeats, calling=calling)
     write = cast(Callable[[Report], str], load_object(FORMATS[form]))
     return write(report.worded(calling))

@@ -1,4 +1,4 @@
-"""Findings as text, as JSON and as JUnit XML.
+"""Findings as text, JSON and JUnit XML.
 
 No times: the same files give the same bytes.
 
@@ -38,13 +38,13 @@ _ENDS = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
 # Longer files are arrays, of which no one reads a line.
 MAX_BYTES = 4_000_000
 WIDTH = 96
-# How much of a cut line stands before the place.
+# Fraction of a cut line before the fault's column.
 BEFORE = 32
 
 
 @dataclass(slots=True)
 class Sources:
-    """Lines of files; the last file read is kept."""
+    """Source lines of files; the last file is cached."""
 
     path: str | None = None  # the file that is kept
     lines: list[str] = field(default_factory=list)  # of it
@@ -65,7 +65,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def cut(line: str, column: int) -> Iterator[str]:
-    """Yield a line, and a line with a caret below a 1-based column of it.
+    """Yield a source line, and a line with a caret below a 1-based column.
 
     >>> list(cut("joints: []", 9))
     ['joints: []', '        ^']
@@ -88,8 +88,8 @@ _Kind: TypeAlias = tuple[str | None, str, Severity]
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
-    """A finding as text has it."""
+class ShownFinding:
+    """A finding as printed."""
 
     fault: Fault
     more: int = 0  # others of its file that say the same
@@ -98,9 +98,9 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """The findings that text has."""
+    """The printed findings."""
 
-    shown: list[Shown]
+    shown: list[ShownFinding]
 
 
 _SEE = clause(f", see {argument('command.verbose')}")
@@ -129,36 +129,36 @@ SUMMARY = Template(
 
 
 def text_report(
-    report: Report, *, whole: bool = False, calling: Calling = in_python
+    report: Report, *, repeats: bool = False, calling: Calling = in_python
 ) -> str:
-    """Return the findings, each with the line it is in, and a last line that counts."""
+    """Return the findings, each with its source line, and a summary line."""
     report = report.worded(calling)
-    lines = [*FINDINGS.text(Findings(_shown(report, whole=whole))), summary(report)]
+    lines = [*FINDINGS.text(Findings(_shown(report, repeats=repeats))), summary(report)]
     return "".join(f"{escaped(worded(line, calling))}\n" for line in lines)
 
 
-def _shown(report: Report, *, whole: bool) -> list[Shown]:
-    """Return the findings to print: of those of no line, the first of a kind."""
+def _shown(report: Report, *, repeats: bool) -> list[ShownFinding]:
+    """Return the findings to print; without line, only the first of a kind."""
     sources = Sources()
     counts = Counter(map(_kind, report.findings))
     first: dict[_Kind, Fault] = {}
     shown = []
     for fault in report.findings:
         kind = _kind(fault)
-        if whole or fault.lines:
-            shown.append(Shown(fault, excerpt=_excerpt(fault, sources)))
+        if repeats or fault.lines:
+            shown.append(ShownFinding(fault, excerpt=_excerpt(fault, sources)))
         elif first.setdefault(kind, fault) is fault:
-            shown.append(Shown(fault, counts[kind] - 1))
+            shown.append(ShownFinding(fault, counts[kind] - 1))
     return shown
 
 
 def _kind(fault: Fault) -> _Kind:
-    """Return what findings share that say the same of one file."""
+    """Return the key that repeated findings of a file share."""
     return fault.path, fault.code, fault.severity
 
 
 def summary(report: Report) -> str:
-    """Return what was found, in one line.
+    """Return a summary of findings in one line.
 
     >>> summary(Report((), ()))
     '0 files: nothing found'
@@ -167,7 +167,7 @@ def summary(report: Report) -> str:
 
 
 def _excerpt(fault: Fault, sources: Sources) -> tuple[str, ...]:
-    """Return the line of a finding, and one that points into it."""
+    """Return the source line of a finding, and a caret line."""
     if fault.path is None or not fault.lines:
         return ()
     number = fault.lines[0]
@@ -187,7 +187,7 @@ _LEVELS = {
 
 
 def github_report(report: Report) -> str:
-    """Return a command for each finding."""
+    """Return a GitHub workflow command for each finding."""
     return "".join(_command(fault) + "\n" for fault in report.findings)
 
 
@@ -215,12 +215,12 @@ def _data(text: str) -> str:
 
 
 def json_report(report: Report) -> str:
-    """Return every file that was looked at, and every finding."""
+    """Return every checked file and every finding as JSON."""
     return json_printed(plain_value(report), indent=2) + "\n"
 
 
 def junit_report(report: Report) -> str:
-    """Return a suite of all files; warnings and notes are what a case says."""
+    """Return a JUnit suite of all files; warnings and notes are system output."""
     by_file: dict[str, list[Fault]] = defaultdict(list)
     for fault in report.findings:
         by_file[fault.path or "animtool"].append(fault)
@@ -234,8 +234,8 @@ def junit_report(report: Report) -> str:
 
 def _case(name: str, faults: Sequence[Fault], *, unreadable: bool) -> JunitCase:
     wrong = [fault for fault in faults if fault.severity is Severity.ERROR]
-    odd = [fault for fault in faults if fault.severity is not Severity.ERROR]
-    text = "\n".join(map(str, odd))
+    unexpected = [fault for fault in faults if fault.severity is not Severity.ERROR]
+    text = "\n".join(map(str, unexpected))
     if not wrong:
         return JunitCase(name, output=text)
     return JunitCase(

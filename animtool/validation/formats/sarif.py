@@ -1,4 +1,4 @@
-"""A report as SARIF 2.1.0, which code hosts and editors read.
+"""Reports as SARIF 2.1.0, for code hosts and editors.
 
 References:
     OASIS, "Static Analysis Results Interchange Format (SARIF) Version 2.1.0", 2020.
@@ -31,7 +31,7 @@ _LEVELS = {
 
 
 def sarif_report(report: Report) -> str:
-    """Return one run: the rules that found something, with their pages, and results."""
+    """Return one run: the rules with findings, their pages, and results."""
     codes = sorted({fault.code for fault in report.findings})
     rules, _ = all_rules()
     sources = Sources()
@@ -41,9 +41,9 @@ def sarif_report(report: Report) -> str:
         "version": version("animtool"),
         "rules": described,
     }
-    places = {rule["id"]: i for i, rule in enumerate(described)}
-    results = [_result(fault, places, sources) for fault in report.findings]
-    _tell_apart(results)
+    rule_index = {rule["id"]: i for i, rule in enumerate(described)}
+    results = [_result(fault, rule_index, sources) for fault in report.findings]
+    _number_equal(results)
     named = dict.fromkeys(map(str, report.files))
     run = {
         "tool": {"driver": driver},
@@ -68,11 +68,13 @@ def _rule(rule: Rule) -> dict[str, Any]:
     return rule_object
 
 
-def _result(fault: Fault, places: dict[str, int], sources: Sources) -> dict[str, Any]:
+def _result(
+    fault: Fault, rule_index: dict[str, int], sources: Sources
+) -> dict[str, Any]:
     text = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
     result: dict[str, Any] = {
         "ruleId": fault.code,
-        **({"ruleIndex": places[fault.code]} if fault.code in places else {}),
+        **({"ruleIndex": rule_index[fault.code]} if fault.code in rule_index else {}),
         "level": _LEVELS[fault.severity],
         # Doubled, no brace is that of a placeholder (3.11.5).
         "message": {"text": text.replace("{", "{{").replace("}", "}}")},
@@ -95,14 +97,14 @@ def _region(fault: Fault, line: str | None) -> dict[str, Any]:
     region: dict[str, Any] = {"startLine": fault.lines[0]}
     if fault.column is not None:
         region["startColumn"] = fault.column
-    # Of a file on one line, every finding would hold the whole.
+    # For a one-line file, every finding would contain all of it.
     if line is not None and len(line) <= LONGEST_SNIPPET:
         region["snippet"] = {"text": line}
     return region
 
 
 def _location(path: str) -> dict[str, str]:
-    """Return a file as a URI: relative where the path is."""
+    """Return a file as a URI, relative if its path is."""
     pure = PurePath(path)
     if pure.is_absolute():
         return {"uri": pure.as_uri()}
@@ -110,17 +112,17 @@ def _location(path: str) -> dict[str, str]:
 
 
 def _fingerprint(fault: Fault, line: str | None) -> dict[str, str]:
-    """Return what stays the same where lines above are added or taken away."""
+    """Return an identity that survives inserted or removed lines above."""
     parts = (fault.code, fault.path or "", line or fault.where or fault.message)
     digest = hashlib.sha256("\0".join(parts).encode("utf-8", "replace")).hexdigest()
     return {"animtool/v1": digest[:32]}
 
 
-def _tell_apart(results: Sequence[dict[str, Any]]) -> None:
-    """Number results whose fingerprints are the same."""
-    seen: dict[str, int] = {}
+def _number_equal(results: Sequence[dict[str, Any]]) -> None:
+    """Number results with equal fingerprints."""
+    counts: dict[str, int] = {}
     for result in results:
         marks = result["partialFingerprints"]
         mark = marks["animtool/v1"]
-        seen[mark] = seen.get(mark, 0) + 1
-        marks["animtool/v1"] = f"{mark}:{seen[mark]}"
+        counts[mark] = counts.get(mark, 0) + 1
+        marks["animtool/v1"] = f"{mark}:{counts[mark]}"

@@ -1,1 +1,1 @@
-"""Rules on motion: one engine for clips, BVH and USD."""
+"""Motion rules for clips, BVH and USD takes."""

@@ -1,4 +1,4 @@
-"""What of a rig is its body: its feet, and the joints that carry it."""
+"""Detects body joints of a rig: feet, and the joints that carry the body."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, IntArray
 from animtool.validation.motion.subject import MotionSubject
 
-# Words for feet, whole or as part of a name put together: not flyWHEEL.
+# Words for feet, alone or in compound names, but not flyWHEEL.
 _WORDS = "foot|feet|toe|ankle|heel|paw|hoof"
 _FOOT = re.compile(
     rf"(?<![A-Za-z])(?:{_WORDS})|{'|'.join(w.capitalize() for w in _WORDS.split('|'))}"
@@ -23,7 +23,7 @@ TRUNK = 0.4
 
 
 def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
-    """Return the indices of the joints that are of feet.
+    """Return the indices of foot joints.
 
     >>> feet_of(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
     [1, 2, 4]
@@ -33,10 +33,10 @@ def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
 
 
 def carriers(subject: MotionSubject) -> tuple[int, ...]:
-    """Return the joints that move the whole body, from the first root to the hips.
+    """Return the joints that move the complete body, from the first root to the hips.
 
-    Below a root that stays at the origin, or that has the path of a walk, another
-    joint carries the body. What hangs from these beside it are targets and props.
+    Below a static root, or one with the path of a walk, another joint carries the body.
+    Other children of these are targets and props.
     """
     rig = subject.take.rig
     if not rig.roots:
@@ -44,7 +44,7 @@ def carriers(subject: MotionSubject) -> tuple[int, ...]:
     feet = np.isin(np.arange(len(rig.joints)), feet_of(rig.names))
     steps = _totals(rig.parents, feet)
     joints = _totals(rig.parents, np.ones(len(feet), bool))
-    chain, found = [int(rig.roots[0])], 1
+    chain, count = [int(rig.roots[0])], 1
     moving = set(subject.moving.tolist())
     while True:
         children = np.flatnonzero(rig.parents == chain[-1]).tolist()
@@ -55,19 +55,19 @@ def carriers(subject: MotionSubject) -> tuple[int, ...]:
             and 2 * steps[child] > np.count_nonzero(feet)
         ]
         if not bodies:
-            return tuple(chain[:found])
+            return tuple(chain[:count])
         chain.append(bodies[0])
         if bodies[0] in moving:
-            found = len(chain)
+            count = len(chain)
 
 
 def hips_of(subject: MotionSubject) -> int:
-    """Return the joint that carries the body; the first one of a rig without roots."""
+    """Return the joint that carries the body; the first one without roots."""
     return (carriers(subject) or (0,))[-1]
 
 
 def _totals(parents: IntArray, values: BoolArray) -> IntArray:
-    """Return how many values are true of each joint and all below it ``(J,)``.
+    """Return the number of true values per subtree ``(J,)``.
 
     >>> _totals(np.array([-1, 0, 1, 0]), np.array([True, False, True, True])).tolist()
     [3, 1, 1, 1]
@@ -96,22 +96,22 @@ def limbs_of(parents: IntArray) -> IntArray:
 
 
 def placed(subject: MotionSubject) -> BoolArray:
-    """Return the joints whose translation is a location, and no bone ``(J,)``.
+    """Return the joints whose translation is a position, not a bone ``(J,)``.
 
     Roots, what carries the body, and what hangs from a joint above that.
     """
     parents = subject.take.rig.parents
     carrying = carriers(subject)
-    found = parents < 0
-    found[list(carrying)] = True
-    return np.asarray(found | np.isin(parents, carrying[:-1]), bool)
+    is_placed = parents < 0
+    is_placed[list(carrying)] = True
+    return np.asarray(is_placed | np.isin(parents, carrying[:-1]), bool)
 
 
 def body(subject: MotionSubject) -> BoolArray:
-    """Return the joints that hang from the one that carries the body ``(J,)``."""
+    """Return the joints below the one that carries the body ``(J,)``."""
     parents = subject.take.rig.parents
-    found = np.zeros(len(parents), bool)
-    found[hips_of(subject) : hips_of(subject) + 1] = True
+    in_body = np.zeros(len(parents), bool)
+    in_body[hips_of(subject) : hips_of(subject) + 1] = True
     for joint in range(1, len(parents)):
-        found[joint] |= parents[joint] >= 0 and found[parents[joint]]
-    return found
+        in_body[joint] |= parents[joint] >= 0 and in_body[parents[joint]]
+    return in_body

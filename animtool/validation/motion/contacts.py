@@ -1,4 +1,4 @@
-"""Feet: which joints they are, when they carry the body, and where the ground is."""
+"""Detects ground contacts: foot joints, stance frames, and ground height."""
 
 from __future__ import annotations
 
@@ -15,45 +15,45 @@ from animtool.validation.motion.subject import MotionSubject
 
 Scalar = TypeVar("Scalar", np.float64, np.bool_)
 
-# A foot stands that is this near to the lowest height it rests at, of the size [1].
+# A foot is planted this close to its lowest resting height, of the size [1].
 NEAR = 0.025
-# Over this long a foot that stands hardly moves [s], [size].
-STILL_SECONDS, STILL = 0.1, 0.012
-# Fewer frames in which feet are still show no ground, and nor does a lesser share of
-# all frames: feet hold for a moment in the air, too [1].
+# A planted foot moves less than this distance over this time [s], [size].
+STATIC_SECONDS, STATIC_MOVE = 0.1, 0.012
+# Fewer static frames, or a smaller fraction of all frames, show no ground: feet pause
+# in the air, too [1].
 MIN_CONTACTS, SELDOM = 4, 0.1
-# Where it is seldom still, it slides all along: it stands at the height that it is
-# nearest to for this share of the frames [1].
+# A foot that is seldom static slides throughout: it is planted at the height that it
+# is near for this fraction of the frames [1].
 MOSTLY_LOW = 0.25
-# A foot carries the body where no other joint is lower by more, of the size [1].
+# A foot carries the body if no other joint is lower by more, of the size [1].
 LOWEST = 0.05
-# Nor is there a hand, a knee or the trunk this near to the ground: who crawls, kneels
-# or lies drags the feet. These are joints that rest so much above the feet [size].
+# A body also crawls, kneels or lies, and drags its feet, if a hand, a knee or the trunk
+# is this close to the ground: joints that rest this far above the feet [size].
 LIES, ABOVE_FEET = 0.12, 0.15
-# And so long before and after: the feet of who goes down or gets up leave or take the
-# weight [s]. The ground is where feet are lowest within this time: in the air a knee
-# may be as low as they are.
+# The same before and after: feet take or release the weight while a body goes down or
+# gets up [s]. The ground is the lowest foot height in this time: in the air a knee may
+# be as low as the feet.
 GOES_DOWN, STRIDE = 0.15, 0.3
-# Share of the contacts of a foot that are at one height, where its ground is flat; and
-# at two heights, each with so many, where part of the take floats, or is on a step [1].
+# Fraction of a foot's contacts at one height if its ground is flat; and at two heights,
+# each, if part of the take floats or is on a step [1].
 AT_ONE_HEIGHT, AT_TWO_HEIGHTS, AT_EACH = 0.5, 0.85, 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Contacts:
-    """The feet of a take, over its frames.
+class FootContacts:
+    """Foot contacts of a take.
 
     Attributes:
         feet: Indices of the joints ``(E,)``.
-        partners: Which one is that of the other side, or itself ``(E,)``.
-        ground: Height at which each foot stands, from its contacts ``(E,)`` [m].
+        partners: The opposite foot, or itself ``(E,)``.
+        ground: Contact height of each foot ``(E,)`` [m].
         level: Whether most of its contacts are at that height ``(E,)``.
-        flat: Whether a foot and that of the other side stand at one height ``(E,)``.
-        floor: The lower one of two heights at which a foot stands often; else its
-            ground; infinite where there are more than two ``(E,)`` [m].
+        flat: Whether a foot and its opposite have one contact height ``(E,)``.
+        floor: The lower of two common contact heights; else the ground; infinite for
+            more than two ``(E,)`` [m].
         carries: Whether no other joint is much lower ``(F, E)``.
-        near: Whether a foot carries, and is near to a ground that is flat ``(F, E)``.
-        still: Whether it carries and does not move ``(F, E)``.
+        near: Whether a foot carries the body near flat ground ``(F, E)``.
+        static: Whether it carries the body without moving ``(F, E)``.
     """
 
     feet: IntArray
@@ -64,11 +64,11 @@ class Contacts:
     floor: FloatArray
     carries: BoolArray
     near: BoolArray
-    still: BoolArray
+    static: BoolArray
 
 
-def contacts_of(subject: MotionSubject) -> Contacts | None:
-    """Return when feet stand; None where there are none, or they never do."""
+def contacts_of(subject: MotionSubject) -> FootContacts | None:
+    """Return the foot contacts; None if there are no feet or stance frames."""
     feet = feet_of(subject.take.rig.names)
     if not len(feet) or subject.frames < MIN_CONTACTS:
         return None
@@ -76,15 +76,15 @@ def contacts_of(subject: MotionSubject) -> Contacts | None:
     lowest = subject.heights[:, body(subject)].min(axis=1, keepdims=True)
     carries = heights < lowest + LOWEST * subject.size
     carries &= ~_lies(subject, feet)[:, None]
-    still = carries & _still(subject, subject.positions[:, feet])
+    static = carries & _static(subject, subject.positions[:, feet])
     ground = np.zeros(len(feet))
     floor = np.full(len(feet), np.inf)
     flat = np.zeros(len(feet), bool)
     for e in range(len(feet)):
-        stands = heights[still[:, e], e]
+        stands = heights[static[:, e], e]
         if len(stands) >= max(MIN_CONTACTS, SELDOM * subject.frames):
-            ground[e], share = _level(stands, NEAR * subject.size)
-            flat[e] = share > AT_ONE_HEIGHT
+            ground[e], fraction = _level(stands, NEAR * subject.size)
+            flat[e] = fraction > AT_ONE_HEIGHT
             floor[e] = _floor(stands, NEAR * subject.size)
         else:
             ground[e] = np.percentile(heights[:, e], 5)
@@ -96,11 +96,13 @@ def contacts_of(subject: MotionSubject) -> Contacts | None:
     flat = level & _agrees(ground, partners, within)
     floor[~_agrees(floor, partners, within)] = np.inf
     near = carries & flat & (np.abs(heights - ground) < within)
-    return Contacts(feet, partners, ground, level, flat, floor, carries, near, still)
+    return FootContacts(
+        feet, partners, ground, level, flat, floor, carries, near, static
+    )
 
 
 def _level(heights: FloatArray, within: float) -> tuple[float, float]:
-    """Return the height that most of some are near to, and which share of them is.
+    """Return the most common height, and the fraction of values near it.
 
     >>> _level(np.array([0.0, 0.1, 0.2, 5.0]), 0.5)
     (0.1, 0.75)
@@ -114,24 +116,24 @@ def _level(heights: FloatArray, within: float) -> tuple[float, float]:
 
 
 def _floor(heights: FloatArray, within: float) -> float:
-    """Return the lower one of two heights that nearly all are near to; else infinity.
+    """Return the lower of two heights that nearly all values are near; else infinity.
 
     >>> _floor(np.array([0.0, 0.1, 5.0, 5.1, 5.2]), 0.5)
     0.05
     """
-    one, share = _level(heights, within)
+    one, fraction = _level(heights, within)
     rest = heights[np.abs(heights - one) > 2.0 * within]
     if len(rest) < AT_EACH * len(heights):
-        return one if share > AT_ONE_HEIGHT else np.inf
+        return one if fraction > AT_ONE_HEIGHT else np.inf
     other, part = _level(rest, within)
     part *= len(rest) / len(heights)
     if part < AT_EACH:
-        return one if share > AT_ONE_HEIGHT else np.inf
-    return min(one, other) if share + part > AT_TWO_HEIGHTS else np.inf
+        return one if fraction > AT_ONE_HEIGHT else np.inf
+    return min(one, other) if fraction + part > AT_TWO_HEIGHTS else np.inf
 
 
 def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
-    """Return when other joints than feet are at the ground, or nearly so ``(F,)``."""
+    """Return frames in which joints other than feet are near the ground ``(F,)``."""
     parents = subject.take.rig.parents
     others = body(subject)
     leg = set(feet.tolist())
@@ -152,21 +154,21 @@ def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
 
 
 def _windows(values: NDArray[Scalar], reach: float) -> NDArray[Scalar]:
-    """Return the values of the frames about each, held at the ends ``(F, W)``."""
+    """Return sliding windows over frames, padded at the ends ``(F, W)``."""
     frames = round(reach)
     padded = np.pad(values, frames, mode="edge")
     return sliding_window_view(padded, 2 * frames + 1)
 
 
 def _partners(subject: MotionSubject, feet: IntArray) -> IntArray:
-    """Return which foot is that of the other side, or itself without one ``(E,)``."""
-    places = {int(joint): e for e, joint in enumerate(feet)}
+    """Return the opposite foot of each foot, or itself ``(E,)``."""
+    columns = {int(joint): e for e, joint in enumerate(feet)}
     partners = subject.sides.partners[feet].tolist()
-    return np.array([places.get(joint, e) for e, joint in enumerate(partners)])
+    return np.array([columns.get(joint, e) for e, joint in enumerate(partners)])
 
 
 def _agrees(ground: FloatArray, partners: IntArray, within: float) -> BoolArray:
-    """Return whether each foot stands as high as that of the other side ``(E,)``."""
+    """Return whether each foot stands as high as its opposite ``(E,)``."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(ground - ground[partners]) < within)
 
@@ -174,7 +176,7 @@ def _agrees(ground: FloatArray, partners: IntArray, within: float) -> BoolArray:
 def moves_over(
     subject: MotionSubject, points: FloatArray, span: float
 ) -> tuple[FloatArray, IntArray]:
-    """Return where points ``(F, E, 3)`` go about each frame, and in how many frames.
+    """Return displacements of points ``(F, E, 3)`` around each frame, and their spans.
 
     span: about how long [s]. Moves ``(F, E, 3)`` [m] and frames ``(F,)``.
     """
@@ -184,10 +186,10 @@ def moves_over(
     return points[behind] - points[before], behind - before
 
 
-def _still(subject: MotionSubject, points: FloatArray) -> BoolArray:
-    """Return where points ``(F, E, 3)`` hardly move around a frame ``(F, E)``."""
-    moves, frames = moves_over(subject, points, STILL_SECONDS)
+def _static(subject: MotionSubject, points: FloatArray) -> BoolArray:
+    """Return where points ``(F, E, 3)`` are nearly static ``(F, E)``."""
+    moves, frames = moves_over(subject, points, STATIC_SECONDS)
     # At low rates a frame is longer than the time to look at.
-    allowed = STILL * frames * subject.interval / STILL_SECONDS
+    allowed = STATIC_MOVE * frames * subject.interval / STATIC_SECONDS
     lengths = np.linalg.norm(moves, axis=2)
     return np.asarray(lengths < allowed[:, None] * subject.size)

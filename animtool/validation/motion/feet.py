@@ -1,4 +1,4 @@
-"""Feet that slide while they carry the body."""
+"""Foot slide while in contact."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.validation.motion.body import hips_of
 from animtool.validation.motion.contacts import (
-    Contacts,
+    FootContacts,
     contacts_of,
     moves_over,
 )
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 
-# How far a body travels, against how far its feet tread.
+# Body travel relative to foot travel.
 
-# Velocities are over about this time [s].
+# Time over which velocities are measured [s].
 SPAN = 0.1
-# Slower hips [size/s] show no ratio, nor does a shorter time [s]. Feet that slide less
-# in all are not seen to [size].
+# Slower hips [size/s], or a shorter time [s], show no ratio. Feet that slide less in
+# total are not reported [size].
 SLOW, MIN_SECONDS, MIN_SLIDE = 0.1, 0.2, 0.05
-# Where the travel is scaled, the foot that stands moves along with the hips or against
-# them, at a part of their speed that hardly changes. Over the path, the 15th percentile
-# of this ratio is above the first one here, or the median and the 75th below the others
-# [1]: a foot that rolls goes along a little.
+# With scaled travel, the planted foot moves with the hips, or against them, at a nearly
+# constant fraction of their speed. The 15th percentile of this ratio is above the first
+# value, or the median and the 75th are below the others [1]: a rolling foot moves along
+# a little.
 ALONG, AGAINST, MOSTLY_AGAINST = 0.1, -0.15, -0.05
 # From the 15th percentile to the median the ratio changes by less than this, along and
-# against [1]: feet that slide on purpose, as in a dance, have no ratio.
+# against [1]: feet that slide on purpose, as in a dance, have no constant ratio.
 EVEN_ALONG, EVEN_AGAINST = 0.12, 0.2
 
 
-def travel_scale(subject: MotionSubject, contacts: Contacts) -> float | None:
-    """Return how many times too far the hips go for their feet, if they do.
+def travel_scale(subject: MotionSubject, contacts: FootContacts) -> float | None:
+    """Return the ratio of hip travel to foot travel, if it is consistently off.
 
     Over 1 feet are dragged along, and below they slip back.
     """
@@ -47,8 +47,8 @@ def travel_scale(subject: MotionSubject, contacts: Contacts) -> float | None:
         return None
     order = np.argsort(ratios, kind="stable")
     totals = np.cumsum(weights[order]) / weights.sum()
-    places = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(0, len(order) - 1)
-    low, middle, high = ratios[order][places].tolist()
+    quartiles = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(0, len(order) - 1)
+    low, middle, high = ratios[order][quartiles].tolist()
     along = low > ALONG and middle - low < EVEN_ALONG and middle < 1.0
     against = middle < AGAINST and high < MOSTLY_AGAINST
     against &= middle - low < EVEN_AGAINST * max(1.0, -middle)
@@ -58,16 +58,16 @@ def travel_scale(subject: MotionSubject, contacts: Contacts) -> float | None:
 
 
 def _ratios(
-    subject: MotionSubject, contacts: Contacts
+    subject: MotionSubject, contacts: FootContacts
 ) -> tuple[FloatArray, FloatArray]:
-    """Return velocities of the foot that stands, over those of the hips ``(N,)``.
+    """Return velocities of the stance foot relative to the hips ``(N,)``.
 
     Along the hips' velocity, and their speeds [m/s]. Of feet near to the ground the
     slowest one counts.
     """
     points = subject.level(np.append(contacts.feet, hips_of(subject)))
-    ways, steps = moves_over(subject, points, SPAN)
-    velocities = ways / (steps * subject.interval)[:, None, None]
+    travels, steps = moves_over(subject, points, SPAN)
+    velocities = travels / (steps * subject.interval)[:, None, None]
     feet, hips = velocities[:, :-1], velocities[:, -1]
     speeds = np.where(contacts.near, np.linalg.norm(feet, axis=2), np.inf)
     slowest = feet[np.arange(len(feet)), speeds.argmin(axis=1)]
@@ -77,31 +77,31 @@ def _ratios(
     return np.asarray(along / pace[known] ** 2), np.asarray(pace[known])
 
 
-# A take that travels less is one on the spot, whose feet slide on purpose [size].
+# A take that travels less is in place, and its feet slide on purpose [size].
 TRAVEL = 0.2
-# The foot that carries slides at this speed [size/s], for so long at least [s].
+# Minimum speed of a sliding planted foot [size/s], and minimum duration [s].
 SLIDE_SPEED, SLIDE_SECONDS = 0.12, 0.1
-# Over this way at once, or over the lesser one so many times [size], [1].
-SLIDE_WAY, OFTEN_WAY, OFTEN = 0.08, 0.035, 3
-# The speed is the lower one of those over this time before and after [s]: a foot that
-# lands slows down at once, and one that leaves has just stood. Shorter, it is noise.
+# One slide of the first length, or this many of the second [size], [1].
+SLIDE_LENGTH, OFTEN_LENGTH, OFTEN = 0.08, 0.035, 3
+# The speed is the lower of those over this time before and after [s]: a landing foot
+# decelerates, and a lifting one was planted just before. Shorter times are noise.
 SPEED_SECONDS = 0.1
-# Who lands slows down at least to this part of the speed [1] while falling by so much
-# [size], and who leaves the other way round.
+# A landing foot decelerates at least to this fraction of its speed [1] while it falls
+# by this height [size]; a lifting one does the reverse.
 LANDS, LIFTS = 0.6, 0.005
-# Who lands from the air skids on for a moment, and slows down as well [1]: it begins so
-# soon after [s], and lasts no longer than this [s].
+# After a jump a body skids on and decelerates [1]: the skid starts this soon after
+# landing [s], and lasts at most this long [s].
 SKIDS, SKID_SECONDS, SKID_LASTS = 0.75, 0.15, 0.25
-# What a foot goes by as it turns about a point under it, of the size a radian, and as
-# it rises or falls so many times as far, is no slide [1].
+# Motion of a foot that rotates about a point under it, of the size per radian, or that
+# rises or falls this many times as far, is not slide [1].
 LEVER, STEEP = 0.07, 2.0
 
 
 def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that the foot that carries the body slides (MOT208).
+    """Yield a fault if the foot that carries the body slides (MOT208).
 
-    Of the feet on the ground the slowest counts: one may be dragged while the other
-    stands, and a heel turns about its toes.
+    The slowest foot on the ground counts: one may drag while the other is planted, and
+    a heel rotates about its toes.
     """
     subject = subject.main
     contacts = contacts_of(subject)
@@ -114,61 +114,70 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     speeds, slides = _speeds(subject, contacts.feet)
     speeds = np.where(contacts.carries, speeds, np.inf)
     slowest = speeds.min(axis=1)
-    slides = _of_the_standing(subject, contacts, speeds, slides)
+    slides = _slowest_slides(subject, contacts, speeds, slides)
     fast = np.minimum(slowest, slides) > SLIDE_SPEED * subject.size
     sliding = contacts.near.any(axis=1) & fast
     lowest = subject.heights[:, contacts.feet].min(axis=1) / subject.size
-    ways = []
+    long_slides = []
     for first, end in runs(sliding):
         last, seconds = end - 1, (end - first) * subject.interval
         if _lands(slowest[first:end], lowest[first:end]):
             continue
         if seconds <= SKID_LASTS and _skids(subject, contacts, slowest, first, last):
             continue
-        way = _way(subject, contacts, first, last)
-        if way >= OFTEN_WAY * subject.size and seconds >= SLIDE_SECONDS:
-            ways.append((way, first, last))
-    if len(ways) < OFTEN and not any(w >= SLIDE_WAY * subject.size for w, *_ in ways):
+        length = _slide_length(subject, contacts, first, last)
+        if length >= OFTEN_LENGTH * subject.size and seconds >= SLIDE_SECONDS:
+            long_slides.append((length, first, last))
+    if len(long_slides) < OFTEN and not any(
+        w >= SLIDE_LENGTH * subject.size for w, *_ in long_slides
+    ):
         yield from _scaled_travel(subject, contacts)
         return
-    way, first, last = max(ways)
+    length, first, last = max(long_slides)
     foot = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
-    more = f"; feet slide {len(ways) - 1} more times" if len(ways) > 1 else ""
+    more = (
+        f"; feet slide {len(long_slides) - 1} more times"
+        if len(long_slides) > 1
+        else ""
+    )
     message = (
-        f"planted foot {subject.take.rig.joints[foot].name!r} slides {way:.3g} m "
+        f"planted foot {subject.take.rig.joints[foot].name!r} slides {length:.3g} m "
         f"from frame {subject.at(first)} to {subject.at(last)}{more}"
     )
     hint = "hold it with IK, or make the cycle in place"
     yield subject.fault("MOT208", foot, first, message, hint)
 
 
-def _of_the_standing(
-    subject: MotionSubject, contacts: Contacts, speeds: FloatArray, slides: FloatArray
+def _slowest_slides(
+    subject: MotionSubject,
+    contacts: FootContacts,
+    speeds: FloatArray,
+    slides: FloatArray,
 ) -> FloatArray:
-    """Return how fast the foot slides that is the slowest one on the ground ``(F,)``.
+    """Return the slide speed of the slowest foot on the ground ``(F,)``.
 
-    All of its joints near to the ground count: one that stands, such as its toe, makes
-    the foot slow, and one that turns about that does not make another foot slide.
+    All joints of a foot near the ground count: a planted toe makes the foot slow, and
+    a heel that rotates about it does not count as slide.
     """
     feet, parents = contacts.feet.tolist(), subject.take.rig.parents
-    places = {foot: e for e, foot in enumerate(feet)}
+    column_of = {foot: e for e, foot in enumerate(feet)}
     tops: list[int] = []
     for e, foot in enumerate(feet):
-        above = places.get(int(parents[foot]))
+        above = column_of.get(int(parents[foot]))
         tops.append(e if above is None else tops[above])
-    found, slowest = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
+    resting, slowest = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
     for top in sorted(set(tops)):
         columns = np.flatnonzero(np.array(tops) == top)
         near = contacts.near[:, columns]
         speed = np.where(near, speeds[:, columns], np.inf).min(axis=1)
         slide = np.where(near, slides[:, columns], 0.0).max(axis=1)
-        found = np.where(speed < slowest, slide, found)
+        resting = np.where(speed < slowest, slide, resting)
         slowest = np.minimum(slowest, speed)
-    return found
+    return resting
 
 
 def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
-    """Return whether a foot slows down as it falls, or gets faster as it rises.
+    """Return whether a foot decelerates while landing, or accelerates while lifting.
 
     ``speeds`` [m/s] and ``heights`` [size], ``(N,)`` each.
 
@@ -185,12 +194,12 @@ def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
 
 def _skids(
     subject: MotionSubject,
-    contacts: Contacts,
+    contacts: FootContacts,
     speeds: FloatArray,
     first: int,
     last: int,
 ) -> bool:
-    """Return whether feet slow down just after the air, or get faster just before it.
+    """Return whether feet decelerate after a flight, or accelerate before one.
 
     ``speeds`` of the slowest foot ``(F,)`` [m/s].
     """
@@ -202,8 +211,10 @@ def _skids(
     return lands or leaves
 
 
-def _way(subject: MotionSubject, contacts: Contacts, first: int, last: int) -> float:
-    """Return the shortest way that a foot near to the ground goes over a run [m].
+def _slide_length(
+    subject: MotionSubject, contacts: FootContacts, first: int, last: int
+) -> float:
+    """Return the shortest path of a foot near the ground over a run [m].
 
     With half of the time that its speed is that of, before and after.
     """
@@ -214,8 +225,8 @@ def _way(subject: MotionSubject, contacts: Contacts, first: int, last: int) -> f
     return float(np.linalg.norm(np.diff(level, axis=0), axis=2).sum(axis=0).min())
 
 
-def _scaled_travel(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
-    """Yield that feet slide all along, as the root goes too far for them or less."""
+def _scaled_travel(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
+    """Yield a fault if root travel does not match the feet throughout."""
     scale = travel_scale(subject, contacts)
     if scale is None:
         return
@@ -231,17 +242,16 @@ def _scaled_travel(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault
 
 
 def _travel(subject: MotionSubject) -> float:
-    """Return how far the hips go along the ground, from corner to corner [m]."""
+    """Return the diagonal of the hips' path along the ground [m]."""
     points = subject.level(np.array([hips_of(subject)]))[:, 0]
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
 
 def _speeds(subject: MotionSubject, feet: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return how fast feet go along the ground, and slide, ``(F, E)`` each [m/s].
+    """Return ground speeds and slide speeds of feet, ``(F, E)`` each [m/s].
 
-    Of how far they are away within a short time before and after each frame the lesser
-    one counts: a foot that turns back stands no more than one that goes on. They slide
-    by what turning and lifting the foot leave of it.
+    The lower of the distances a short time before and after each frame counts: a foot
+    that reverses is not planted. Slide excludes rotating and lifting the foot.
     """
     count = subject.frames
     reach = max(1, round(SPEED_SECONDS / subject.interval))
@@ -249,18 +259,18 @@ def _speeds(subject: MotionSubject, feet: IntArray) -> tuple[FloatArray, FloatAr
     rotations = subject.world.rotations[:, feet]
     speeds = np.full((2, count, len(feet)), np.inf)
     for sign in (-1, 1):
-        ways = np.zeros((2, count, len(feet)))
+        lengths = np.zeros((2, count, len(feet)))
         for offset in range(1, reach + 1):
             ends = np.clip(np.arange(count) + sign * offset, 0, count - 1)
-            way = np.linalg.norm(level[ends] - level, axis=2)
+            length = np.linalg.norm(level[ends] - level, axis=2)
             explained = STEEP * np.abs(heights[ends] - heights)
             angles = so3.angle_between(rotations[ends], rotations)
             explained += LEVER * subject.size * angles
-            ways = np.maximum(ways, np.stack([way, way - explained]))
+            lengths = np.maximum(lengths, np.stack([length, length - explained]))
         # The first frame has nothing before it, and the last one nothing after it.
         seconds = np.abs(ends - np.arange(count)) * subject.interval
         known = seconds > 0.0
         speeds[:, known] = np.minimum(
-            speeds[:, known], ways[:, known] / seconds[known, None]
+            speeds[:, known], lengths[:, known] / seconds[known, None]
         )
     return speeds[0], speeds[1]

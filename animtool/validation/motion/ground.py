@@ -1,4 +1,4 @@
-"""Feet that sink into the ground, or float above it."""
+"""Feet that penetrate the ground, or float above it."""
 
 from __future__ import annotations
 
@@ -13,55 +13,55 @@ from animtool.validation.motion.body import body, feet_of, hips_of
 from animtool.validation.motion.contacts import (
     MIN_CONTACTS,
     NEAR,
-    Contacts,
+    FootContacts,
     contacts_of,
 )
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 
-# A foot is sunk that is this far below its ground [size], for so long [s].
+# A foot is sunk if it is this far below its ground [size], for this long [s].
 SUNK, SUNK_SECONDS = 0.04, 0.05
-# Of a character as tall as a person, the longest jump [s] for a size of 2.2 m; of
-# others as the root of their size.
+# Longest jump [s] of a person-sized character (2.2 m); for others it scales with the
+# square root of their size.
 LONGEST_JUMP, PERSON_SIZE = 1.2, 2.2
-# No foot, and no other joint, is nearer to the ground in the air [size].
+# In the air no joint is closer to the ground than this [size].
 AIR = 0.05
-# On stairs one foot stands on a step within this time of the other on the ground [s],
-# and steps are so high at least [size].
+# On stairs one foot is on a step within this time of the other on the ground [s], and
+# steps have this height at least [size].
 STEP_SECONDS, STEP_HEIGHT = 0.8, 0.0375
-# Where the rig rests on 0 of the up axis, within this, its feet stand as high as at
-# rest [size]. Contacts this far above it are not on it; below it, those that are sunk.
+# If the rig rests on 0 of the up axis within this, its feet stand at their rest height
+# [size]. Contacts this far above it float; sunk ones are below it.
 STANDS_AT_ZERO, OFF_ZERO = 0.06, 0.05
-# Elsewhere 0 is taken for the ground too, but contacts so far from it have another
+# Otherwise 0 counts as the ground too, but contacts this far from it have another
 # origin, such as the hips [size].
 OTHER_ORIGIN = 0.25
-# A leg hangs at rest that reaches down by this share of its length; legs that are
-# spread show nothing of how high feet stand [1], and these then are no higher [size],
-# and no lower than this part of it [1].
+# A leg hangs at rest if it reaches down by this fraction of its length; spread legs do
+# not show the height of feet [1]. Then these are no higher than this [size], and no
+# lower than this fraction of it [1].
 HANGS, ANKLE, TOE, FLAT = 0.95, 0.08, 0.03, 0.3
-# Fewer seconds of contacts do not show that a whole take is off the ground.
+# Fewer seconds of contacts do not show that a complete take is off the ground.
 SHOWN_SECONDS = 0.3
 
 
 def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield feet that sink into the ground or float above it (MOT209).
+    """Yield feet that penetrate the ground or float above it (MOT209).
 
-    The ground is 0 of the up axis where the rig rests standing on that, else the
-    height at which the feet stand most.
+    The ground is 0 of the up axis if the rig rests on it, else the most common height
+    of planted feet.
     """
     subject = subject.main
     contacts = contacts_of(subject)
     if contacts is None or body_axis(subject):
         return
-    whole = list(_whole_take(subject, contacts))
-    yield from whole or [*_sunk(subject, contacts), *_floating(subject, contacts)]
+    of_take = list(_full_take(subject, contacts))
+    yield from of_take or [*_sunk(subject, contacts), *_floating(subject, contacts)]
 
 
-def _whole_take(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
-    """Yield that all contacts are off 0 of the up axis, where that is the ground."""
+def _full_take(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
+    """Yield a fault if all contacts are offset from the ground at 0."""
     if not subject.has_rest:
         return
-    often = contacts.still.sum(axis=0)
+    often = contacts.static.sum(axis=0)
     fewest = max(MIN_CONTACTS, round(SHOWN_SECONDS / subject.interval))
     shown = np.flatnonzero((often >= fewest) & contacts.flat)
     if not len(shown):
@@ -82,7 +82,7 @@ def _whole_take(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     if not rests_at_zero and abs(off) > OTHER_ORIGIN * subject.size:
         return
     foot = int(contacts.feet[shown[nearest]])
-    frame = int(np.flatnonzero(contacts.still[:, shown].any(axis=1))[0])
+    frame = int(np.flatnonzero(contacts.static[:, shown].any(axis=1))[0])
     how = "below" if off < 0.0 else "above"
     message = (
         f"the feet are {abs(off):.3g} m {how} the ground, 0 of the up axis; "
@@ -95,10 +95,10 @@ def _whole_take(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
 def _clearances(
     subject: MotionSubject, feet: IntArray
 ) -> tuple[FloatArray, FloatArray, bool]:
-    """Return how far foot joints are above the ground when they stand.
+    """Return the heights of foot joints above the ground in stance.
 
-    Least and most ``(E,)`` [m], and whether the rig rests on 0 of the up axis. Legs
-    that hang at rest show it; of others only that feet are flat is known.
+    Minimum and maximum ``(E,)`` [m], and whether the rig rests on 0 of the up axis.
+    Legs that hang at rest show it; for others only flat feet are assumed.
     """
     rig, size = subject.take.rig, subject.rest_size
     scale = subject.size / size
@@ -126,7 +126,7 @@ def _clearances(
 
 
 def _leg(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
-    """Return the joints of a foot's leg, from its ankle up to its thigh.
+    """Return the joints of a foot's leg, from ankle up to thigh.
 
     >>> _leg([-1, 0, 1, 2, 3], {3, 4}, 0, 4)
     [3, 2, 1]
@@ -142,13 +142,13 @@ def _leg(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
 
 
 def _hangs(rest: FloatArray, heights: FloatArray, leg: list[int]) -> bool:
-    """Return whether a leg hangs at rest: it reaches down by most of its length."""
+    """Return whether a leg hangs straight down at rest."""
     bones = np.linalg.norm(np.diff(rest[leg], axis=0), axis=1)
     return bool(heights[leg[-1]] - heights[leg[0]] > HANGS * bones.sum() > 0.0)
 
 
-def _sunk(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
-    """Yield the foot that is furthest below the ground of its contacts."""
+def _sunk(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
+    """Yield the foot that is deepest below the ground of its contacts."""
     heights = subject.heights[:, contacts.feet]
     ground, known = _ground_of_pairs(subject, contacts)
     below = (ground - heights) * known
@@ -175,27 +175,27 @@ def _sunk(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
 
 
 def _ground_of_pairs(
-    subject: MotionSubject, contacts: Contacts
+    subject: MotionSubject, contacts: FootContacts
 ) -> tuple[FloatArray, BoolArray]:
-    """Return where the ground of each foot is, and whether that is known ``(E,)``.
+    """Return the ground height per foot, and whether it is known ``(E,)``.
 
-    Where one foot stands at 0 of the up axis, as at rest, and the other one below
-    that, they do not agree, and 0 is the ground of both.
+    If one foot is planted at 0 of the up axis, as at rest, and the other one lower, 0
+    is the ground of both.
     """
     ground, known = contacts.ground.copy(), contacts.flat.copy()
     if not subject.has_rest or known.all():
         return ground, known
-    _, usual, rests_at_zero = _clearances(subject, contacts.feet)
+    _, common, rests_at_zero = _clearances(subject, contacts.feet)
     higher = np.maximum(ground, ground[contacts.partners])
     split = contacts.level & contacts.level[contacts.partners] & ~known
-    split &= np.abs(higher - usual) < NEAR * subject.size
+    split &= np.abs(higher - common) < NEAR * subject.size
     if rests_at_zero:
         ground, known = np.where(split, higher, ground), known | split
     return ground, known
 
 
-def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
-    """Yield that no joint comes near to the ground for longer than a jump lasts."""
+def _floating(subject: MotionSubject, contacts: FootContacts) -> Iterator[Fault]:
+    """Yield a fault if no joint is near the ground for longer than a jump."""
     flat = np.isfinite(contacts.floor)
     if not flat.any():
         return
@@ -203,13 +203,13 @@ def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     above = subject.heights[:, contacts.feet[flat]] - contacts.floor[flat]
     lowest = subject.heights[:, body(subject)].min(axis=1) - ground
     air = (above.min(axis=1) > AIR * subject.size) & (lowest > AIR * subject.size)
-    still = contacts.still[:, flat]
+    static = contacts.static[:, flat]
     # A file without units may be of a person, whatever its numbers are.
     tall = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
     longest = LONGEST_JUMP * np.sqrt(tall / PERSON_SIZE)
     for first, end in runs(air):
         last, seconds = end - 1, (end - first) * subject.interval
-        if seconds <= longest or _climbs(subject, still, above, first, last):
+        if seconds <= longest or _climbs(subject, static, above, first, last):
             continue
         height = float(lowest[first : last + 1].min())
         foot = int(contacts.feet[flat][above[first].argmin()])
@@ -224,22 +224,22 @@ def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
 
 
 def _climbs(
-    subject: MotionSubject, still: BoolArray, above: FloatArray, first: int, last: int
+    subject: MotionSubject, static: BoolArray, above: FloatArray, first: int, last: int
 ) -> bool:
-    """Return whether the feet go up or down one by one, as on stairs and ladders.
+    """Return whether the feet climb one by one, as on stairs and ladders.
 
-    Their first contacts in a run are at several heights, or their last ones; or one
-    stands high shortly before or after it, and the other one still on the ground.
-    ``still`` and ``above`` ``(F, E)`` [m].
+    Their first or last contacts in a run are at several heights; or shortly before or
+    after it one foot is high and the other one on the ground. ``static`` and ``above``
+    ``(F, E)`` [m].
     """
     size = subject.size
     reach = max(1, round(STEP_SECONDS / subject.interval))
     high, low = above > AIR * size, np.abs(above) < NEAR * size
-    steps = (still & high).any(axis=1) & (still & low).any(axis=1)
+    steps = (static & high).any(axis=1) & (static & low).any(axis=1)
     steps = np.asarray(steps)
     if steps[max(first - reach, 0) : first].any() or steps[last + 1 :][:reach].any():
         return True
-    within, heights = still[first : last + 1], above[first : last + 1]
+    within, heights = static[first : last + 1], above[first : last + 1]
     stands = np.flatnonzero(within.any(axis=0))
     for rows in (slice(None), slice(None, None, -1)):
         at = np.argmax(within[rows], axis=0)

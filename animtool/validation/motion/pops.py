@@ -1,4 +1,4 @@
-"""Joints and roots that jump in one frame of motion that is otherwise smooth."""
+"""Pops: single-frame discontinuities of joints and roots in smooth motion."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, listed
 from animtool.core.record import dataclass
-from animtool.maths.pops import shift_pops, turn_pops
+from animtool.maths.pops import rotation_pops, translation_pops
 from animtool.validation.motion.body import carriers
 from animtool.validation.motion.subject import MotionSubject
 
@@ -23,7 +23,7 @@ SHIFT_NOISE = 0.002
 
 @dataclass(frozen=True, slots=True)
 class _Pops:
-    """Steps at which joints jump."""
+    """Steps with pops."""
 
     joints: IntArray  # of the columns ``(N,)``
     flags: BoolArray  # where ``(S, N)``
@@ -31,13 +31,13 @@ class _Pops:
     unit: str  # ``rad`` or ``m``
 
     def worst(self) -> tuple[int, int]:
-        """Return step and column of the largest jump."""
+        """Return step and column of the largest pop."""
         amounts = np.where(self.flags, self.amounts, -1.0)
         step, column = np.unravel_index(int(amounts.argmax()), amounts.shape)
         return int(step), int(column)
 
     def much(self, step: int, column: int) -> str:
-        """Return how far a joint jumps, with its unit."""
+        """Return the size of a pop as text with unit."""
         amount = float(self.amounts[step, column])
         if self.unit == "m":
             return f"{amount:.3g} m"
@@ -45,33 +45,33 @@ class _Pops:
 
 
 def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield the joints below the roots that jump in one frame (MOT202)."""
+    """Yield non-root joints that pop in one frame (MOT202)."""
     hint = "correct the frames around it; for an intended cut, write interp: step"
     pops = _pops(subject, MIN_SHIFT, roots=False)
     yield from _reported(subject, "MOT202", pops, hint)
 
 
 def root_pops(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield the roots that jump in one frame: the whole character does (MOT203)."""
+    """Yield roots that pop in one frame, moving the complete character (MOT203)."""
     hint = "correct the frames around it, or cut the take there"
     pops = _pops(subject, MIN_ROOT_SHIFT, roots=True)
     yield from _reported(subject, "MOT203", pops, hint)
 
 
 def _pops(subject: MotionSubject, least: float, *, roots: bool) -> list[_Pops]:
-    """Return jumps of turning, and of moving joints: of the roots, or of all others."""
-    own = [*subject.take.rig.roots, *carriers(subject)]
+    """Return rotation and translation pops, of roots or of all other joints."""
+    moving_joints = [*subject.take.rig.roots, *carriers(subject)]
     turning, moving = (
-        np.flatnonzero(np.isin(joints, own) == roots)
+        np.flatnonzero(np.isin(joints, moving_joints) == roots)
         for joints in (subject.turning, subject.moving)
     )
-    return [_turn_pops(subject, turning), _shift_pops(subject, moving, least)]
+    return [_rotation_pops(subject, turning), _shift_pops(subject, moving, least)]
 
 
 def _reported(
     subject: MotionSubject, code: str, all_pops: list[_Pops], hint: str
 ) -> Iterator[Fault]:
-    """Yield one fault for all jumps of a kind, which names the largest."""
+    """Yield one fault for all pops of a kind, which names the largest."""
     all_pops = [pops for pops in all_pops if pops.flags.any()]
     if not all_pops:
         return
@@ -98,16 +98,16 @@ def _reported(
     yield subject.fault(code, joint, step, message, hint)
 
 
-def _turn_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
-    flags, amounts = turn_pops(
-        subject.turns[:, columns], subject.interval, _ignored(subject)
+def _rotation_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
+    flags, amounts = rotation_pops(
+        subject.rotation_steps[:, columns], subject.interval, _ignored(subject)
     )
     return _Pops(subject.turning[columns], flags, amounts, "rad")
 
 
 def _shift_pops(subject: MotionSubject, columns: IntArray, least: float) -> _Pops:
     size = subject.size
-    flags, amounts = shift_pops(
+    flags, amounts = translation_pops(
         subject.shifts[:, columns],
         subject.interval,
         _ignored(subject),
@@ -118,14 +118,14 @@ def _shift_pops(subject: MotionSubject, columns: IntArray, least: float) -> _Pop
 
 
 def _ignored(subject: MotionSubject) -> BoolArray:
-    """Return cuts, and the first step: many captures begin with a pose of its own."""
+    """Return cuts, and the first step if it leaves a reference pose."""
     cuts = subject.cuts()
     cuts[:1] = True
     return cuts
 
 
 def reference_pose(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that the first frame is a pose of its own (MOT204)."""
+    """Yield a fault if the first frame is a reference pose (MOT204)."""
     pose = subject.posing
     if not len(pose):
         return

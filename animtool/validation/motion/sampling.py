@@ -1,4 +1,4 @@
-"""Frames that are lost, frozen, repeated or off the grid."""
+"""Lost, frozen, repeated and off-grid frames."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from animtool.maths.runs import runs
 from animtool.validation.motion.body import limbs_of
 from animtool.validation.motion.subject import MotionSubject
 
-# Nearer to a frame than this a time code is that frame, rounded [time codes].
+# A time code closer to a frame than this is that frame, rounded [time codes].
 ROUNDING = 1e-6
-# Further from it, a sample is one of its own, as for motion blur [time codes].
-OWN_SAMPLE = 0.05
-# Of unevenly spaced samples, so few off the frame are astray; more are of a grid of
-# their own [1].
-ASTRAY_SHARE = 0.25
+# Farther from it, a sample is intended, such as for motion blur [time codes].
+REGULAR_SAMPLE = 0.05
+# Fraction of unevenly spaced samples that may be off the frames; more of them are a
+# separate grid [1].
+ASTRAY_FRACTION = 0.25
 # A range may begin and end this far from the samples [time codes].
 RANGE_SLACK = 1.0
-# Of the span of the samples, how far a range may begin before or end after them, where
-# a pose is held more often [1].
-EARLY_SHARE, LATE_SHARE = 0.02, 0.1
+# How far a range may start before or end after the samples, of their span: poses are
+# often held [1].
+EARLY_FRACTION, LATE_FRACTION = 0.02, 0.1
 
 
 def off_frame(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that samples lie off the frames (MOT216)."""
+    """Yield a fault if samples are off the frames (MOT216)."""
     codes = subject.codes
     if codes is None or len(codes) < 2:
         return
     off = codes - np.round(codes)
-    drifting = (np.abs(off) > ROUNDING) & (np.abs(off) < OWN_SAMPLE)
+    drifting = (np.abs(off) > ROUNDING) & (np.abs(off) < REGULAR_SAMPLE)
     astray = np.abs(off) > ROUNDING
-    if float(astray.mean()) < ASTRAY_SHARE:
+    if float(astray.mean()) < ASTRAY_FRACTION:
         drifting = astray
     if drifting.any():
         worst = int(np.where(drifting, np.abs(off), 0.0).argmax())
@@ -48,8 +48,8 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
         )
     else:
         steps = np.diff(codes)
-        whole = np.abs(steps - np.round(steps)) < ROUNDING
-        if not whole.all() or abs(off[0]) <= ROUNDING:
+        integral = np.abs(steps - np.round(steps)) < ROUNDING
+        if not integral.all() or abs(off[0]) <= ROUNDING:
             return
         worst = 0
         message = f"all samples are {off[0]:+.3g} time codes off the frame"
@@ -58,7 +58,7 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def other_range(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that the stated range begins or ends where no sample is (MOT217).
+    """Yield a fault if the range starts or ends where no sample is (MOT217).
 
     Samples outside of it are USD256's.
     """
@@ -68,8 +68,8 @@ def other_range(subject: MotionSubject) -> Iterator[Fault]:
     first, last = float(subject.codes[0]), float(subject.codes[-1])
     early, late = first - start, end - last
     most = last - first
-    is_early = early > max(RANGE_SLACK, EARLY_SHARE * most)
-    is_late = late > max(RANGE_SLACK, LATE_SHARE * most)
+    is_early = early > max(RANGE_SLACK, EARLY_FRACTION * most)
+    is_late = late > max(RANGE_SLACK, LATE_FRACTION * most)
     if start > last or end < first or not (is_early or is_late):
         return
     message = (
@@ -81,50 +81,50 @@ def other_range(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT217", None, 0, message, hint)
 
 
-# Fewer frames do not show what is usual in them.
+# Fewer frames do not show a typical step.
 MIN_FRAMES = 12
-# Fewer joints that move do not tell a lost frame from a key of theirs [1].
+# With fewer moving joints, a lost frame looks like a key [1].
 MIN_JOINTS = 4
-# A step over lost frames is as far as all of theirs, of which up to so many are looked
-# for: more are a cut [1]. No more is left then of the squared difference to one step:
-# other steps of captures that joints agree in leave .45 and more [1].
+# A step over lost frames is as long as all of theirs; up to this many are searched,
+# more are a cut [1]. At most this fraction of the squared difference to one step may
+# remain: steps that joints of captures agree in leave .45 or more [1].
 MAX_LOST, EXPLAINED = 6, 0.35
-# Where few joints move, all of them must show it, and no more than this be left [1].
+# If few joints move, all of them must agree, with at most this remainder [1].
 FEW_EXPLAINED, MIN_FEW = 0.06, 2
-# The step is as many times further from what is predicted than others around it, within
-# blocks of so many frames, are mostly [1]. No joint goes more evenly than a part of its
-# usual step, which is text of few digits, or than this [rad].
+# The step must be this many times farther from its prediction than most others in
+# blocks of this many frames [1]. Joints are not smoother than this fraction of a
+# typical step, which is text of few digits, or than this [rad].
 STANDS_OUT, BLOCK, EVEN, NOISE = 5.0, 40, 0.02, 1e-5
-# A joint shows a loss whose step is as many times what others differ by [1].
+# A joint shows a loss if its step is this many times the typical deviation [1].
 SHOWS = 4.0
-# Holes between samples are longer than so many steps [1].
+# Gaps between samples are longer than this many steps [1].
 DOUBLE = 1.6
-# So many steps about a repeated frame are looked at together [1].
+# Number of steps around a repeated frame that are examined together [1].
 GAP = 3
-# Of the usual step: less shows no loss, and is no motion that stops [1].
+# Of the typical step: less shows no loss, and is not motion that stops [1].
 MIN_PACE = 0.3
-# Share of the joints that must show a loss: a single one jumps for itself [1].
+# Fraction of the joints that must show a loss: a single joint may pop [1].
 MAX_JOINTS = 0.5
-# Joints that go no more than this many steps contradict it: no more than a share of
-# them, by the squares of their steps, of which fast ones have more; and where these are
-# not few, no more of the difference may be left than this [1].
+# Joints that move no more than this many steps contradict a loss. They may be at most
+# this fraction, weighted by squared steps; and if they are not few, at most this much
+# of the difference may remain [1].
 GOES_ON, FEW_ON, MAX_ON, WELL_EXPLAINED = 1.25, 0.15, 0.4, 0.2
-# Where hardly anything of the difference is left, fast joints may contradict it, as a
-# foot that lands there does, and fewer may agree [1].
+# If hardly any difference remains, fast joints such as a landing foot may contradict,
+# and fewer joints must agree [1].
 SURELY, SURE_ON, SURE_JOINTS = 0.04, 0.8, 0.4
-# Few joints are at least this share of all that moves, and of two limbs or more [1].
+# Few joints must be this fraction of all moving ones, and of two limbs [1].
 FEW_PACE = 0.1
-# Of the usual step: what is less is a frame repeated, in text of four digits too [1].
-STILL = 1e-4
-# Repeats so regular and so many are a rate of its own; a repeat at least every so many
+# Of the typical step: less is a repeated frame, even in text of four digits [1].
+STATIC_SPEED = 1e-4
+# Repeats this regular and this many are a frame rate; one at least every so many
 # frames [1].
 REGULAR, MIN_REPEATS, LONGEST_PERIOD = 0.8, 5, 12
-# Share of its frames beyond which a take is keyed in poses, and does not freeze [1].
-MOSTLY_STILL = 0.5
+# With a larger fraction of repeats a take is keyed in poses, and does not freeze [1].
+MOSTLY_STATIC = 0.5
 
 
 def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield steps that go as far as two or more in smooth motion (MOT205).
+    """Yield steps as long as two or more in smooth motion (MOT205).
 
     In a file with time codes a lost frame is a hole between them.
     """
@@ -148,15 +148,15 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _holes(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield the holes between the time codes of samples."""
+    """Yield gaps between the time codes of samples."""
     if subject.codes is None or subject.reduced or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)
-    usual = float(np.median(gaps))
-    ratios = gaps / usual
+    typical = float(np.median(gaps))
+    ratios = gaps / typical
     even = np.abs(ratios - 1.0) < 0.25
     holes = np.flatnonzero(ratios > DOUBLE)
-    # Keys of a curve have any distance; holes are few in what is sampled evenly.
+    # Curve keys have any spacing; even sampling has few gaps.
     if not len(holes) or np.count_nonzero(even) < 0.9 * len(gaps):
         return
     hole = int(holes[0])
@@ -164,7 +164,7 @@ def _holes(subject: MotionSubject) -> Iterator[Fault]:
     more = f"; there are {len(holes) - 1} more gaps" if len(holes) > 1 else ""
     message = (
         f"no sample between time codes {subject.at(hole)} and "
-        f"{subject.at(hole + 1)}, though one is due every {usual:g}: "
+        f"{subject.at(hole + 1)}, though one is due every {typical:g}: "
         f"{counted(count, 'sample')} lost{more}"
     )
     hint = "export the take again; USD interpolates across the gap"
@@ -172,18 +172,18 @@ def _holes(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _columns(subject: MotionSubject) -> IntArray:
-    """Return the joints that turn or move, those that do both twice."""
+    """Return the animated joints, twice if they both rotate and translate."""
     return np.concatenate([subject.turning, subject.moving])
 
 
 def _vectors(subject: MotionSubject) -> FloatArray:
-    """Return the steps of turning and of moving joints ``(F - 1, N, 3)``, as one."""
+    """Return rotation and translation steps ``(F - 1, N, 3)``, scaled alike."""
     shifts = subject.shifts * (2.0 / subject.size)
-    return np.concatenate([subject.turns, shifts], axis=1)
+    return np.concatenate([subject.rotation_steps, shifts], axis=1)
 
 
 def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
-    """Return how many steps' way each step goes, and which of them are losses ``(S,)``.
+    """Return the length of each step in frames, and which are losses ``(S,)``.
 
     A loss is a step that is far from what the two on either side predict of one, and
     near to what they predict of several.
@@ -193,10 +193,10 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     ratios, lost = np.ones(count), np.zeros(count, bool)
     a, b, c, d, e = (steps[i : count - 4 + i] for i in range(5))
     near, far = 0.5 * (b + d), 0.5 * (a + e)
-    usual = _predicted(near, far, 0)
-    off = _squares(c - usual)
-    pace = _squares(usual)
-    noise = _usual_around(off) + (EVEN**2) * np.median(pace, axis=0) + NOISE**2
+    predicted = _predicted(near, far, 0)
+    off = _squares(c - predicted)
+    pace = _squares(predicted)
+    noise = _typical_around(off) + (EVEN**2) * np.median(pace, axis=0) + NOISE**2
     shows = pace > SHOWS**2 * noise
     shows &= pace > 0.001 * pace.max(axis=1, keepdims=True)
     many = shows.sum(axis=1)
@@ -204,8 +204,8 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     paces = np.sqrt(pace.sum(axis=1))
     possible = (many >= MIN_FEW) & (total > STANDS_OUT**2 * many)
     possible &= paces > MIN_PACE * np.median(paces)
-    possible &= ~(subject.cuts() | _next_to_still(subject))[2:-2]
-    on = np.einsum("snc,snc->sn", c, usual) < GOES_ON * pace
+    possible &= ~(subject.cuts() | _next_to_static(subject))[2:-2]
+    on = np.einsum("snc,snc->sn", c, predicted) < GOES_ON * pace
     against = (shows * on * pace).sum(axis=1) / np.maximum(
         (shows * pace).sum(axis=1), np.finfo(float).tiny
     )
@@ -216,19 +216,19 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
         further = shows & (left < 0.5 * off)
         joints = further.sum(axis=1)
         explained = np.where(against < FEW_ON, EXPLAINED, WELL_EXPLAINED) * total
-        found = (rest < explained) & (joints > MAX_JOINTS * many) & (against < MAX_ON)
-        found |= (rest < SURELY * total) & (joints > SURE_JOINTS * many)
+        skipped = (rest < explained) & (joints > MAX_JOINTS * many) & (against < MAX_ON)
+        skipped |= (rest < SURELY * total) & (joints > SURE_JOINTS * many)
         few = (rest < FEW_EXPLAINED * total) & (joints == many)
         few &= (further * pace).sum(axis=1) > FEW_PACE * pace.sum(axis=1)
         few &= _of_two_limbs(subject, further)
-        found = possible & np.where(many >= MIN_JOINTS, found, few)
-        ratios[2:-2][found & ~lost[2:-2]] = frames + 1.0
-        lost[2:-2] |= found
+        skipped = possible & np.where(many >= MIN_JOINTS, skipped, few)
+        ratios[2:-2][skipped & ~lost[2:-2]] = frames + 1.0
+        lost[2:-2] |= skipped
     return ratios, lost
 
 
 def _of_two_limbs(subject: MotionSubject, flags: BoolArray) -> BoolArray:
-    """Return in which rows joints of more than one limb are flagged ``(S,)``.
+    """Return rows in which joints of more than one limb are flagged ``(S,)``.
 
     A finger that jumps with its hand is no loss. A trunk that both turns and moves as
     far as in several steps counts as two. ``flags`` ``(S, N)`` of the columns.
@@ -241,7 +241,7 @@ def _of_two_limbs(subject: MotionSubject, flags: BoolArray) -> BoolArray:
 
 
 def _predicted(near: FloatArray, far: FloatArray, lost: int) -> FloatArray:
-    """Return how far a step goes over some lost frames, by the steps around it.
+    """Return the predicted step over lost frames, from its neighbors.
 
     ``near`` and ``far`` are the means of the steps next to it and of those after these
     ``(S, N, 3)``. A parabola through these and their mirror images is summed.
@@ -249,8 +249,8 @@ def _predicted(near: FloatArray, far: FloatArray, lost: int) -> FloatArray:
     first, second = 1.0 + 0.5 * lost, 2.0 + 0.5 * lost
     bend = (far - near) / (second**2 - first**2)
     level = near - bend * first**2
-    places = np.arange(lost + 1) - 0.5 * lost
-    return np.asarray((lost + 1) * level + bend * float((places**2).sum()))
+    offsets = np.arange(lost + 1) - 0.5 * lost
+    return np.asarray((lost + 1) * level + bend * float((offsets**2).sum()))
 
 
 def _squares(vectors: FloatArray) -> FloatArray:
@@ -258,8 +258,8 @@ def _squares(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("snc,snc->sn", vectors, vectors))
 
 
-def _usual_around(squares: FloatArray) -> FloatArray:
-    """Return the usual value about each row, by column ``(S, N)``.
+def _typical_around(squares: FloatArray) -> FloatArray:
+    """Return the typical value around each row, per column ``(S, N)``.
 
     The largest median of its block of rows and the two beside it.
     """
@@ -274,56 +274,56 @@ def _usual_around(squares: FloatArray) -> FloatArray:
     return np.asarray(np.repeat(around, np.diff(edges), axis=0))
 
 
-def _next_to_still(subject: MotionSubject) -> BoolArray:
-    """Return the steps within a few of a repeated frame, where a pace says nothing."""
-    still = subject.speeds < STILL * np.median(subject.speeds)
-    windows = sliding_window_view(np.pad(still, GAP), 2 * GAP + 1)
+def _next_to_static(subject: MotionSubject) -> BoolArray:
+    """Return steps close to a repeated frame, where pace is unreliable."""
+    static = subject.speeds < STATIC_SPEED * np.median(subject.speeds)
+    windows = sliding_window_view(np.pad(static, GAP), 2 * GAP + 1)
     return np.asarray(windows.any(axis=1))
 
 
-def _still_steps(subject: MotionSubject) -> BoolArray | None:
-    """Return which steps repeat a frame within motion; None where that is usual."""
+def _static_steps(subject: MotionSubject) -> BoolArray | None:
+    """Return steps that repeat a frame within motion; None if that is common."""
     if subject.frames < MIN_FRAMES or len(_columns(subject)) < 2:
         return None
     speeds = subject.speeds
-    moving = speeds[speeds > STILL * speeds.max()]
+    moving = speeds[speeds > STATIC_SPEED * speeds.max()]
     if len(moving) < MIN_FRAMES // 2:
         return None
-    return np.asarray(speeds < STILL * np.median(moving))
+    return np.asarray(speeds < STATIC_SPEED * np.median(moving))
 
 
-def _abrupt(speeds: FloatArray, usual: float, first: int, last: int) -> bool:
-    """Return whether motion stops at once before a run of steps and goes on after."""
+def _abrupt(speeds: FloatArray, typical: float, first: int, last: int) -> bool:
+    """Return whether motion stops abruptly before a run of steps and resumes."""
     if first == 0 or last == len(speeds) - 1:
         return False
-    return bool(min(speeds[first - 1], speeds[last + 1]) > MIN_PACE * usual)
+    return bool(min(speeds[first - 1], speeds[last + 1]) > MIN_PACE * typical)
 
 
 def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:
-    """Return the repeated frames within motion, and whether they come regularly."""
-    still = _still_steps(subject)
-    if still is None:
+    """Return the repeated frames within motion, and whether they are regular."""
+    static = _static_steps(subject)
+    if static is None:
         return np.zeros(0, bool), False
     speeds = subject.speeds
-    usual_speed = float(np.median(speeds[speeds > STILL * speeds.max()]))
-    kept = np.zeros(len(still), bool)
+    typical_speed = float(np.median(speeds[speeds > STATIC_SPEED * speeds.max()]))
+    kept = np.zeros(len(static), bool)
     starts = []
-    for first, end in runs(still):
-        if _abrupt(speeds, usual_speed, first, end - 1):
+    for first, end in runs(static):
+        if _abrupt(speeds, typical_speed, first, end - 1):
             kept[first:end] = True
             starts.append(first)
     gaps = np.diff(starts)
     if len(gaps) < MIN_REPEATS:
         return kept, False
-    usual = float(np.median(gaps))
-    regular = float(np.mean(np.abs(gaps - usual) <= 1.0)) >= REGULAR
-    return kept, regular and usual <= LONGEST_PERIOD
+    typical = float(np.median(gaps))
+    regular = float(np.mean(np.abs(gaps - typical) <= 1.0)) >= REGULAR
+    return kept, regular and typical <= LONGEST_PERIOD
 
 
 def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield frames at which all that moves stops at once and goes on (MOT206)."""
+    """Yield frames at which all motion stops abruptly and resumes (MOT206)."""
     kept, regular = _repeats(subject)
-    if regular or not kept.any() or float(kept.mean()) > MOSTLY_STILL:
+    if regular or not kept.any() or float(kept.mean()) > MOSTLY_STATIC:
         return
     frozen = runs(kept)
     first, end = max(frozen, key=lambda run: run[1] - run[0])
@@ -337,14 +337,14 @@ def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that frames are repeated to reach a rate (MOT207)."""
+    """Yield a fault if frames are repeated to reach a rate (MOT207)."""
     kept, regular = _repeats(subject)
     if regular:
         rate = float(subject.take.clock.rate)
-        own = rate * (1.0 - float(kept.mean()))
+        actual = rate * (1.0 - float(kept.mean()))
         message = (
             f"{np.count_nonzero(kept)} of {subject.frames} frames repeat the "
-            f"previous one: the motion has about {own:.3g} frames per second, the "
+            f"previous one: the motion has about {actual:.3g} frames per second, the "
             f"take {rate:g}"
         )
         hint = "export it at its recording rate"
@@ -355,7 +355,7 @@ def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _is_multiple(ratio: float) -> bool:
-    """Return whether a positive ratio is a whole number, or one part of a whole.
+    """Return whether a positive ratio is an integer or the inverse of one.
 
     >>> _is_multiple(2.0), _is_multiple(1 / 3), _is_multiple(1.25)
     (True, True, False)
@@ -365,7 +365,7 @@ def _is_multiple(ratio: float) -> bool:
 
 
 def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that samples lie evenly, but neither on frames nor on parts of them."""
+    """Yield a fault if samples are even, but not on frames or simple subframes."""
     if subject.codes is None or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)

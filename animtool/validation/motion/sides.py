@@ -1,4 +1,4 @@
-"""Values that no motion needs, and sides that are swapped or still."""
+"""Implausible values, and body sides that are swapped or static."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from animtool.maths import so3
 from animtool.validation.motion.body import carriers, feet_of
 from animtool.validation.motion.subject import MotionSubject
 
-# Takes that are shorter show no more than a pose, in which a foot may stand [s].
+# Shorter takes show only a pose, in which a foot may be static [s].
 POSE_FRAMES = 2
-# A smaller scale leaves nothing to see [1].
+# A smaller scale is invisible [1].
 ZERO = 1e-4
-# Weights beyond 1 exaggerate; further than this they are percent, or a fault [1].
+# Weights beyond 1 exaggerate; larger ones are percent, or a fault [1].
 LARGEST_WEIGHT, SMALLEST_WEIGHT = 2.0, -1.0
 PERCENT = 10.0
-# Bones may differ by this factor between bind and rest; of this share of them, and
-# the bind pose may stand so many sizes away [1].
+# Bones may differ by this factor between bind and rest, for this fraction of them; and
+# the bind pose may be this many sizes away [1].
 OTHER_LENGTH, MAX_BONES, AWAY = 2.0, 0.5, 1.5
 SHORT = 0.02
 
 
 def motionless(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that nothing moves in any frame (MOT201)."""
+    """Yield a fault if nothing moves (MOT201)."""
     motion = subject.take.motion
     if motion.frames < POSE_FRAMES:
         return
@@ -41,7 +41,7 @@ def motionless(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield joints that are scaled to nothing (MOT218)."""
+    """Yield joints with zero scale (MOT218)."""
     scales = subject.take.motion.scales
     if scales is None:
         return
@@ -61,7 +61,7 @@ def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def large_weights(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield shapes whose weights are far outside of 0 to 1 (MOT219)."""
+    """Yield shapes with weights far outside 0 to 1 (MOT219)."""
     weights = subject.take.motion.weights
     if weights is None:
         return
@@ -87,17 +87,17 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that the bind pose is of another size or place than the rest (MOT220)."""
+    """Yield a fault if bind and rest pose differ in size or position (MOT220)."""
     if subject.bind is None or not subject.has_rest:
         return
     rig, bind, rest = subject.take.rig, subject.bind, subject.rest
     away = float(np.linalg.norm(bind.mean(axis=0) - rest.mean(axis=0)))
     parents = rig.parents
     bones = np.flatnonzero(parents >= 0)
-    own = np.linalg.norm(rest[bones] - rest[parents[bones]], axis=1)
-    kept = own > SHORT * subject.size
-    bones, own = bones[kept], own[kept]
-    ratios = np.linalg.norm(bind[bones] - bind[parents[bones]], axis=1) / own
+    lengths = np.linalg.norm(rest[bones] - rest[parents[bones]], axis=1)
+    kept = lengths > SHORT * subject.size
+    bones, lengths = bones[kept], lengths[kept]
+    ratios = np.linalg.norm(bind[bones] - bind[parents[bones]], axis=1) / lengths
     other = (ratios > OTHER_LENGTH) | (ratios < 1.0 / OTHER_LENGTH)
     hint = "bind transforms are in world space, in the pose in which the mesh was bound"
     if len(bones) and float(other.mean()) > MAX_BONES:
@@ -117,11 +117,11 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
         )
         yield subject.fault("MOT220", int(rig.roots[0]), None, message, hint)
         return
-    apart = np.linalg.norm(bind - rest, axis=1)
-    joint = int(apart.argmax())
-    if apart[joint] > AWAY * subject.size:
+    offsets = np.linalg.norm(bind - rest, axis=1)
+    joint = int(offsets.argmax())
+    if offsets[joint] > AWAY * subject.size:
         message = (
-            f"{rig.joints[joint].name!r} is {apart[joint]:.3g} m from its rest "
+            f"{rig.joints[joint].name!r} is {offsets[joint]:.3g} m from its rest "
             f"position in the bind pose, of a skeleton that spans {subject.size:.3g} "
             "m"
         )
@@ -129,7 +129,7 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def no_influence(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield the joints that carry no point of a mesh (MOT221)."""
+    """Yield the joints that influence no point of a mesh (MOT221)."""
     if subject.influencing is None:
         return
     rig = subject.take.rig
@@ -144,65 +144,62 @@ def no_influence(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT221", rig.index(idle[0]), None, message, hint)
 
 
-# A joint is still that turns less in all frames; its other side is alive that turns
-# more [rad].
-STILL, ALIVE = 1e-6, math.radians(20.0)
+# A joint is static if it rotates less in all frames; its opposite is active if it
+# rotates more [rad].
+STATIC_ANGLE, ALIVE = 1e-6, math.radians(20.0)
 # Fewer frames are a pose.
 SHORTEST = 0.2
-# Share of the frames in which left lies on the right for the two to be swapped [1].
+# Fraction of the frames with left on the right, for a swap [1].
 MOSTLY = 0.9
-# They are judged where hips are above the feet, within 26 degrees, and where this is
-# often so [1].
+# Frames count with the hips above the feet within 26 degrees, if there are enough
+# of them [1].
 UPRIGHT, KNOWN = 0.9, 0.3
-# Toes point ahead, and knees bend, by at least this much of the size [1].
-AHEAD = 0.01
-# Joints that change places turn by this much at least, and all of them together by
-# more [rad].
+# Toes point forward, and knees bend, by at least this much of the size [1].
+MIN_FACING = 0.01
+# Swapped joints rotate by this much at least, and all of them together by more [rad].
 MIN_EXCHANGE, MIN_TOTAL_EXCHANGE = math.radians(8.0), math.radians(30.0)
 # Fewer frames do not show that both sides move before and after.
 MIN_STEPS = 5
-# Fewer pairs that change places at once are a pose of their own.
+# Fewer pairs that swap at once are just a pose.
 MIN_PAIRS = 2
-# Where two joints change places, going on as the other leaves a step this much of
-# what going on as oneself does [1].
+# When two joints swap, continuing as the other leaves this fraction of the deviation
+# from continuing as itself [1].
 EXCHANGED = 0.35
-# Of a single pair it is so little, of a larger step [1], [rad].
+# For a single pair the fraction is lower, and the step larger [1], [rad].
 SURELY, SURE_EXCHANGE = 0.1, math.radians(20.0)
 
 
 def _pairs(subject: MotionSubject) -> list[tuple[int, int]]:
-    """Return the joints that have another side, left first."""
+    """Return the joints with an opposite side, left first."""
     partners = subject.sides.partners
     return [(left, int(partners[left])) for left in subject.sides.left]
 
 
 def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that left and right are swapped, in all frames or in some (MOT210)."""
+    """Yield a fault if left and right are swapped, in all or some frames (MOT210)."""
     subject = subject.main
     pairs = _pairs(subject)
     if not pairs:
         return
-    whole = list(_whole_take(subject, pairs))
-    yield from whole or _exchanged(subject, pairs)
+    of_take = list(_full_take(subject, pairs))
+    yield from of_take or _exchanged(subject, pairs)
 
 
-def _whole_take(
-    subject: MotionSubject, pairs: list[tuple[int, int]]
-) -> Iterator[Fault]:
-    """Yield that the left joints lie on the right of a body that looks ahead."""
-    ahead = _ahead(subject)
+def _full_take(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
+    """Yield a fault if left joints are on the right of a body facing forward."""
+    facing = _facing(subject)
     hips = _hips(subject, pairs)
-    if ahead is None or hips is None:
+    if facing is None or hips is None:
         return
     left, right = hips
     positions = subject.positions
     feet = feet_of(subject.take.rig.names)
     trunk = 0.5 * (positions[:, left] + positions[:, right])
     upwards = trunk - positions[:, feet].mean(axis=1)
-    across = np.cross(upwards, ahead)
+    across = np.cross(upwards, facing)
     side = np.einsum("fc,fc->f", across, positions[:, left] - positions[:, right])
-    known = np.linalg.norm(ahead, axis=1) > AHEAD * subject.size
-    # Who crawls or lies has feet behind or beside the hips, which point anywhere.
+    known = np.linalg.norm(facing, axis=1) > MIN_FACING * subject.size
+    # A crawling or lying body has feet beside its hips that point anywhere.
     known &= upwards @ subject.up > UPRIGHT * np.linalg.norm(upwards, axis=1)
     if np.count_nonzero(known) < max(1.0, KNOWN * len(known)):
         return
@@ -219,8 +216,8 @@ def _whole_take(
     yield subject.fault("MOT210", left, int(np.flatnonzero(wrong)[0]), message, hint)
 
 
-def _ahead(subject: MotionSubject) -> FloatArray | None:
-    """Return where the feet point, on average ``(F, 3)`` [m]; None without toes."""
+def _facing(subject: MotionSubject) -> FloatArray | None:
+    """Return the mean direction of the feet ``(F, 3)`` [m]; None without toes."""
     rig = subject.take.rig
     feet = set(feet_of(rig.names).tolist())
     ends = [i for i in feet if rig.joints[i].parent in feet]
@@ -239,7 +236,7 @@ def _ahead(subject: MotionSubject) -> FloatArray | None:
 def _hips(
     subject: MotionSubject, pairs: list[tuple[int, int]]
 ) -> tuple[int, int] | None:
-    """Return the pair of joints that the feet hang from, nearest to the root."""
+    """Return the pair of joints above the feet that is nearest to the root."""
     rig = subject.take.rig
     feet = set(feet_of(rig.names).tolist())
     partners = dict(pairs)
@@ -250,16 +247,16 @@ def _hips(
             if joint in partners:
                 chain.append(joint)
             joint = rig.joints[joint].parent
-        # Those nearest to the root may be at one place with it.
+        # Joints nearest to the root may be at its position.
         for top in reversed(chain):
             bone = subject.rest[top] - subject.rest[partners[top]]
-            if np.linalg.norm(bone) > AHEAD * subject.size:
+            if np.linalg.norm(bone) > MIN_FACING * subject.size:
                 return top, partners[top]
     return None
 
 
 def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
-    """Yield the step at which joints of two sides go on as each other."""
+    """Yield the step at which joints of two sides swap their motion."""
     rotations = subject.take.motion.rotations
     moves = set(rotations.animated.tolist())
     pairs = [pair for pair in pairs if moves.issuperset(pair)]
@@ -269,25 +266,31 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     right = rotations.gather(np.array([pair[1] for pair in pairs]))
     steps = so3.angle_between(left[1:], left[:-1])
     steps = np.minimum(steps, so3.angle_between(right[1:], right[:-1]))
-    own, across = _offs(left, right)
-    own_back, across_back = (off[::-1] for off in _offs(left[::-1], right[::-1]))
+    same_side, across = _offs(left, right)
+    same_side_back, across_back = (off[::-1] for off in _offs(left[::-1], right[::-1]))
     across = np.minimum(across, across_back)
-    swaps = (own > MIN_EXCHANGE) & (across < EXCHANGED * own)
-    swaps &= _neighbor_moves(steps, own, own_back) & ~subject.cuts()[:, None]
-    far = np.where(swaps, own, 0.0).sum(axis=1) > MIN_TOTAL_EXCHANGE
+    swaps = (same_side > MIN_EXCHANGE) & (across < EXCHANGED * same_side)
+    swaps &= (
+        _neighbor_moves(steps, same_side, same_side_back) & ~subject.cuts()[:, None]
+    )
+    far = np.where(swaps, same_side, 0.0).sum(axis=1) > MIN_TOTAL_EXCHANGE
     many = swaps.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
-    sure = (own > SURE_EXCHANGE) & (across < SURELY * own)
+    sure = (same_side > SURE_EXCHANGE) & (across < SURELY * same_side)
     swaps &= (far & many)[:, None] | sure
-    found = np.flatnonzero(swaps.any(axis=1))
-    if not len(found):
+    steps_swapped = np.flatnonzero(swaps.any(axis=1))
+    if not len(steps_swapped):
         return
-    step = int(found[0])
+    step = int(steps_swapped[0])
     names = [
         f"{subject.take.rig.names[pairs[i][0]]!r} and "
         f"{subject.take.rig.names[pairs[i][1]]!r}"
         for i in np.flatnonzero(swaps[step]).tolist()
     ]
-    until = f", until frame {subject.at(int(found[1]))}" if len(found) > 1 else ""
+    until = (
+        f", until frame {subject.at(int(steps_swapped[1]))}"
+        if len(steps_swapped) > 1
+        else ""
+    )
     message = f"{listed(names)} swap at frame {subject.at(step + 1)}{until}"
     hint = "swap their channels there; markers of the two sides were mixed up"
     joint = pairs[int(np.flatnonzero(swaps[step])[0])][0]
@@ -295,32 +298,32 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
 
 
 def _offs(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far sides are from going on as themselves, and as each other."""
-    own = np.minimum(_off(left, left), _off(right, right))
-    return own, np.maximum(_off(left, right), _off(right, left))
+    """Return how far sides are from continuing as themselves, and as each other."""
+    same_side = np.minimum(_off(left, left), _off(right, right))
+    return same_side, np.maximum(_off(left, right), _off(right, left))
 
 
 def _off(side: FloatArray, other: FloatArray) -> FloatArray:
-    """Return how far rotations are from those that others before would go on to.
+    """Return the angle of rotations from the extrapolation of others.
 
     ``(F, P, 4)`` each, result ``(F - 1, P)`` [rad]. The others stay, or turn on as in
     the step before: the smaller difference counts.
     """
     turned = so3.multiply(other[1:-1], so3.conjugate(other[:-2]))
-    ahead = other[:-1].copy()
-    ahead[1:] = so3.multiply(turned, other[1:-1])
-    off = so3.angle_between(side[1:], ahead)
+    predicted = other[:-1].copy()
+    predicted[1:] = so3.multiply(turned, other[1:-1])
+    off = so3.angle_between(side[1:], predicted)
     return np.minimum(off, so3.angle_between(side[1:], other[:-1]))
 
 
 def _neighbor_moves(steps: FloatArray, off: FloatArray, back: FloatArray) -> BoolArray:
-    """Return where the steps before and after are motion that goes on ``(F - 1, P)``.
+    """Return where the neighbor steps are continuous motion ``(F - 1, P)``.
 
     Poses of a library that are held, or take turns, exchange sides by intent. ``off``
     is from what was before each step, and ``back`` from what comes after it.
     """
     rows = np.pad(steps, ((1, 1), (0, 0)))
-    moving = np.minimum(rows[:-2], rows[2:]) > STILL
+    moving = np.minimum(rows[:-2], rows[2:]) > STATIC_ANGLE
     rest = np.zeros((1, steps.shape[1]))
     before = np.concatenate([rest, off[:-1]])
     after = np.concatenate([back[1:], rest])
@@ -328,7 +331,7 @@ def _neighbor_moves(steps: FloatArray, off: FloatArray, back: FloatArray) -> Boo
 
 
 def dead_side(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield joints that never turn while those of the other side do (MOT211)."""
+    """Yield joints that never rotate while their opposites do (MOT211)."""
     channel = subject.take.motion.rotations
     roots = {*subject.take.rig.roots, *carriers(subject)}
     # Where the root stays put, parts were keyed one by one, and one arm may wave.
@@ -341,12 +344,12 @@ def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     # One frame that is off is no motion.
     spreads[channel.animated] = np.maximum(
         np.percentile(away, 90, axis=0) if len(channel.animated) else 0.0,
-        np.minimum(away.max(axis=0, initial=0.0), 2.0 * STILL),
+        np.minimum(away.max(axis=0, initial=0.0), 2.0 * STATIC_ANGLE),
     )
     pairs: list[tuple[int, int]] = []
     for left, right in _pairs(subject):
         for mine, other in ((left, right), (right, left)):
-            if spreads[mine] <= STILL and spreads[other] >= ALIVE:
+            if spreads[mine] <= STATIC_ANGLE and spreads[other] >= ALIVE:
                 pairs.append((mine, other))
     if not pairs:
         return

@@ -1,4 +1,4 @@
-"""Size and stance: units, up axis, bones that change their length."""
+"""Size and stance: units, up axis, bone lengths."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from animtool.rig.skeleton import JointType
 from animtool.validation.motion.body import body, feet_of, hips_of, placed
 from animtool.validation.motion.subject import MotionSubject
 
-# Share of its length that a bone may change by, and of the rig's size below which a
-# bone has none to speak of [1].
+# Fraction by which a bone's length may change, and length below which a bone counts as
+# zero, of the rig's size [1].
 GROWS, SHORT = 0.5, 0.02
-# Factors by which units are mistaken: m, cm, mm and in, and how near to one [1].
+# Factors between units that are often confused: m, cm, mm, in; and the tolerance [1].
 FACTORS = (10.0, 100.0, 1000.0, 39.37)
 NEAR_FACTOR = 0.15
-# A root this many times as high as at rest is of another unit, whatever it does [1].
+# A root this many times higher than at rest is in another unit [1].
 HIGH = (25.0, 4000.0)
-# Or, in the unit that its numbers are of, the lowest joint is this near to 0 of the up
-# axis in most frames [size], [1]. Or it comes so near at times, as on stairs, and then
-# stands in so many frames [size], [size/s], [1].
-ON_ZERO, ON_ZERO_SHARE = 0.06, 0.5
-AT_TIMES, TREADS, TREADS_SHARE = 0.05, 0.12, 0.4
-# Of animated bones, the share that must have one such factor [1].
+# Otherwise, in the unit of its numbers, the lowest joint is this close to 0 of the up
+# axis in most frames [size], [1]; or sometimes, as on stairs, and is then static in
+# this many frames [size], [size/s], [1].
+ON_ZERO, ON_ZERO_FRACTION = 0.06, 0.5
+AT_TIMES, TREADS, TREADS_FRACTION = 0.05, 0.12, 0.4
+# Fraction of animated bones that must share one factor [1].
 MAX_BONES = 0.8
-# From a bird to a dinosaur, of rigs with feet [m]: the diagonal of their joints.
+# Diagonal of the joints of rigs with feet, from a bird to a dinosaur [m].
 CHARACTER = (0.1, 25.0)
-# People and most animals [m]; another unit must bring a character into this.
+# People and most animals [m]; a corrected unit must give this size.
 LIKELY = (0.3, 5.0)
-# What anything with a skeleton spans, feet or not [m]: from an insect to a ship.
+# Extent of any skeleton, with feet or without [m]: from an insect to a ship.
 ANYTHING = (0.004, 400.0)
 # Fewer joints are a prop, of any size.
 MIN_JOINTS = 10
@@ -46,7 +46,7 @@ MIN_FRAMES = 8
 
 
 def stretched(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield bones whose length changes by over a half (MOT212)."""
+    """Yield bones whose length changes by more than half (MOT212)."""
     subject = subject.main
     if not subject.has_rest or _bone_factor(subject) is not None:
         return
@@ -80,7 +80,7 @@ def stretched(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _bone_factor(subject: MotionSubject) -> float | None:
-    """Return the factor between animated bones and those at rest, if it is a unit's."""
+    """Return the ratio of animated to rest bones, if it is a unit conversion."""
     rig, translations = subject.take.rig, subject.take.motion.translations
     bones = np.flatnonzero(~placed(subject))
     rest = np.linalg.norm(rig.rest_translations[bones], axis=1)
@@ -94,7 +94,7 @@ def _bone_factor(subject: MotionSubject) -> float | None:
 
 
 def _unit_factor(ratios: FloatArray) -> float | None:
-    """Return the factor of two units that most ratios are near to."""
+    """Return the unit conversion factor that most ratios are near."""
     if not len(ratios):
         return None
     for factor in (*FACTORS, *(1.0 / factor for factor in FACTORS)):
@@ -105,7 +105,7 @@ def _unit_factor(ratios: FloatArray) -> float | None:
 
 
 def other_units(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that the motion, or the whole character, is in another unit (MOT213)."""
+    """Yield a fault if motion, or all of the character, uses another unit (MOT213)."""
     subject = subject.main
     factor = _bone_factor(subject) if subject.has_rest else None
     if factor is not None:
@@ -147,7 +147,7 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
-    """Return a root that moves at many times its height at rest, and how many.
+    """Return a root that moves at many times its rest height, and the factor.
 
     Where the rig rests at its hips, these are as high as its legs are long.
     """
@@ -175,7 +175,7 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
 
 
 def _low_factor(subject: MotionSubject, root: int) -> float | None:
-    """Return the part of a unit that a root's numbers are of, if its feet show that.
+    """Return the unit factor by which a root is too low, if its feet show that.
 
     Multiplied back, its translation puts the lowest joint on the ground, however the
     body crouches or crawls.
@@ -186,20 +186,20 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
     for factor in FACTORS:
         lift = (factor - 1.0) * subject.positions[:, root]
         above = (points + lift) @ subject.up
-        if float((np.abs(above) < ON_ZERO * subject.size).mean()) > ON_ZERO_SHARE:
+        if float((np.abs(above) < ON_ZERO * subject.size).mean()) > ON_ZERO_FRACTION:
             return 1.0 / factor
         if abs(float(np.percentile(above, 5))) > AT_TIMES * subject.size:
             continue
         before = joints[np.arange(len(joints) - 1) + 1, lowest[:-1]]
         steps = before + lift[1:] - points[:-1] - lift[:-1]
         slow = np.linalg.norm(steps, axis=1) < TREADS * subject.size * subject.interval
-        if float(slow.mean()) > TREADS_SHARE:
+        if float(slow.mean()) > TREADS_FRACTION:
             return 1.0 / factor
     return None
 
 
 def _high(ratio: float) -> float | None:
-    """Return the factor of two units that a height is nearest to, if it is one.
+    """Return the unit conversion factor nearest to a height, if any.
 
     Who crawls or climbs is lower or higher than at rest, and nobody so many times.
 
@@ -212,13 +212,13 @@ def _high(ratio: float) -> float | None:
 
 
 def _is_character(subject: MotionSubject) -> bool:
-    """Return whether a rig has feet and joints enough to be of a person or animal."""
+    """Return whether a rig has the feet and joints of a person or animal."""
     rig = subject.take.rig
     return len(rig.joints) >= MIN_JOINTS and len(feet_of(rig.names)) > 0
 
 
 def _times(factor: float) -> str:
-    """Return a factor in words.
+    """Return a factor as text.
 
     >>> _times(100.0), _times(0.01)
     ('100 times', '1/100')
@@ -227,7 +227,7 @@ def _times(factor: float) -> str:
 
 
 def _length(meters: float) -> str:
-    """Return a length in a unit that people would say it in.
+    """Return a length as text in a fitting unit.
 
     >>> _length(0.0012), _length(158.0)
     ('1.2 mm', '158 m')
@@ -240,7 +240,7 @@ def _length(meters: float) -> str:
 
 
 def strange_size(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that a skeleton is smaller or larger than anything that moves (MOT215)."""
+    """Yield a skeleton of implausible size (MOT215)."""
     low, high = ANYTHING
     if not subject.has_units:
         return
@@ -249,7 +249,7 @@ def strange_size(subject: MotionSubject) -> Iterator[Fault]:
     if _is_character(subject) and next(other_units(subject), None) is not None:
         return
     if subject.size * 1e3 < low * 1e-3:
-        # All joints are at one place: a rig of controls, or of one joint.
+        # All joints are at one position: a rig of controls, or one joint.
         return
     message = f"the skeleton spans {_length(subject.size)}"
     unit = subject.take.rig.meters_per_unit
@@ -258,29 +258,35 @@ def strange_size(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def body_axis(subject: MotionSubject) -> Stance | None:
-    """Return how a body stands, where that is not along the axis that is up."""
+    """Return the stance of a body if it does not stand along the up axis."""
     rig = subject.take.rig
     if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_JOINTS:
         return None
     rest = rest_world(rig).positions[0] if subject.has_rest else None
-    found = stance(anatomy(rig).roles, subject.positions, rig.up, rest)
-    return None if found.axis is None and not found.upside_down else found
+    stance_axis = stance(anatomy(rig).roles, subject.positions, rig.up, rest)
+    return (
+        None
+        if stance_axis.axis is None and not stance_axis.upside_down
+        else stance_axis
+    )
 
 
 def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that the body stands along another axis than the up axis (MOT214)."""
-    rig, found = subject.take.rig, body_axis(subject)
-    if found is None:
+    """Yield a body that stands along an axis other than up (MOT214)."""
+    rig, axis = subject.take.rig, body_axis(subject)
+    if axis is None:
         return
-    where = "upside down" if found.axis is None else f"along {found.axis}"
-    share = 100.0 * found.share
-    message = f"the body is {where} in {share:.0f}% of the frames; up is {rig.up}"
+    where = "upside down" if axis.axis is None else f"along {axis.axis}"
+    percent_of_frames = 100.0 * axis.fraction
+    message = (
+        f"the body is {where} in {percent_of_frames:.0f}% of the frames; up is {rig.up}"
+    )
     hint = "rotate the root"
-    if found.axis is not None:
+    if axis.axis is not None:
         hint = (
-            f"set upAxis {found.axis}, or read the file with "
-            f"{argument('source.up', found.axis)}"
+            f"set upAxis {axis.axis}, or read the file with "
+            f"{argument('source.up', axis.axis)}"
         )
     fault = subject.fault("MOT214", int(rig.roots[0]), 0, message, hint)
-    # A file that states no up axis is read in the usual one.
+    # A file without an up axis is read with the default one.
     yield fault if subject.has_units else replace(fault, severity=Severity.NOTE)

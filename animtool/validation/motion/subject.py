@@ -1,4 +1,4 @@
-"""A take as the motion rules see it, with what they all measure computed once."""
+"""Subject of the motion rules: a take with cached measurements."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.sides import SidePairs, pair_sides
 
-# Code, joint (empty: the whole take), frame (None: all of them), message, hint.
+# Code, joint (empty: the take), frame (None: all), message, hint.
 FaultAt: TypeAlias = Callable[[str, str, float | None, str, str], Fault]
 
-# A rig that spans less has no size to compare with [m].
+# A smaller rig has no reference size [m].
 SMALLEST_SIZE = 1e-9
-# Of the rig's size: shorter bones show no scale [1]. So many frames show it.
+# Shorter bones show no scale, of the rig's size [1]; this many frames do.
 SHORT, SCALE_FRAMES = 0.02, 32
-# Bones that are posed less longer or shorter than this stretch, and are not scaled [1].
+# Bones whose length changes less than this stretch; they are not scaled [1].
 SCALED = 1.5
-# A first frame is a pose of its own that is left by so many joints, each by so far
-# [rad], and so many times as far as in the steps after it, of which so many count [1].
-POSE_JOINTS, POSE_TURN, POSE_STANDS_OUT, POSE_STEPS = 3, math.radians(30.0), 4.0, 8
+# A first frame is a reference pose if this many joints leave it, each by this angle
+# [rad], and by this many times the steps after it, of which so many count [1].
+POSE_JOINTS, POSE_ANGLE, POSE_STANDS_OUT, POSE_STEPS = 3, math.radians(30.0), 4.0, 8
 
 
 @dataclass(frozen=True, eq=False)
 class MotionSubject:
-    """One take of a file, whatever the file is."""
+    """One take of a file of any format."""
 
     take: Take  # F frames, J joints
     fault_at: FaultAt  # makes a fault with its location in the file
@@ -54,7 +54,7 @@ class MotionSubject:
     influencing: frozenset[str] | None = None
     # Positions of the joints in the bind pose, world ``(J, 3)`` [m].
     bind: FloatArray | None = None
-    # Frames a second that the file states beside its time codes.
+    # Frame rate of the file, if it differs from its time codes.
     shown_rate: float | None = None
     # Whether samples were left out on purpose, which others give back.
     reduced: bool = False
@@ -65,8 +65,8 @@ class MotionSubject:
         """Return a fault of a joint at a frame, both by index."""
         name = "" if joint is None else self.take.rig.joints[joint].name
         at = None if frame is None else float(self.times[frame])
-        found = self.fault_at(code, name, at, message, hint)
-        return replace(found, frame=at, joint=name or None)
+        fault = self.fault_at(code, name, at, message, hint)
+        return replace(fault, frame=at, joint=name or None)
 
     @property
     def frames(self) -> int:
@@ -80,29 +80,29 @@ class MotionSubject:
 
     @cached_property
     def interval(self) -> float:
-        """Usual time between two frames [s]."""
+        """Typical time between two frames [s]."""
         if self.frames < 2:
             return 1.0 / float(self.take.clock.rate)
         return float(np.median(np.diff(self.times))) / float(self.take.clock.fps)
 
     @cached_property
     def _pace(self) -> FloatArray:
-        """Usual step over each step of time ``(F - 1,)``: 1 where samples are even."""
+        """Length of each time step relative to the typical one ``(F - 1,)``."""
         steps = np.diff(self.times)
         return np.asarray(np.median(steps) / steps if len(steps) else steps)
 
     @property
     def turning(self) -> IntArray:
-        """Indices of the joints that turn ``(A,)``."""
+        """Indices of the rotating joints ``(A,)``."""
         return self.take.motion.rotations.animated
 
     @property
     def moving(self) -> IntArray:
-        """Indices of the joints that move against their parents ``(B,)``."""
+        """Indices of the joints that translate against their parents ``(B,)``."""
         return self.take.motion.translations.animated
 
     @cached_property
-    def turns(self) -> FloatArray:
+    def rotation_steps(self) -> FloatArray:
         """Rotation vectors from each frame to the next ``(F - 1, A, 3)`` [rad].
 
         In the parent's space, and per usual interval where samples are uneven.
@@ -113,37 +113,39 @@ class MotionSubject:
 
     @cached_property
     def shifts(self) -> FloatArray:
-        """Moves from each frame to the next ``(F - 1, B, 3)`` [m], as `turns`."""
+        """Translation from each frame to the next ``(F - 1, B, 3)`` [m]."""
         moves = np.diff(self.take.motion.translations.values, axis=0)
         return np.asarray(moves * self._pace[:, None, None])
 
     @cached_property
     def speeds(self) -> FloatArray:
-        """How much all joints do from each frame to the next ``(F - 1,)``.
+        """Total motion of all joints from each frame to the next ``(F - 1,)``.
 
         The root of the sum of squares of turns [rad] and of moves [half the size].
         """
-        turns = np.einsum("fjc,fjc->f", self.turns, self.turns)
+        rotation_steps = np.einsum(
+            "fjc,fjc->f", self.rotation_steps, self.rotation_steps
+        )
         moves = np.einsum("fjc,fjc->f", self.shifts, self.shifts)
-        return np.asarray(np.sqrt(turns + moves * (2.0 / self.size) ** 2))
+        return np.asarray(np.sqrt(rotation_steps + moves * (2.0 / self.size) ** 2))
 
     @cached_property
     def posing(self) -> IntArray:
-        """Indices of the joints that leave a first frame which is a pose of its own.
+        """Indices of the joints that leave a first frame that is a reference pose.
 
         Empty where it is a part of the motion.
         """
         if self.frames < POSE_STEPS or not len(self.turning) or self.cuts()[0]:
             return np.zeros(0, np.int64)
-        sizes = np.linalg.norm(self.turns[:POSE_STEPS], axis=2)
+        sizes = np.linalg.norm(self.rotation_steps[:POSE_STEPS], axis=2)
         after = sizes[1:].max(axis=0)
-        away = (sizes[0] > POSE_TURN) & (sizes[0] > POSE_STANDS_OUT * after)
+        away = (sizes[0] > POSE_ANGLE) & (sizes[0] > POSE_STANDS_OUT * after)
         joints = np.asarray(self.turning[away])
         return joints if len(joints) >= POSE_JOINTS else joints[:0]
 
     @cached_property
     def main(self) -> MotionSubject:
-        """The take without a first frame that is a pose of its own."""
+        """The take without a first frame that is a reference pose."""
         if not len(self.posing):
             return self
         clock = self.take.clock
@@ -174,7 +176,7 @@ class MotionSubject:
 
     @cached_property
     def sides(self) -> SidePairs:
-        """Which joints are left and right of each other, by their names."""
+        """Pairs of left and right joints, by name."""
         return pair_sides(self.take.rig.names, self.take.rig.parents)
 
     @cached_property
@@ -187,12 +189,12 @@ class MotionSubject:
 
     @cached_property
     def size(self) -> float:
-        """Diagonal of the joints' bounds at rest, in the scale that is posed [m]."""
+        """Diagonal of the joints' bounds at rest, at the animated scale [m]."""
         return max(self.rest_size * self._scale, SMALLEST_SIZE)
 
     @cached_property
     def _scale(self) -> float:
-        """How many times as long as at rest the bones are in the world, mostly."""
+        """Median ratio of animated to rest bone lengths, world."""
         parents = self.take.rig.parents
         bones = np.flatnonzero(parents >= 0)
         if not self.has_rest or not len(bones) or not self.frames:
@@ -210,21 +212,21 @@ class MotionSubject:
 
     @cached_property
     def up(self) -> FloatArray:
-        """Unit vector away from the ground ``(3,)``."""
+        """Unit up vector ``(3,)``."""
         return np.array(self.take.rig.up.vector)
 
     @cached_property
     def heights(self) -> FloatArray:
-        """Heights of the joints above the up axis' 0 ``(F, J)`` [m]."""
+        """Heights of the joints above the origin ``(F, J)`` [m]."""
         return np.asarray(self.positions @ self.up)
 
     def level(self, joints: IntArray) -> FloatArray:
-        """Return where joints are along the ground ``(F, len(joints), 3)`` [m]."""
+        """Return horizontal joint positions ``(F, len(joints), 3)`` [m]."""
         points = self.positions[:, joints]
         return np.asarray(points - (points @ self.up)[..., None] * self.up)
 
     def cuts(self) -> BoolArray:
-        """Return the steps that no rule counts as motion ``(F - 1,)``."""
+        """Return the steps that rules ignore as cuts ``(F - 1,)``."""
         steps = max(self.frames - 1, 0)
         return np.zeros(steps, bool) if self.meant is None else self.meant.copy()
 

@@ -1,1 +1,1 @@
-"""The checks of rules: functions from a subject to its faults, a concept a module."""
+"""Rule checks: functions from a subject to its faults, one concept per module."""

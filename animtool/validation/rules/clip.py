@@ -1,4 +1,4 @@
-"""Clips: their keys, and their curves between and beyond these."""
+"""Rules on clips: keys, and curves between and beyond them."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.clip import ClipSubject
 
-# Nearer to half a turn, rounding decides which way a turn goes.
-HALF_TURN = math.radians(178.0)
-# What goes on beyond the keys without repeating them.
-_STILL = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
+# Closer to 180 degrees, rounding decides the direction of rotation.
+NEAR_HALF_ROTATION = math.radians(178.0)
+# Extrapolation that does not repeat the keys.
+_NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
 
 
 def outside_range(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield channels with keys outside the clip's range that do nothing (CLIP201).
+    """Yield channels whose keys outside the clip's range have no effect (CLIP201).
 
     The first one on either side shapes the curve on its way there, and all are played
     where a channel repeats them.
@@ -47,21 +47,21 @@ def outside_range(subject: ClipSubject) -> Iterator[Fault]:
 
 
 def beyond(channel: ClipChannel, first: float, last: float) -> IntArray:
-    """Return the keys of a channel outside some frames that do nothing in them."""
-    if not {channel.pre, channel.post} <= _STILL:
+    """Return the keys of a channel that have no effect inside a frame range."""
+    if not {channel.pre, channel.post} <= _NOT_CYCLING:
         return np.zeros(0, np.int64)
     before = np.flatnonzero(channel.times < first)[:-1]
     behind = np.flatnonzero(channel.times > last)[1:]
     return np.concatenate([before, behind])
 
 
-def half_turns(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield keys half a turn from the one before: which way is open (CLIP202)."""
+def half_rotations(subject: ClipSubject) -> Iterator[Fault]:
+    """Yield keys 180° from the previous one: the direction is ambiguous (CLIP202)."""
     for i, channel in enumerate(subject.clip.channels):
         if channel.values.shape[1] != 4:
             continue
         angles = so3.angle_between(channel.values[:-1], channel.values[1:])
-        for k in np.flatnonzero(angles > HALF_TURN).tolist():
+        for k in np.flatnonzero(angles > NEAR_HALF_ROTATION).tolist():
             if channel.interps[k] is Interp.STEP:
                 continue
             message = (
@@ -74,34 +74,33 @@ def half_turns(subject: ClipSubject) -> Iterator[Fault]:
                 "written angles"
             )
             at = ("channels", i, "keys", k + 1, "v")
-            found = subject.fault("CLIP202", at, message, hint)
-            yield replace(found, frame=float(channel.times[k]))
+            fault = subject.fault("CLIP202", at, message, hint)
+            yield replace(fault, frame=float(channel.times[k]))
 
 
-# How far values lie beyond what is allowed, signed or not.
+# Function of how far values exceed a limit, signed or not.
 Excess = Callable[[FloatArray], FloatArray]
 
-# Beyond a limit by less is rounding of what a file holds [rad], [m], [1].
+# A smaller excess over a limit is rounding in the file [rad], [m], [1].
 SLACK = 1e-6
-# Keys so near [frame] are of a curve that was sampled, in which angles jump by a
-# whole turn and mean none.
+# Keys this close [frame] belong to a sampled curve, in which angles wrap by a full
+# rotation without meaning.
 SAMPLED = 2.0
-# Angles that go farther from a key to the next, while what they mean is nearer, take a
-# way round: by a whole turn, or by half a turn of two of three [rad].
+# Angles that change more between keys, though the rotations are closer, take a detour:
+# by 360 degrees, or by 180 degrees of two of three [rad].
 FAR, NEAR = math.radians(150.0), math.radians(90.0)
-# Keys that are farther apart in time wrap where they go by more than this, which the
-# short way is less than a sixth of a turn of [rad]; angles that flip, two by half a
-# turn, do where the other three are as near.
+# Keys farther apart in time wrap if angles change by more than this, and the short path
+# is below 60 degrees [rad]; angles flip, two by 180 degrees, if the third is as close.
 ROUND, ROUND_NEAR = math.radians(300.0), math.radians(60.0)
-# What goes on at this part of a speed before or behind is a spin [1].
+# A speed that continues at this fraction before or after is a spin [1].
 SPIN = 0.5
 DEG = "\N{DEGREE SIGN}"
-# Ends of a cycle that differ by less are seen as one [rad]; of all its values [1].
+# Ends of a cycle that differ by less look equal [rad]; of the value range [1].
 OPEN = 1e-3
 
 
 def overshoot(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield curves that leave limits between keys that keep them (CLIP205)."""
+    """Yield curves that exceed limits between keys within them (CLIP205)."""
     times = np.array(subject.frames)
     for i, channel in enumerate(subject.clip.channels):
         excess = _excess(channel, subject.rig)
@@ -116,12 +115,12 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
                 message = _beyond(channel, k, times[frames], over[frames])
                 hint = "use tangents: auto_clamped, shorter handles, or a key between"
                 at = ("channels", i, "keys", k)
-                found = subject.fault("CLIP205", at, message, hint)
-                yield replace(found, frame=float(times[frames[0]]))
+                fault = subject.fault("CLIP205", at, message, hint)
+                yield replace(fault, frame=float(times[frames[0]]))
 
 
 def _beyond(channel: ClipChannel, k: int, frames: FloatArray, over: FloatArray) -> str:
-    """Return what to say of the frames of a segment that lie beyond limits."""
+    """Return text on the frames of a segment that exceed limits."""
     most = float(over.max())
     angle = channel.target.endswith((".angle", ".rotation"))
     much = f"{math.degrees(most):.3g}\N{DEGREE SIGN}" if angle else f"{most:.3g}"
@@ -136,7 +135,7 @@ def _beyond(channel: ClipChannel, k: int, frames: FloatArray, over: FloatArray) 
 
 
 def _excess(channel: ClipChannel, rig: Rig) -> Excess | None:
-    """Return what tells how far a channel's values are beyond what its target may."""
+    """Return a function of how far a channel's values exceed its target's limits."""
     kind, _, name = channel.target.partition("/")
     if kind == "control":
         control = next(c for c in rig.controls if c.name == name)
@@ -164,7 +163,7 @@ def _at(channel: ClipChannel, times: FloatArray) -> FloatArray:
 
 
 def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield angles that go a whole turn round from a key to the next (CLIP206)."""
+    """Yield angles that rotate a full circle from one key to the next (CLIP206)."""
     for i, channel in enumerate(subject.clip.channels):
         if not channel.euler and not channel.target.endswith(".angle"):
             continue
@@ -178,27 +177,27 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
             message += f"; {len(flips) - 1} more times, up to frames {frames}"
         at = ("channels", i, "keys", k + 1, "v")
         hint = _unwrapping(channel, k, subject.units.angle)
-        found = subject.fault("CLIP206", at, message, hint)
-        yield replace(found, frame=float(channel.times[k]))
+        fault = subject.fault("CLIP206", at, message, hint)
+        yield replace(fault, frame=float(channel.times[k]))
 
 
 def _round(channel: ClipChannel, k: int) -> str:
-    """Return what to say of an angle that goes round behind a key."""
+    """Return text on an angle that rotates a full circle after a key."""
     one, two = np.degrees(channel.values[k]), np.degrees(channel.values[k + 1])
     axis = int(np.argmax(np.abs(two - one)))
     frames = float(channel.times[k + 1] - channel.times[k])
-    turn = abs(float(two[axis] - one[axis]))
+    angle = abs(float(two[axis] - one[axis]))
     name = f" {channel.euler[axis].lower()}" if channel.euler else ""
     return (
-        f"{channel.target!r}{name} rotates by {turn:.4g}{DEG}, from "
+        f"{channel.target!r}{name} rotates by {angle:.4g}{DEG}, from "
         f"{one[axis]:.5g}{DEG} at frame {channel.times[k]:g} to {two[axis]:.5g}{DEG} "
-        f"at frame {channel.times[k + 1]:g}, {turn / frames:.3g}{DEG} per frame; the "
+        f"at frame {channel.times[k + 1]:g}, {angle / frames:.3g}{DEG} per frame; the "
         f"shortest path is {math.degrees(_shortest(channel, k)):.3g}{DEG}"
     )
 
 
 def _unwrapping(channel: ClipChannel, k: int, unit: float) -> str:
-    """Return how to write the key behind another so that it goes the short way.
+    """Return how to write the next key so that rotation takes the short path.
 
     unit: of the file [rad].
     """
@@ -220,7 +219,7 @@ def _far(one: FloatArray, two: FloatArray) -> float:
 
 
 def _flips(channel: ClipChannel) -> IntArray:
-    """Return the keys of a sampled curve behind which angles go round for nothing."""
+    """Return the keys of a sampled curve after which angles wrap."""
     near = np.diff(channel.times) <= SAMPLED
     far = (np.abs(np.diff(channel.values, axis=0)) > FAR).any(axis=1)
     flips = np.flatnonzero(near & far & _moving(channel))
@@ -233,17 +232,17 @@ def _moving(channel: ClipChannel) -> BoolArray:
 
 
 def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
-    """Return the keys behind which an angle wraps, whatever the time to the next.
+    """Return the keys after which an angle wraps, whatever the key spacing.
 
-    Keys that go round on purpose count whole turns on, or end on one; a spin is at the
-    same speed before or behind. What wraps was brought into half a turn on either side
-    of 0, or into one turn from 0, and goes the other way before and behind.
+    Intended rotations continue over full circles, or end on one; a spin keeps its speed
+    before or after. Wrapped angles are reduced to ±180 or 0 to 360 degrees, and reverse
+    before and after.
     """
     steps = np.diff(channel.values, axis=0)
     short = np.remainder(steps + math.pi, math.tau) - math.pi
     wraps = (np.abs(steps) > ROUND) & (np.abs(short) > OPEN) & _moving(channel)[:, None]
     limits = _range_of(channel, rig)
-    found = [
+    far = [
         k
         for k, axis in np.argwhere(wraps).tolist()
         if _wrapped(channel, k, axis, float(short[k, axis]), limits)
@@ -253,7 +252,7 @@ def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
         for k in np.flatnonzero(_moving(channel)).tolist()
         if _flipped(channel, channel.values[k], channel.values[k + 1]) is not None
     ]
-    return np.unique(np.array([*found, *flipped], np.int64))
+    return np.unique(np.array([*far, *flipped], np.int64))
 
 
 def _wrapped(
@@ -263,7 +262,7 @@ def _wrapped(
     short: float,
     limits: RangeLimit | None,
 ) -> bool:
-    """Return whether an axis wraps behind a key, the short way being ``short``."""
+    """Return whether an axis wraps after a key; ``short`` is the short path."""
     values = channel.values[:, axis]
     one, two = float(values[k]), float(values[k + 1])
     if limits is not None and not limits.low <= one + short <= limits.high:
@@ -279,7 +278,7 @@ def _wrapped(
 
 
 def _range_of(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
-    """Return the limits of the angle of a pin; None where it has none."""
+    """Return the angle limits of a pin joint; None without limits."""
     joint, _, part = channel.target.removeprefix("joint/").rpartition(".")
     if part != "angle":
         return None
@@ -290,7 +289,7 @@ def _range_of(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
 def _flipped(
     channel: ClipChannel, one: FloatArray, two: FloatArray
 ) -> FloatArray | None:
-    """Return the other three angles of a rotation, where they are much nearer to one.
+    """Return the equivalent Euler angles of a rotation, if much nearer to another.
 
     Two of three differ by half a turn, and the middle one is mirrored; None where
     that is not so.
@@ -305,7 +304,7 @@ def _flipped(
 
 
 def _shortest(channel: ClipChannel, k: int) -> float:
-    """Return the angle between what two keys mean [rad]."""
+    """Return the rotation angle between two keys [rad]."""
     if not channel.euler:
         step = float(channel.values[k + 1, 0] - channel.values[k, 0])
         return abs(math.remainder(step, math.tau))
@@ -314,7 +313,7 @@ def _shortest(channel: ClipChannel, k: int) -> float:
 
 
 def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield channels that jump where their cycle begins again (CLIP207)."""
+    """Yield channels with a discontinuity where their cycle repeats (CLIP207)."""
     clip = subject.clip
     for i, channel in enumerate(clip.channels):
         for key, how, reached in (
@@ -336,7 +335,7 @@ def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
 
 
 def _meets(channel: ClipChannel) -> bool:
-    """Return whether a channel ends as it begins; whole turns are none."""
+    """Return whether a channel ends as it begins, modulo full rotations."""
     first, last = channel.values[0], channel.values[-1]
     if channel.target.endswith(".angle") and abs(last[0] - first[0]) > FAR:
         return abs(math.remainder(float(last[0] - first[0]), math.tau)) <= OPEN

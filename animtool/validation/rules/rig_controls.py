@@ -1,4 +1,4 @@
-"""Controls: what they drive, and how far, over the whole of their ranges."""
+"""Rules on controls: what they drive over their ranges, and how far."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from animtool.rig.skeleton import Joint
 from animtool.validation.rules.rig_joints import shown
 from animtool.validation.subjects.rig import RigSubject
 
-# Values of each control that are looked at, beside the points of its curves.
+# Sampled values of each control, besides the points of its curves.
 SAMPLES = 17
 # Poses of all controls at once, in which a corrective must act in some.
 POSES = 2048
 # Share of the poses in which a control is at an end of its range.
 AT_ENDS = 0.8
-# Beyond rounding of degrees in a file [rad], [m]; of a range, as a share [1].
+# Tolerance for degrees rounded in a file [rad], [m]; of a range [1].
 SLACK = 1e-6
 _NONE: FloatArray = np.zeros(1)
 
 
 @dataclass(frozen=True, slots=True)
 class _Sweep:
-    """Every control led over its range, one after the other."""
+    """Every control swept over its range, one after the other."""
 
     moved: list[Control]  # which control moves in each frame ``(F,)``
     keyed: dict[str, FloatArray]  # values of all of them ``(F,)``
@@ -45,12 +45,12 @@ class _Sweep:
         return np.broadcast_to(values, len(self.moved))
 
     def keys(self, frame: int) -> str:
-        """Return which control is where in a frame."""
+        """Return the control values of a frame."""
         name = self.moved[frame].name
         return f"{name!r} at {float(self.keyed[name][frame]):g}"
 
     def worst(self, excess: FloatArray) -> Iterator[tuple[Control, int]]:
-        """Yield controls that lead beyond something, and the frame where most."""
+        """Yield controls that exceed something, and the worst frame."""
         # What is not finite is a fault of the expression (RIG207).
         wide = self.spread(np.where(np.isfinite(excess), np.abs(excess), 0.0))
         worst: dict[str, int] = {}
@@ -98,7 +98,7 @@ def beyond_range(rig: RigSubject) -> Iterator[Fault]:
 
 
 def undefined(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drives that have no value somewhere in a control's range (RIG207)."""
+    """Yield drives without a value somewhere in a control's range (RIG207)."""
     sweep = _sweep(rig)
     values = sweep.driven.controls
     for control in rig.rig.controls:
@@ -109,12 +109,14 @@ def undefined(rig: RigSubject) -> Iterator[Fault]:
                 (control.name,) if drive.expression is None else drive.expression.names
             )
             # A value that comes from another drive without one is its fault.
-            given = np.all([sweep.spread(np.isfinite(values[n])) for n in read], axis=0)
-            wrong = sweep.spread(~np.isfinite(added)) & given
+            inputs_finite = np.all(
+                [sweep.spread(np.isfinite(values[n])) for n in read], axis=0
+            )
+            wrong = sweep.spread(~np.isfinite(added)) & inputs_finite
             if not wrong.any():
                 continue
-            own = wrong & [moved.name in read for moved in sweep.moved]
-            frame = int((own if own.any() else wrong).argmax())
+            by_moved = wrong & [moved.name in read for moved in sweep.moved]
+            frame = int((by_moved if by_moved.any() else wrong).argmax())
             by = sweep.moved[frame]
             value = float(sweep.keyed[by.name][frame])
             text = drive.expression.text if drive.expression else ""
@@ -125,7 +127,7 @@ def undefined(rig: RigSubject) -> Iterator[Fault]:
 
 
 def never_acts(rig: RigSubject) -> Iterator[Fault]:
-    """Yield correctives that no pose of the controls brings about (RIG208)."""
+    """Yield correctives that no control pose activates (RIG208)."""
     # What coordinates of joints drive moves without controls.
     moved = set(plan_of(rig.rig).shapes) if rig.rig.is_driven else set()
     combined = [
@@ -143,10 +145,12 @@ def never_acts(rig: RigSubject) -> Iterator[Fault]:
         return
     weights = _weights(rig, driven)
     for shape in combined:
-        own = [name for name in shape.combine if name not in weights]
+        undriven = [name for name in shape.combine if name not in weights]
         at = (*rig.at("shapes", shape.name), "combine")
-        if own:
-            message = f"no control drives {own[0]!r}, which {shape.name!r} combines"
+        if undriven:
+            message = (
+                f"no control drives {undriven[0]!r}, which {shape.name!r} combines"
+            )
             yield rig.fault("RIG208", at, message, "drive it, or remove the shape")
         elif not _product(shape, weights).any():
             message = f"{shape.name!r} is 0 in every pose of the controls"
@@ -182,7 +186,7 @@ def idle(rig: RigSubject) -> Iterator[Fault]:
 
 @lru_cache(maxsize=1)
 def _sweep(rig: RigSubject) -> _Sweep:
-    """Return what each control does while the others are at their defaults."""
+    """Return a sweep of each control with the others at their defaults."""
     controls = rig.rig.controls
     ranges = {control.name: _values(control) for control in controls}
     count = sum(map(len, ranges.values()))
@@ -190,9 +194,9 @@ def _sweep(rig: RigSubject) -> _Sweep:
     moved: list[Control] = []
     for control in controls:
         values = np.full(count, control.default)
-        own = ranges[control.name]
-        values[len(moved) : len(moved) + len(own)] = own
-        moved += [control] * len(own)
+        samples = ranges[control.name]
+        values[len(moved) : len(moved) + len(samples)] = samples
+        moved += [control] * len(samples)
         keyed[control.name] = values
     with np.errstate(all="ignore"):
         driven = evaluate_controls(controls, keyed)
@@ -222,14 +226,14 @@ def _excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
             joint.limits, parts
         ):
             return _NONE
-        turn = so3.exp(np.stack(np.broadcast_arrays(*parts), axis=-1))
-        finite = np.isfinite(turn).all(axis=-1, keepdims=True)
-        return joint.limits.excess(np.where(finite, turn, so3.IDENTITY))
+        rotation = so3.exp(np.stack(np.broadcast_arrays(*parts), axis=-1))
+        finite = np.isfinite(rotation).all(axis=-1, keepdims=True)
+        return joint.limits.excess(np.where(finite, rotation, so3.IDENTITY))
     return _NONE
 
 
 def _well_within(limits: BallLimit, parts: list[FloatArray]) -> bool:
-    """Return whether turns are so small that swing and twist cannot be too large.
+    """Return whether rotations are too small to exceed swing and twist limits.
 
     Neither is larger than the turn itself. Most are, and the whole way is slow.
     """
@@ -239,7 +243,7 @@ def _well_within(limits: BallLimit, parts: list[FloatArray]) -> bool:
 
 
 def _drive(rig: RigSubject, control: Control, target: str) -> Location:
-    """Return the drive of a control that leads to a target, or the control."""
+    """Return the drive of a control that affects a target, or the control."""
     at = rig.at("controls", control.name)
     for k, drive in enumerate(control.drives):
         if f"{drive.target}.".startswith(target):
@@ -262,8 +266,8 @@ def _weights(rig: RigSubject, driven: set[str]) -> dict[str, FloatArray]:
     weights = {name: targets[f"shape/{name}"] for name in sorted(driven)}
     for shape in combination_order(rig.rig.shapes):
         if shape.combine and all(name in weights for name in shape.combine):
-            own = weights.get(shape.name, np.zeros(1))
-            weights[shape.name] = own + _product(shape, weights)
+            weight = weights.get(shape.name, np.zeros(1))
+            weights[shape.name] = weight + _product(shape, weights)
     return weights
 
 

@@ -1,4 +1,4 @@
-"""Drivers: what they come to over the whole of the ranges that they read."""
+"""Rules on drivers: values over the ranges of their inputs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WIDE, FAR = np.pi, 1.0
 
 
 def driven_beyond(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drivers that lead a joint beyond its limits (RIG223)."""
+    """Yield drivers that move a joint beyond its limits (RIG223)."""
     for joint in rig.rig.joints:
         if joint.driven is None or not isinstance(joint.limits, RangeLimit):
             continue
@@ -44,7 +44,7 @@ def driven_beyond(rig: RigSubject) -> Iterator[Fault]:
 
 
 def driven_undefined(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drivers without a value somewhere in what they read (RIG224)."""
+    """Yield drivers without a value for some inputs (RIG224)."""
     for key, kind, parts in (
         ("joints", "joint", rig.rig.joints),
         ("shapes", "shape", rig.rig.shapes),
@@ -77,22 +77,22 @@ def _values(rig: RigSubject, driver: Driver) -> FloatArray:
 
 
 def _ranges(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
-    """Return values of all that a driver reads: each over its range, then all."""
+    """Return sampled values of a driver's inputs: each over its range, then all."""
     random = np.random.default_rng(0)
     names = driver.names
-    found = {}
+    ranges = {}
     for i, name in enumerate(names):
         low, high = _range(rig.rig, name)
         rest = min(max(0.0, low), high)
         values = np.full(POSES + SAMPLES * len(names), rest)
         values[SAMPLES * i : SAMPLES * (i + 1)] = np.linspace(low, high, SAMPLES)
         values[SAMPLES * len(names) :] = random.uniform(low, high, POSES)
-        found[name] = values
-    return found
+        ranges[name] = values
+    return ranges
 
 
 def _range(rig: Rig, name: str) -> tuple[float, float]:
-    """Return how far something that drivers read goes [rad], [m], [1]."""
+    """Return the range of a driver input [rad], [m], [1]."""
     joint_name, part = split_coordinate(name)
     if not joint_name:
         control = next(one for one in rig.controls if one.name == name)

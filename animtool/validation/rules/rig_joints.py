@@ -1,4 +1,4 @@
-"""Joints of a rig: limits, the bind pose, left and right."""
+"""Rules on joints: limits, bind pose, left and right."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ACROSS = 0.1
 
 
 def rest_outside(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints whose limits leave their rest pose out (RIG201)."""
+    """Yield joints whose limits exclude their rest pose (RIG201)."""
     for joint in rig.rig.joints:
         at = (*rig.at("joints", joint.name), "limits")
         hint = "limits are relative to the rest pose, which is 0"
@@ -54,23 +54,23 @@ def rest_outside(rig: RigSubject) -> Iterator[Fault]:
 
 
 def motionless(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints that their limits leave no motion (RIG202)."""
+    """Yield joints whose limits allow no motion (RIG202)."""
     for joint in rig.rig.joints:
         match joint.limits:
             case RangeLimit(low, high):
-                still = high - low <= SLACK
+                locked = high - low <= SLACK
             case BallLimit(swing=(a, b), twist=(low, high)):
-                still = max(a, b, high - low) <= SLACK
+                locked = max(a, b, high - low) <= SLACK
             case _:
                 continue
-        if still and joint.name not in rig.mirrored:
+        if locked and joint.name not in rig.mirrored:
             at = (*rig.at("joints", joint.name), "limits")
             message = f"the {joint.type} joint {joint.name!r} cannot move"
             yield rig.fault("RIG202", at, message, "write type: fixed")
 
 
 def across(rig: RigSubject) -> Iterator[Fault]:
-    """Yield ball joints that twist across their bone (RIG203)."""
+    """Yield ball joints whose twist axis is across their bone (RIG203)."""
     for i, joint in enumerate(rig.rig.joints):
         limits = joint.limits
         bone = _bone(rig, i)
@@ -90,7 +90,7 @@ def across(rig: RigSubject) -> Iterator[Fault]:
 
 
 def follower(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints that the joint they follow leads beyond their limits (RIG205)."""
+    """Yield mimic joints that their source moves beyond their limits (RIG205)."""
     for joint in rig.rig.joints:
         if joint.mimic is None or not isinstance(joint.limits, RangeLimit):
             continue
@@ -113,7 +113,7 @@ def follower(rig: RigSubject) -> Iterator[Fault]:
 
 
 def shown(rig: RigSubject, joint: Joint, value: float) -> str:
-    """Return a coordinate of a joint in the rig's own unit."""
+    """Return a joint coordinate in the rig's unit."""
     if joint.type is JointType.PRISMATIC:
         unit = rig.rig.meters_per_unit
         return f"{value / unit:.4g} {unit_name(unit)}"
@@ -139,33 +139,33 @@ def _rounded(axis: FloatArray) -> str:
 # A bind pose that differs by less of the rig's size, and by a smaller angle, is a slip.
 SLIP = 1e-3
 SLIP_ANGLE = math.radians(0.5)
-# Characters are of such a size [m]; a unit that is wrong is wrong by 39 or more.
+# Plausible size of a character [m]; a wrong unit is off by a factor of 39 or more.
 LIKELY_METERS = (0.05, 30.0)
 # Fewer joints are a prop, of any size.
 MIN_JOINTS = 8
 
 
 def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
-    """Yield bind poses that are the rest pose but for a hair (RIG216)."""
+    """Yield bind poses that differ from rest only by rounding (RIG216)."""
     for name in rig.document.value.get("bind", {}):
         if name not in rig.rig.bind or not rig.size:
             continue
         pose, joint = rig.rig.bind[name], rig.rig.joints[rig.rig.index(name)]
         away = math.dist(pose.translation, joint.translation)
         rotations = np.array([pose.rotation]), np.array([joint.rotation])
-        turn = float(so3.angle_between(*rotations)[0])
+        angle = float(so3.angle_between(*rotations)[0])
         plain = pose.stretch is None
-        if plain and away <= SLIP * rig.size and turn <= SLIP_ANGLE:
+        if plain and away <= SLIP * rig.size and angle <= SLIP_ANGLE:
             message = (
                 f"the bind pose of {name!r} equals its rest pose except for "
-                f"{length_text(away)} and {math.degrees(turn):.3g}°"
+                f"{length_text(away)} and {math.degrees(angle):.3g}°"
             )
             hint = "remove it, or write the pose in which the skin was made"
             yield rig.fault("RIG216", ("bind", name), message, hint)
 
 
 def without_rest(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints that have a bind pose, and none at rest (RIG222)."""
+    """Yield joints that have a bind pose but no rest pose (RIG222)."""
     bind = rig.document.value.get("bind", {})
     if "from" in rig.document.value:
         return
@@ -173,8 +173,8 @@ def without_rest(rig: RigSubject) -> Iterator[Fault]:
         pose = bind.get(entry["name"], {})
         if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {*entry}:
             name, above = entry["name"], entry.get("parent")
-            place = f"where {above!r} is" if above else "at the origin"
-            message = f"{name!r} has a bind pose but no rest pose: it rests {place}"
+            location = f"where {above!r} is" if above else "at the origin"
+            message = f"{name!r} has a bind pose but no rest pose: it rests {location}"
             hint = f"translate: {pose['translate']} is its position in the bind pose"
             yield rig.fault("RIG222", ("joints", i), message, hint)
 
@@ -184,16 +184,15 @@ def implausible_size(rig: RigSubject) -> Iterator[Fault]:
     low, high = LIKELY_METERS
     if len(rig.rig.joints) < MIN_JOINTS or low <= rig.size <= high or not rig.size:
         return
-    own = rig.rig.meters_per_unit
+    unit_m = rig.rig.meters_per_unit
     fitting = [
         str(unit)
         for unit in LengthUnit
-        if low <= rig.size / own * unit.meters <= high and unit.meters != own
+        if low <= rig.size / unit_m * unit.meters <= high and unit.meters != unit_m
     ]
     at = ("units", "length") if "units" in rig.document.value else ("joints",)
-    message = (
-        f"the rig measures {length_text(rig.size)}, with lengths in {unit_name(own)}"
-    )
+    unit = unit_name(unit_m)
+    message = f"the rig measures {length_text(rig.size)}, with lengths in {unit}"
     hint = f"try length: {' or '.join(fitting)}" if fitting else None
     yield rig.fault("RIG217", at, message, hint)
 
@@ -204,12 +203,12 @@ SAME_POSITION = 1e-4
 SAME_LIMIT = 1e-6
 
 
-def other_place(rig: RigSubject) -> Iterator[Fault]:
-    """Yield bones of a pair that are no mirror images at rest (RIG212)."""
-    pairs, alike = _compared(rig)
-    if not _symmetric(alike):
+def other_position(rig: RigSubject) -> Iterator[Fault]:
+    """Yield paired bones that are not mirror images at rest (RIG212)."""
+    pairs, mirrored = _compared(rig)
+    if not _symmetric(mirrored):
         return
-    for (left, right), same in zip(pairs, alike.tolist(), strict=True):
+    for (left, right), same in zip(pairs, mirrored.tolist(), strict=True):
         if not same:
             at = (*rig.at("joints", right.name), "translate")
             message = f"{right.name!r} is not the mirror image of {left.name!r} at rest"
@@ -218,9 +217,9 @@ def other_place(rig: RigSubject) -> Iterator[Fault]:
 
 
 def other_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints of a pair with other types or limits (RIG213)."""
-    pairs, alike = _compared(rig)
-    if not _symmetric(alike):
+    """Yield paired joints with different types or limits (RIG213)."""
+    pairs, mirrored = _compared(rig)
+    if not _symmetric(mirrored):
         return
     for left, right in pairs:
         what = "limits"
@@ -240,11 +239,11 @@ def other_limits(rig: RigSubject) -> Iterator[Fault]:
 def _compared(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
     """Return the pairs of a rig, and which are mirror images."""
     pairs = _pairs(rig)
-    return pairs, _alike(rig, pairs)
+    return pairs, _mirrored(rig, pairs)
 
 
 def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
-    """Return joints and their counterparts that no mirror wrote."""
+    """Return joints and their counterparts that were written separately."""
     partners = pair_sides(rig.rig.names, rig.rig.parents).partners.tolist()
     return [
         (joint, rig.rig.joints[other])
@@ -253,8 +252,8 @@ def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
     ]
 
 
-def _alike(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
-    """Return whether pairs are mirror images ``(P,)``, in the plane that most are."""
+def _mirrored(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
+    """Return which pairs are mirror images in the most common plane ``(P,)``."""
     positions, _ = rig.rest
     parents = rig.rig.parents
     bones = positions - np.where(parents[:, None] < 0, 0.0, positions[parents])
@@ -267,16 +266,16 @@ def _alike(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
         across = np.ones(3)
         across[axis] = -1.0
         off = np.linalg.norm(left * across - right, axis=1)
-        alike = off <= SAME_POSITION * max(rig.size, SAME_POSITION)
+        mirrored = off <= SAME_POSITION * max(rig.size, SAME_POSITION)
         # Bones in the plane itself are alike in any.
-        if np.count_nonzero(alike) > np.count_nonzero(best):
-            best = alike
+        if np.count_nonzero(mirrored) > np.count_nonzero(best):
+            best = mirrored
     return best
 
 
-def _symmetric(alike: BoolArray) -> bool:
-    """Return whether a rig is meant to have two sides that are alike."""
-    return len(alike) > 1 and 2 * int(np.count_nonzero(alike)) >= len(alike)
+def _symmetric(mirrored: BoolArray) -> bool:
+    """Return whether a rig is meant to be symmetric."""
+    return len(mirrored) > 1 and 2 * int(np.count_nonzero(mirrored)) >= len(mirrored)
 
 
 def _same_limits(left: Joint, right: Joint) -> bool:
@@ -296,7 +295,7 @@ def _same_limits(left: Joint, right: Joint) -> bool:
 
 
 def _same_range(one: tuple[float, float], two: tuple[float, float]) -> bool:
-    """Return whether two ranges are the same, or the same the other way round."""
+    """Return whether two ranges are equal or mirrored."""
     return any(
         np.allclose(one, other, rtol=0, atol=SAME_LIMIT)
         for other in (two, (-two[1], -two[0]))

@@ -1,4 +1,4 @@
-"""Rules on meshes, skins, shapes and chains of rigs, and on names as USD has them."""
+"""Rules on meshes, skins, shapes and chains of rigs, and on names in USD."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ HINT = "the second gets a number there; rename one"
 
 
 def name_collisions(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
-    """Yield names of a rig, or of joints in a capture, that become one (RIG219)."""
+    """Yield names of a rig or a capture that are equal in USD (RIG219)."""
     if isinstance(subject, RigSubject):
         for key in GROUPS:
             for name, message in _collisions(names_in(subject, key)):
@@ -40,7 +40,7 @@ def name_collisions(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
 
 
 def not_in_usd(rig: RigSubject) -> Iterator[Fault]:
-    """Yield lists with names that are others in USD (RIG221)."""
+    """Yield lists with names that USD changes (RIG221)."""
     if "from" in rig.document.value:
         return
     for key in GROUPS:
@@ -62,7 +62,7 @@ def names_in(rig: RigSubject, key: str) -> list[str]:
 
 
 def _collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield each name that another before it becomes, and what to say of it."""
+    """Yield each name equal to an earlier one in USD, with text on it."""
     first: dict[str, str] = {}
     for name in names:
         shown = legal(name)
@@ -72,7 +72,7 @@ def _collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:
 
 
 def legal(name: str) -> str:
-    """Return a name with `_` for whatever cannot stand in the name of a prim."""
+    """Return a name with `_` for characters illegal in a prim name."""
     plain = re.sub(r"\W", "_", name)
     return f"_{plain}" if plain[:1].isdigit() else plain
 
@@ -110,7 +110,7 @@ def _acts(shape: Shape, archives: Archives) -> bool:
 
 
 def _skins(rig: RigSubject) -> Iterator[tuple[Mesh, FloatArray, Location]]:
-    """Yield meshes that have a skin, its weights ``(V, I)``, and where these are."""
+    """Yield skinned meshes, their weights ``(V, I)``, and their locations."""
     with Archives() as archives:
         for mesh in rig.rig.meshes:
             if mesh.skin is not None:
@@ -119,7 +119,7 @@ def _skins(rig: RigSubject) -> Iterator[tuple[Mesh, FloatArray, Location]]:
 
 
 def weight_sums(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skins whose weights are not summed to 1 (RIG210)."""
+    """Yield skins whose weights do not sum to 1 (RIG210)."""
     for mesh, weights, at in _skins(rig):
         off = np.abs(weights.sum(axis=1) - 1.0)
         wrong = np.flatnonzero(off > WEIGHT_SLACK)
@@ -135,7 +135,7 @@ def weight_sums(rig: RigSubject) -> Iterator[Fault]:
 
 
 def many_influences(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skins with more joints a point than engines take (RIG211)."""
+    """Yield skins with more influences per point than engines allow (RIG211)."""
     for mesh, weights, at in _skins(rig):
         counts = np.count_nonzero(weights, axis=1)
         wrong = np.flatnonzero(counts > MAX_INFLUENCES)
@@ -150,7 +150,7 @@ def many_influences(rig: RigSubject) -> Iterator[Fault]:
 
 
 def mesh_size(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skinned meshes of quite another size than the skeleton (RIG218)."""
+    """Yield skinned meshes whose size does not match the skeleton (RIG218)."""
     if len(rig.rig.joints) < MIN_JOINTS or not rig.size:
         return
     with Archives() as archives:
@@ -179,13 +179,13 @@ def _diagonal(mesh: Mesh, archives: Archives) -> float:
 
 
 # Limits narrower than this leave no bend to speak of [rad], [m].
-STILL = 1e-3
+FIXED_SPAN = 1e-3
 # Directions nearer than this are one; sin 0.6°.
 PARALLEL = 0.01
 
 
 def cannot_bend(rig: RigSubject) -> Iterator[Fault]:
-    """Yield chains of which only the root can move the tip (RIG214)."""
+    """Yield chains in which only the root can move the tip (RIG214)."""
     for chain in rig.rig.chains:
         joints = _joints(rig, chain)
         inner = joints[1:-1]
@@ -202,7 +202,7 @@ def cannot_bend(rig: RigSubject) -> Iterator[Fault]:
 
 
 def open_bend(rig: RigSubject) -> Iterator[Fault]:
-    """Yield chains that are straight at rest and may bend any way (RIG215)."""
+    """Yield chains that are straight at rest and can bend any way (RIG215)."""
     positions, rotations = rig.rest
     for chain in rig.rig.chains:
         joints = _joints(rig, chain)
@@ -242,7 +242,7 @@ def _joints(rig: RigSubject, chain: IkChain) -> list[int]:
 
 
 def _bends(rig: RigSubject, i: int, tip: int) -> bool:
-    """Return whether a joint can bring the tip nearer to what is above it."""
+    """Return whether a joint can bring the tip nearer to the chain's root."""
     joint = rig.rig.joints[i]
     if joint.type is JointType.FIXED:
         return False
@@ -251,18 +251,18 @@ def _bends(rig: RigSubject, i: int, tip: int) -> bool:
         case JointType.PRISMATIC, limits:
             return not isinstance(limits, RangeLimit) or _wide(limits)
         case JointType.PIN, limits:
-            still = isinstance(limits, RangeLimit) and not _wide(limits)
-            return not still and not _parallel(away, np.array(joint.axis))
+            is_fixed = isinstance(limits, RangeLimit) and not _wide(limits)
+            return not is_fixed and not _parallel(away, np.array(joint.axis))
         case JointType.BALL, BallLimit(swing=swing, twist=twist, twist_axis=axis):
-            twists = twist is None or twist[1] - twist[0] > STILL
-            swings = swing is None or max(swing) > STILL
+            twists = twist is None or twist[1] - twist[0] > FIXED_SPAN
+            swings = swing is None or max(swing) > FIXED_SPAN
             return swings or (twists and not _parallel(away, np.array(axis)))
         case _:
             return True
 
 
 def _to_tip(rig: RigSubject, i: int, tip: int) -> FloatArray:
-    """Return where the tip is at rest, in a joint's frame."""
+    """Return the tip position at rest, in a joint's frame."""
     positions, rotations = rig.rest
     away = positions[tip] - positions[i]
     return so3.rotate(so3.conjugate(rotations[i]), away)
@@ -274,7 +274,7 @@ def _parallel(vector: FloatArray, axis: FloatArray) -> bool:
 
 
 def _wide(limits: RangeLimit) -> bool:
-    return limits.high - limits.low > STILL
+    return limits.high - limits.low > FIXED_SPAN
 
 
 def _reason(joint: Joint) -> str:

@@ -1,4 +1,4 @@
-"""Scenes: passes, frames, props, variables and outputs."""
+"""Rules on scenes: passes, frames, props, variables and outputs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from animtool.validation.subjects.scene import SceneSubject
 
 
 def over_input(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that are inputs too (OUT003)."""
+    """Yield outputs that are also inputs (OUT003)."""
     scene = subject.scene
     read = {*subject.read, *scene.inputs, scene.path}
     for at, output in subject.outputs:
@@ -40,18 +40,18 @@ def over_input(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def over_other(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that another scene of the folder writes too (SCN204).
+    """Yield outputs that another scene of the folder also writes (SCN204).
 
     Takes of one library are not the same.
     """
-    own = subject.scene.path.resolve()
+    scene_path = subject.scene.path.resolve()
     written = [
         (at, (output.path.resolve(), _take(subject.scene.path, output.bake)))
         for at, output in subject.outputs
         if output.path is not None
     ]
-    for path in sorted(own.parent.iterdir()) if written else ():
-        if path == own or not is_named(path, "scene"):
+    for path in sorted(scene_path.parent.iterdir()) if written else ():
+        if path == scene_path or not is_named(path, "scene"):
             continue
         stat = path.stat()
         others = _outputs(path, stat.st_mtime_ns, stat.st_size)
@@ -63,13 +63,13 @@ def over_other(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def _take(scene: Path, bake: BakeOptions) -> str:
-    """Return the take of a library that is written; empty where it is a whole file."""
+    """Return the library take that is written; empty for a complete file."""
     return take_name(bake, scene) if bake.form == "library" else ""
 
 
 @lru_cache(maxsize=4096)
 def _outputs(path: Path, _changed: int, _size: int) -> tuple[tuple[Path, str], ...]:
-    """Return the files and takes a scene writes, once a scene and version of it."""
+    """Return the files and takes a scene writes, cached by scene version."""
     try:
         document = read_document(path)
         resolve_variables(document, model_for(document.value), {})
@@ -86,7 +86,7 @@ def _outputs(path: Path, _changed: int, _size: int) -> tuple[tuple[Path, str], .
 
 
 def _named_take(entry: dict[str, Any]) -> BakeOptions:
-    """Return of an entry of outputs what says whether it is a take, and which."""
+    """Return the take key and name of an output entry."""
     form, take = entry.get("as"), entry.get("take")
     return BakeOptions(
         form="library" if form == "library" else None,
@@ -95,7 +95,7 @@ def _named_take(entry: dict[str, Any]) -> BakeOptions:
 
 
 def homeless(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs whose folder is not there (SCN212)."""
+    """Yield outputs whose folder does not exist (SCN212)."""
     for at, output in subject.outputs:
         folder = None if output.path is None else output.path.parent
         if folder is None or folder.is_dir():
@@ -107,19 +107,19 @@ def homeless(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def refused(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield tolerances of joints that there are none of (SCN207)."""
+    """Yield tolerances of unknown joints (SCN207)."""
     for at, output in subject.outputs:
         bounds = dict(output.bake.reduce_at)
         try:
             joint_bounds(subject.take.rig, output.bake.reduce or 1.0, bounds)
         except OptionError as error:
-            place = (*at, "reduce_at")
+            pointer = (*at, "reduce_at")
             for fault in error.faults:
-                yield subject.fault("SCN207", place, fault.message, fault.hint)
+                yield subject.fault("SCN207", pointer, fault.message, fault.hint)
 
 
 def without_curves(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield curves that are to be kept, and that there are none of (SCN208)."""
+    """Yield curves to keep that do not exist (SCN208)."""
     for at, output in subject.outputs:
         if output.bake.keep_curves and not subject.curves:
             message = "there is no control whose curve could be kept"
@@ -134,8 +134,8 @@ NEAR_RATES = Fraction(1, 50)
 
 # What these come to is stated, not how: a take may have it already.
 _STATES = frozenset({"ik", "resample"})
-# Joints stay where they are in the world, whatever the table says.
-_IN_PLACE = frozenset({"root_motion"})
+# World positions of joints stay equal, despite the table.
+_KEEPS_POSE = frozenset({"root_motion"})
 
 
 def idle(subject: SceneSubject) -> Iterator[Fault]:
@@ -150,19 +150,19 @@ def idle(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def outside_take(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a range that reaches beyond what there is to write (SCN202)."""
+    """Yield a range that extends beyond the take (SCN202)."""
     yield from _outside(subject, "SCN202", "extends beyond the take", wholly=False)
 
 
 def without_frames(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a range in which there is nothing to write (SCN211)."""
+    """Yield a range without any frame to write (SCN211)."""
     yield from _outside(subject, "SCN211", "contains no frame of the take", wholly=True)
 
 
 def _outside(
     subject: SceneSubject, code: str, how: str, *, wholly: bool
 ) -> Iterator[Fault]:
-    """Yield a range that is outside the take, wholly or in part."""
+    """Yield a range that is completely or partly outside the take."""
     scene, clock = subject.scene, subject.take.clock
     frame_range, start = scene.bake.frame_range, _start(subject)
     if frame_range is None or start is None:
@@ -184,7 +184,7 @@ def _outside(
 
 
 def _start(subject: SceneSubject) -> Fraction | None:
-    """Return the first time code of the output; None where a rig layer decides."""
+    """Return the first output time code; None if a rig layer decides."""
     bake = subject.scene.bake
     if bake.start is not None or bake.rig_layer is not None:
         return bake.start
@@ -194,17 +194,17 @@ def _start(subject: SceneSubject) -> Fraction | None:
 
 
 def near_rate(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a rate that is nearly that of the take (SCN205)."""
-    given, own = subject.scene.bake.fps, subject.take.clock.rate
-    if given is None or given == own or abs(given - own) > NEAR_RATES * own:
+    """Yield a rate slightly different from the take's (SCN205)."""
+    output, source = subject.scene.bake.fps, subject.take.clock.rate
+    if output is None or output == source or abs(output - source) > NEAR_RATES * source:
         return
-    message = f"the output has {rate_label(given)}, but the take {rate_label(own)}"
+    message = f"the output has {rate_label(output)}, but the take {rate_label(source)}"
     hint = "remove fps; for a BVH with a wrong rate, set source.fps"
     yield subject.fault("SCN205", ("fps",), message, hint)
 
 
 def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield passes that change poses which `ik` has brought to targets (SCN210)."""
+    """Yield passes that change poses after `ik` reached its targets (SCN210)."""
     solved = ""
     for i, entry in enumerate(subject.scene.passes):
         if i in subject.solved:
@@ -218,23 +218,25 @@ def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def _moves(pass_: Pass) -> bool:
-    """Return whether a pass changes poses, and not only when they are."""
+    """Return whether a pass changes poses, not only their timing."""
     retimes = TakePart.CLOCK in pass_.changes
     return (
-        TakePart.JOINTS in pass_.changes and not retimes and pass_.name not in _IN_PLACE
+        TakePart.JOINTS in pass_.changes
+        and not retimes
+        and pass_.name not in _KEEPS_POSE
     )
 
 
 def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield things whose files have no frame of the take (SCN213)."""
+    """Yield props whose files have no frame of the take (SCN213)."""
     take = subject.take
     if take.motion.track_times is None:
         return
     times = take.motion.track_times.dense()[..., 0]
     indices = {prop.path: i for i, prop in enumerate(subject.scene.props)}
     for column, track in enumerate(take.tracks):
-        held = track.at(times[:, column]).held
-        if held is None or not held.all():
+        outside = track.at(times[:, column]).clamped
+        if outside is None or not outside.all():
             continue
         first, last = times[[0, -1], column]
         message = (
@@ -246,7 +248,7 @@ def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def idle_variables(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield variables that no text uses (SCN209)."""
+    """Yield unused variables (SCN209)."""
     for name in sorted(subject.scene.idle_variables):
         message = f"no text of the scene uses ${{{name}}}"
         yield subject.fault("SCN209", ("variables", name), message, "remove it")

@@ -1,4 +1,4 @@
-"""Rules on targets: what goals ask for, and whether effectors can reach it.
+"""Rules on targets: requested goals, and whether effectors can reach them.
 
 A targets file names no rig. These look at the scenes that name both.
 """
@@ -21,7 +21,7 @@ from animtool.documents.document import Document, Location, read_document
 from animtool.ik.file import targets_of_document
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import Keyed, Rows, Span, Still, Value
+from animtool.ik.values import ArrayRows, Constant, Keyed, Span, Value
 from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, rest_size
 from animtool.rig.limits import RangeLimit
@@ -36,21 +36,21 @@ MAX_PAIRS = 1000
 
 @dataclass(frozen=True, eq=False)
 class TargetsSubject(DocumentSubject):
-    """What is asked of a rig, and the file that says it."""
+    """A targets file and its rig."""
 
     targets: TargetTracks  # what it makes, of a rig that is not known
 
     def outside(
         self, goal: int, key: Location, message: str, first: float, last: float
     ) -> Fault:
-        """Return a fault of what lies outside the file's range (TGT201)."""
+        """Return a fault of keys outside the file's range (TGT201)."""
         message += f"; the range is {first:g} to {last:g}"
         hint = "widen the range, or remove it"
         return self.fault("TGT201", ("goals", goal, *key), message, hint)
 
 
 def open_targets(document: Document) -> CheckedFile:
-    """Return a targets file as its rules see it."""
+    """Return the subject of a targets file."""
     targets = targets_of_document(document, None)
     subject = TargetsSubject(document, targets)
     return CheckedFile(Kind.TARGETS, list(targets.notices), subject)
@@ -75,7 +75,7 @@ def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
 def _outside(
     goal: GoalTrack, first: float, last: float
 ) -> Iterator[tuple[str, Sequence[float], bool]]:
-    """Yield keys of a goal with times outside of frames: those of keys, or a span's."""
+    """Yield keys or spans of a goal outside a frame range."""
     for part, value in goal.values.items():
         if isinstance(value, Keyed):
             outside = beyond(value.channel, first, last)
@@ -88,13 +88,13 @@ def _outside(
 
 
 def twice(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield goals that ask the same of an effector as another (TGT202)."""
+    """Yield goals that request the same of an effector as another (TGT202)."""
     goals = subject.targets.goals
-    alike: dict[tuple[object, ...], list[int]] = {}
+    by_effector: dict[tuple[object, ...], list[int]] = {}
     for i, goal in enumerate(goals):
         effector = goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
-        alike.setdefault(effector, []).append(i)
-    pairs = [pair for group in alike.values() for pair in combinations(group, 2)]
+        by_effector.setdefault(effector, []).append(i)
+    pairs = [pair for group in by_effector.values() for pair in combinations(group, 2)]
     for first, i in sorted(pairs)[:MAX_PAIRS]:
         one, two = goals[first], goals[i]
         kinds = [kind for kind in one.goal.kinds if kind in two.goal.kinds]
@@ -108,13 +108,13 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
             message = (
                 f"targets another {listed(parts)} of {two.name!r} than the goal on "
             )
-            message += f"line {one.place[0]}: both are missed"
+            message += f"line {one.location[0]}: both are missed"
             hint = "remove one, give it another priority, or other frames: during"
         yield subject.fault("TGT202", ("goals", i, "effector"), message, hint)
 
 
 def _overlap(one: Sequence[Span], two: Sequence[Span]) -> bool:
-    """Return whether spans have frames in common; none are all frames."""
+    """Return whether spans have common frames; no spans are all frames."""
     if not one or not two:
         return True
     return any(a <= d and c <= b for a, b in one for c, d in two)
@@ -124,24 +124,24 @@ def _equal(
     one: Mapping[str, Value | None], two: Mapping[str, Value | None], part: str
 ) -> bool:
     match one[part], two[part]:
-        case Still(value=a), Still(value=b):
+        case Constant(value=a), Constant(value=b):
             return a == b
         case Keyed(channel=c), Keyed(channel=d):
             return np.array_equal(c.times, d.times) and np.array_equal(
                 c.values, d.values
             )
-        case Rows(values=e), Rows(values=f):
+        case ArrayRows(values=e), ArrayRows(values=f):
             return np.array_equal(e, f)
         case a, b:
             return a is None and b is None
 
 
 def weightless(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield parts of goals whose weight is 0 in all frames (TGT203)."""
+    """Yield goal parts whose weight is 0 in all frames (TGT203)."""
     for i, goal in enumerate(subject.targets.goals):
         for part, weight in goal.weights.items():
             match weight:
-                case Still(value=(0.0,)):
+                case Constant(value=(0.0,)):
                     pass
                 case Keyed(channel=channel) if not channel.values.any():
                     pass
@@ -155,7 +155,7 @@ def weightless(subject: TargetsSubject) -> Iterator[Fault]:
 
 
 def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield held spans in which nothing is asked (TGT204)."""
+    """Yield hold spans without an active goal (TGT204)."""
     for i, goal in enumerate(subject.targets.goals):
         for span in goal.spans:
             if not _overlap([span], goal.during):
@@ -175,7 +175,7 @@ FAR, LIKELY = 8.0, 2.0
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """Targets of a scene, over the frames of its take."""
+    """Targets of a scene, sampled over the frames of its take."""
 
     document: Document  # their file
     take: Take  # F frames
@@ -184,19 +184,19 @@ class _Asked:
     targets: Targets  # where the goals are
 
     def points(self, e: int) -> tuple[FloatArray, BoolArray]:
-        """Return where a goal's point is to be ``(F, 3)``, and when it is asked."""
+        """Return a goal's target points ``(F, 3)``, and its active frames."""
         weights = np.asarray(self.targets.weights)[:, e, 0]
         asked = (weights > 0) & (self.tracks.goals[e].goal.position > 0)
         return np.asarray(self.targets.positions)[:, e], np.asarray(asked)
 
     @property
     def unit(self) -> float:
-        """Of the lengths in the file [m]."""
-        given = self.document.value.get("units", {}).get("length")
-        return LengthUnit(given).meters if given else self.take.rig.meters_per_unit
+        """Length unit of the file [m]."""
+        unit = self.document.value.get("units", {}).get("length")
+        return LengthUnit(unit).meters if unit else self.take.rig.meters_per_unit
 
     def fault(self, code: str, e: int, key: str, message: str, hint: str) -> Fault:
-        """Return a fault of a goal, in the file of the targets."""
+        """Return a fault of a goal, in the targets file."""
         return self.document.fault(code, ("goals", e, key), message, hint)
 
 
@@ -212,7 +212,7 @@ def _all_asked(subject: SceneSubject) -> tuple[_Asked, ...]:
 
 
 def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield goals that no bend of the whole chain reaches (TGT205)."""
+    """Yield goals beyond the reach of the fully extended chain (TGT205)."""
     for asked in _all_asked(subject):
         rig, times = asked.take.rig, asked.take.clock.times
         moving = _moving(rig, asked.tracks.goals)
@@ -236,8 +236,8 @@ def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
             if len(frames) > 1:
                 message += f"; also in {len(frames)} frames in total"
             hint = "move it closer, or let joints above move: root, or goals for them"
-            found = asked.fault("TGT205", e, "position", message, hint)
-            yield replace(found, frame=float(times[worst]))
+            fault = asked.fault("TGT205", e, "position", message, hint)
+            yield replace(fault, frame=float(times[worst]))
 
 
 def _moving(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
@@ -253,7 +253,7 @@ def _moving(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
 
 
 def _chain(rig: Rig, goal: Goal, moving: frozenset[int]) -> list[int] | None:
-    """Return the joints from the topmost that moves to a goal's own.
+    """Return the joints from the topmost moving one to the effector.
 
     None where its length has no bound, or nothing moves.
     """
@@ -279,7 +279,7 @@ def _slides_freely(joint: Joint) -> bool:
 def _reach(
     rig: Rig, world: WorldTransforms, goal: Goal, chain: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where a chain hangs ``(F, 3)``, and how long it is at most ``(F,)``.
+    """Return a chain's root positions ``(F, 3)``, and its maximum length ``(F,)``.
 
     Straight, with every slide at its end: what limits of joints leave is less.
     """
@@ -298,14 +298,14 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
     """Yield targets whose points fit the rig in another unit (TGT206)."""
     for asked in _all_asked(subject):
         size = rest_size(asked.take.rig)
-        own = asked.unit
+        stated = asked.unit
         # Those whose points are numbers of the file, not a prim's.
-        still = [
+        positions = [
             e
             for e, track in enumerate(asked.tracks.goals)
-            if isinstance(track.values["position"], Still | Keyed | Rows)
+            if isinstance(track.values["position"], Constant | Keyed | ArrayRows)
         ]
-        points = [asked.points(e)[0][asked.points(e)[1]] for e in still]
+        points = [asked.points(e)[0][asked.points(e)[1]] for e in positions]
         cloud = np.concatenate(points) if points else np.zeros((0, 3))
         if not len(cloud):
             continue
@@ -315,20 +315,20 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
         fitting = [
             unit
             for unit in LengthUnit
-            if np.linalg.norm(cloud * (unit.meters / own) - root, axis=1).max()
+            if np.linalg.norm(cloud * (unit.meters / stated) - root, axis=1).max()
             <= LIKELY * size
         ]
         if fitting:
             message = (
-                f"the points are in {unit_name(own)}, and all are farther from the "
+                f"the points are in {unit_name(stated)}, and all are farther from the "
                 f"rig than {FAR:g} times its size"
             )
             hint = f"units: {{length: {fitting[0]}}} is more plausible"
-            yield asked.fault("TGT206", still[0], "position", message, hint)
+            yield asked.fault("TGT206", positions[0], "position", message, hint)
 
 
 def beyond_take(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield what targets ask in frames that the take has not (TGT207)."""
+    """Yield targets in frames outside the take (TGT207)."""
     for asked in _all_asked(subject):
         times = asked.take.clock.times
         first, last = float(times[0]), float(times[-1])

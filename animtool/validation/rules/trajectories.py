@@ -1,4 +1,4 @@
-"""Rules for files of markers: gaps, spikes, names and sizes."""
+"""Rules on marker files: gaps, spikes, names and sizes."""
 
 from __future__ import annotations
 
@@ -15,48 +15,48 @@ from animtool.core.errors import Fault, counted, listed, percent
 from animtool.validation.subjects.trajectories import MarkersSubject
 
 # Share of its frames that a marker may be missing from.
-MISSING_SHARE = 0.1
+MISSING_FRACTION = 0.1
 # Share of all points that may be without a label.
-UNLABELLED_SHARE = 0.1
+UNLABELLED_FRACTION = 0.1
 # How far apart the markers of a frame usually are [m]: more than any stage, and less
 # than a face. A person in a wrong unit is 10 or 1000 times as large or small.
 LARGEST, SMALLEST = 30.0, 0.03
 # Two markers are nearer in most frames than any that have a size [m].
 SAME = 1e-4
-SAME_SHARE = 0.5
+SAME_FRACTION = 0.5
 MAX_NAMED = 12
 # Frames whose distances between all markers are in memory at once.
 FRAMES_COMPARED = 64
 
 
 def gaps(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield the labelled markers that are missing from many frames (MKR201)."""
+    """Yield labelled markers missing from many frames (MKR201)."""
     markers = subject.markers
-    shares = 1.0 - markers.seen.mean(axis=0)
+    shares = 1.0 - markers.visible.mean(axis=0)
     often = [
-        f"{name} {percent(share)}"
-        for name, share in zip(markers.names, shares.tolist(), strict=True)
-        if not name.startswith("*") and MISSING_SHARE < share < 1.0
+        f"{name} {percent(fraction)}"
+        for name, fraction in zip(markers.names, shares.tolist(), strict=True)
+        if not name.startswith("*") and MISSING_FRACTION < fraction < 1.0
     ]
     if often:
         message = (
             f"{counted(len(often), 'marker')} missing from more than "
-            f"{percent(MISSING_SHARE)} of frames: {listed(often, MAX_NAMED)}"
+            f"{percent(MISSING_FRACTION)} of frames: {listed(often, MAX_NAMED)}"
         )
         hint = "animtool mocap fill fills gaps; a solve on a rig needs fewer markers"
         yield subject.fault("MKR201", message, hint)
 
 
 def spikes(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield the markers that are off for a few frames (MKR202)."""
-    found = find_spikes(subject.markers)
-    if found:
-        worst = max(found, key=lambda spike: spike.size)
+    """Yield markers with spikes of a few frames (MKR202)."""
+    outliers = find_spikes(subject.markers)
+    if outliers:
+        worst = max(outliers, key=lambda spike: spike.size)
         # Frames as the file numbers them.
         frame = int(subject.markers.clock.start) + worst.first
-        names = list(dict.fromkeys(spike.marker for spike in found))
+        names = list(dict.fromkeys(spike.marker for spike in outliers))
         message = (
-            f"{counted(len(found), 'spike')} of {listed(names, MAX_NAMED)}; the "
+            f"{counted(len(outliers), 'spike')} of {listed(names, MAX_NAMED)}; the "
             f"largest, {1000 * worst.size:.3g} mm, of {worst.marker} at frame {frame}"
         )
         hint = "animtool mocap fill removes them"
@@ -64,29 +64,29 @@ def spikes(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def unlabelled(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield that many points have no label (MKR203)."""
-    names, seen = subject.markers.names, subject.markers.seen
+    """Yield a fault if many points have no label (MKR203)."""
+    names, visible = subject.markers.names, subject.markers.visible
     nameless = np.array([name.startswith("*") for name in names], np.bool_)
-    total = int(seen.sum())
-    share = float(seen[:, nameless].sum()) / total if total else 0.0
-    if share > UNLABELLED_SHARE:
-        message = f"{percent(share)} of all points have no label"
+    total = int(visible.sum())
+    fraction = float(visible[:, nameless].sum()) / total if total else 0.0
+    if fraction > UNLABELLED_FRACTION:
+        message = f"{percent(fraction)} of all points have no label"
         hint = "animtool mocap label names them"
         yield subject.fault("MKR203", message, hint)
 
 
 def sizes(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield that markers are too far apart or too near (MKR204)."""
-    extents = _extents(subject.markers.positions, subject.markers.seen)
+    """Yield a fault if markers are too far apart or too close (MKR204)."""
+    extents = _extents(subject.markers.positions, subject.markers.visible)
     if not len(extents):
         return
-    usual = float(np.median(extents))
-    if usual > LARGEST:
+    median = float(np.median(extents))
+    if median > LARGEST:
         message = (
-            f"markers of a frame are {usual:.3g} m apart: too far for a capture volume"
+            f"markers of a frame are {median:.3g} m apart: too far for a capture volume"
         )
-    elif usual < SMALLEST:
-        message = f"markers of a frame are {1000 * usual:.3g} mm apart: too close"
+    elif median < SMALLEST:
+        message = f"markers of a frame are {1000 * median:.3g} mm apart: too close"
     else:
         return
     yield subject.fault(
@@ -94,9 +94,9 @@ def sizes(subject: MarkersSubject) -> Iterator[Fault]:
     )
 
 
-def _extents(positions: FloatArray, seen: BoolArray) -> FloatArray:
-    """Return the diagonals of the boxes around frames with three points or more."""
-    several = seen.sum(axis=1) >= 3
+def _extents(positions: FloatArray, visible: BoolArray) -> FloatArray:
+    """Return the bounds diagonals of frames with three points or more."""
+    several = visible.sum(axis=1) >= 3
     if not several.any():
         return np.zeros(0)
     with warnings.catch_warnings():
@@ -107,7 +107,7 @@ def _extents(positions: FloatArray, seen: BoolArray) -> FloatArray:
 
 
 def same_points(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield the markers that are in one place in most frames (MKR205)."""
+    """Yield markers at equal positions in most frames (MKR205)."""
     markers = subject.markers
     labelled = [i for i, name in enumerate(markers.names) if not name.startswith("*")]
     count = len(labelled)
@@ -123,7 +123,7 @@ def same_points(subject: MarkersSubject) -> Iterator[Fault]:
                 along = part[..., axis]
                 near &= np.abs(along[:, :, None] - along[:, None, :]) < SAME
         together += near.sum(axis=0)
-    pairs = np.argwhere(np.triu((together > SAME_SHARE * both) & (both > 0), 1))
+    pairs = np.argwhere(np.triu((together > SAME_FRACTION * both) & (both > 0), 1))
     if len(pairs):
         names = [markers.names[i] for i in labelled]
         shown = [f"{names[a]} and {names[b]}" for a, b in pairs.tolist()]
@@ -133,9 +133,9 @@ def same_points(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def unseen(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield the markers that no frame has (MKR206)."""
+    """Yield markers without any frame (MKR206)."""
     markers = subject.markers
-    counts = markers.seen.sum(axis=0).tolist()
+    counts = markers.visible.sum(axis=0).tolist()
     never = [
         name
         for name, count in zip(markers.names, counts, strict=True)

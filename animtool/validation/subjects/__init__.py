@@ -1,1 +1,1 @@
-"""What rules look at: a file of each kind, checked once."""
+"""Subjects of rules: one type per kind of file."""

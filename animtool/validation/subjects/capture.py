@@ -1,4 +1,4 @@
-"""BVH and USD files as their rules see them: a take."""
+"""BVH and USD files as subjects: a take."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class TakeSubject:
-    """A take, and the file that it was read from."""
+    """A take and its file."""
 
     path: Path  # the file
     take: Take  # all of it
@@ -31,19 +31,19 @@ class TakeSubject:
     def fault_at(
         self, code: str, joint: str, frame: float | None, message: str, hint: str
     ) -> Fault:
-        """Return a fault of a joint at a frame; of the whole take at its root."""
+        """Return a fault of a joint at a frame; of the take at its root."""
         del frame
         return self.fault(code, joint or self.take.rig.names[0], message, hint)
 
     def fault(self, code: str, joint: str, message: str, hint: str) -> Fault:
-        """Return a fault of a joint, in the line that begins it."""
+        """Return a fault of a joint, at the line that declares it."""
         line = self._lines.get(joint)
         lines = () if line is None else (line,)
         return Fault(code, message, str(self.path), lines, hint, where=joint)
 
     @cached_property
     def _lines(self) -> dict[str, int]:
-        """Where joints begin, by name; those that the reader gave theirs have none."""
+        """Lines that declare joints, by name; none for generated names."""
         lines: dict[str, int] = {}
         raw = open_input(self.path, None)
         with TextIOWrapper(BufferedReader(raw), "utf-8", "replace") as file:
@@ -57,7 +57,7 @@ class TakeSubject:
 
 
 def open_bvh(path: Path) -> CheckedFile:
-    """Return a BVH as its rules see it, every row read."""
+    """Return the subject of a BVH file, every row read."""
     take = open_source(path).collect()
     faults = [f if f.path else replace(f, path=str(path)) for f in take.notices]
     subject = TakeSubject(path, take)
@@ -66,12 +66,12 @@ def open_bvh(path: Path) -> CheckedFile:
 
 
 def open_livelink(path: Path) -> CheckedFile:
-    """Return what is wrong with a face recording."""
+    """Return the faults of a face recording."""
     return _read(Kind.LIVELINK, path)[0]
 
 
 def open_take(path: Path) -> CheckedFile:
-    """Return a take of a format that has no rules of its own: those of takes are."""
+    """Return a take of a format without format rules; motion rules apply."""
     checked, stream, take = _read(Kind.TAKE, path)
 
     def fault_at(
@@ -92,7 +92,7 @@ def _read(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:
 
 
 def open_usd(path: Path) -> CheckedFile:
-    """Return what is wrong with a USD layer and what it brings in, and its takes."""
+    """Return the faults of a USD layer and its dependencies, and its takes."""
     from animtool.usd.checks import inspect_layer
 
     layer = inspect_layer(path)
@@ -102,7 +102,7 @@ def open_usd(path: Path) -> CheckedFile:
 
 
 def _subject(path: Path, take: AnimationTake) -> MotionSubject:
-    """Return a take of a layer; its faults are at its prim."""
+    """Return a take of a layer; its faults are located at its prim."""
 
     def fault_at(
         code: str, joint: str, frame: float | None, message: str, hint: str

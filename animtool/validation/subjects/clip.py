@@ -1,4 +1,4 @@
-"""A clip file as its rules see it."""
+"""Clip files as subjects."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 @dataclass(frozen=True, eq=False)
 class ClipSubject(DocumentSubject):
-    """A clip, its rig, and the file that says it."""
+    """A clip, its rig, and its file."""
 
     clip: Clip  # what it makes
     rig: Rig  # what it moves
@@ -46,7 +46,7 @@ class ClipSubject(DocumentSubject):
         return [float(time) for time in self.take.clock.times]
 
     def at(self, joint: str, frame: float) -> Location:
-        """Return the key of a joint's first channel before a frame.
+        """Return the previous key of a joint's first channel at a frame.
 
         Where it has no channel, the list of them.
         """
@@ -58,14 +58,14 @@ class ClipSubject(DocumentSubject):
     def fault_at(
         self, code: str, joint: str, frame: float | None, message: str, hint: str
     ) -> Fault:
-        """Return a fault of a joint at a frame, at the key that it follows."""
+        """Return a fault of a joint at a frame, located at its previous key."""
         known = joint and frame is not None
-        place = self.at(joint, frame or 0.0) if known else ("channels",)
-        return self.fault(code, place, message, hint)
+        pointer = self.at(joint, frame or 0.0) if known else ("channels",)
+        return self.fault(code, pointer, message, hint)
 
     @cached_property
     def cuts(self) -> BoolArray:
-        """From which frames to the next a step is keyed ``(F - 1,)``."""
+        """Steps between frames that are keyed as steps ``(F - 1,)``."""
         frames = np.array(self.frames)
         cuts = np.zeros(len(frames) - 1, bool)
         for channel in self.clip.channels:
@@ -76,14 +76,14 @@ class ClipSubject(DocumentSubject):
         return cuts
 
     def key(self, channel: int, frame: float) -> Location:
-        """Return the last key of a channel that is not behind a frame, or its first."""
+        """Return a channel's last key up to a frame, or its first key."""
         times = self.clip.channels[channel].times
         k = max(int(np.searchsorted(times, frame, "right")) - 1, 0)
         return ("channels", channel, "keys", k)
 
 
 def open_clip_document(document: Document) -> CheckedFile:
-    """Return a clip file as its rules see it, on the rig that it names.
+    """Return the subject of a clip file, on the rig that it names.
 
     Where it names none, what can be told without is checked, and that is noted.
     """
@@ -111,7 +111,7 @@ def open_clip_document(document: Document) -> CheckedFile:
 def _placed(
     path: Path, sample: Callable[[], Take], checked: CheckedFile
 ) -> Take | None:
-    """Return a clip's take; where it has none, its faults have the file's name."""
+    """Return a clip's take; faults without location get the file's name."""
     try:
         return sample()
     except AnimtoolError as error:

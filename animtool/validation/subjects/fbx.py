@@ -1,4 +1,4 @@
-"""FBX files as their rules see them: what is wrong with them, and a take each."""
+"""FBX files as subjects: reader faults, and one subject per take."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from animtool.validation.subjects.subject import CheckedFile
 
 
 def open_fbx(path: Path) -> CheckedFile:
-    """Return what is wrong with an FBX, and a take of each take of each character."""
+    """Return the faults of an FBX file, and the takes of its characters."""
     note_input(path)
     scene = open_scene(path)
     faults: list[Fault] = []
     takes: list[MotionSubject] = []
     if scene.nodes:
         for character in characters(scene):
-            made = build_rig(scene, character, scene.path.stem)
-            faults += made.notices
-            takes += _takes(scene, made, faults)
+            built = build_rig(scene, character, scene.path.stem)
+            faults += built.notices
+            takes += _takes(scene, built, faults)
     notices = [*scene.file.notes.notices, *faults]
     return CheckedFile(Kind.FBX, notices, takes=tuple(takes))
 
 
-def _takes(scene: FbxScene, made: FbxRig, faults: list[Fault]) -> list[MotionSubject]:
-    found = []
+def _takes(scene: FbxScene, built: FbxRig, faults: list[Fault]) -> list[MotionSubject]:
+    subjects = []
     for take in scene.takes:
-        if not moves(made, take, scene):
+        if not moves(built, take, scene):
             continue
-        moving = FbxSampler(scene, made, take)
+        moving = FbxSampler(scene, built, take)
         try:
             frames = frames_of(scene, take, None, moving.numbers)
         except AnimtoolError as error:
             faults += error.faults
             continue
-        whole = take_stream(made, moving, frames).collect()
-        found.append(clip_subject(scene.path, made.rig, whole, take.where))
-    return found
+        take_data = take_stream(built, moving, frames).collect()
+        subjects.append(clip_subject(scene.path, built.rig, take_data, take.where))
+    return subjects

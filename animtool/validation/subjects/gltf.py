@@ -1,4 +1,4 @@
-"""glTF files as their rules see them: what is wrong with them, and a take a clip."""
+"""glTF files as subjects: reader faults, and one subject per clip."""
 
 from __future__ import annotations
 
@@ -28,44 +28,44 @@ from animtool.rig.skeleton import Rig
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.subjects.subject import CheckedFile
 
-# A clip has samples where its keys are a frame apart, nearly [frame].
+# Keys with this spacing are samples [frame].
 SAMPLED = 0.25
 
 
 def open_gltf(path: Path) -> CheckedFile:
-    """Return what is wrong with a glTF, and a take of each clip of each character."""
+    """Return the faults of a glTF file, and the clips of its characters."""
     note_input(path)
     gltf = open_document(path)
     faults: list[Fault] = []
     takes: list[MotionSubject] = []
     if gltf.nodes:
         for character in characters(gltf):
-            made = _made(gltf, character, faults)
-            takes += _takes(gltf, made, faults)
+            built = _built(gltf, character, faults)
+            takes += _takes(gltf, built, faults)
     return CheckedFile(Kind.GLTF, [*gltf.notes.notices, *faults], takes=tuple(takes))
 
 
-def _made(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> GltfRig:
-    made = build_rig(gltf, character, gltf.path.stem)
-    faults += made.notices
-    return made
+def _built(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> GltfRig:
+    built = build_rig(gltf, character, gltf.path.stem)
+    faults += built.notices
+    return built
 
 
-def _takes(gltf: Gltf, made: GltfRig, faults: list[Fault]) -> list[MotionSubject]:
-    found = []
+def _takes(gltf: Gltf, built: GltfRig, faults: list[Fault]) -> list[MotionSubject]:
+    subjects = []
     for animation in gltf.animations:
-        if not moves(made, animation):
+        if not moves(built, animation):
             continue
-        moving = sampler(gltf, made, animation)
+        moving = sampler(gltf, built, animation)
         try:
             frames = frames_of(animation, None, str(gltf.path), moving.numbers)
         except AnimtoolError as error:
             faults += error.faults
             continue
-        take = clip_stream(made, moving, frames).collect()
-        subject = clip_subject(gltf.path, made.rig, take, animation.where)
-        found.append(_at_keys(subject, moving, animation, frames))
-    return found
+        take = clip_stream(built, moving, frames).collect()
+        subject = clip_subject(gltf.path, built.rig, take, animation.where)
+        subjects.append(_at_keys(subject, moving, animation, frames))
+    return subjects
 
 
 def _at_keys(
@@ -81,8 +81,8 @@ def _at_keys(
     take, clock = subject.take, subject.take.clock
     seconds = key_times(animation)
     codes = key_frames(seconds, frames)
-    whole = np.round(codes)
-    codes = np.where(np.abs(codes - whole) <= ON_FRAME, whole, codes)
+    nearest = np.round(codes)
+    codes = np.where(np.abs(codes - nearest) <= ON_FRAME, nearest, codes)
     last = float(clock.times[-1])
     range_ = (float(min(clock.start, frames.start)), last)
     if len(codes) > 1 and abs(float(np.median(np.diff(codes))) - 1.0) <= SAMPLED:
@@ -100,7 +100,7 @@ def _at_keys(
 
 
 def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
-    """Return a clip as the motion rules see it; its faults are at its place."""
+    """Return a clip as a motion subject; faults are located at the clip."""
 
     def fault_at(
         code: str, joint: str, frame: float | None, message: str, hint: str
@@ -120,20 +120,20 @@ def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
 
 
 def _influencing(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
-    """Return the joints that move points, and those of no skin, which are to move none.
+    """Return the joints that influence points, and all joints outside skins.
 
     Joints above one that moves points move them too.
     """
-    found = set(rig.names) - {name for skin in skins for name in skin.joints}
+    names = set(rig.names) - {name for skin in skins for name in skin.joints}
     for skin in skins:
         used = np.unique(skin.indices.load()[skin.weights.load() > 0]).astype(int)
         for name in (skin.joints[k] for k in used.tolist()):
-            found.update(rig.names[j] for j in rig.upwards(rig.index(name)))
-    return frozenset(found)
+            names.update(rig.names[j] for j in rig.upwards(rig.index(name)))
+    return frozenset(names)
 
 
 def _bound(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:
-    """Return where the joints were when they were bound ``(J, 3)`` [m].
+    """Return the bind positions of the joints ``(J, 3)`` [m].
 
     A glTF does not say where the mesh was then: the topmost joint that is bound is
     where it is at rest. Joints that are not bound are at rest; None without any bound.

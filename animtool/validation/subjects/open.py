@@ -1,4 +1,4 @@
-"""Opening a file as what rules look at, by its kind."""
+"""Opens files as subjects, by kind."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 def open_batch(document: Document) -> CheckedFile:
-    """Return what a batch file asks for."""
+    """Return the subject of a batch file."""
     from animtool.batch.discover import unmatched_inputs
     from animtool.batch.file import batch_of_document
 
@@ -50,11 +50,11 @@ def open_batch(document: Document) -> CheckedFile:
 
 
 def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
-    """Return what batch files among some files give scenes, by path of the scene.
+    """Return variables that batch files give scenes, by scene path.
 
     What is wrong with a batch is reported for the batch alone.
     """
-    found: dict[Path, SceneValues] = {}
+    by_scene: dict[Path, SceneValues] = {}
     for path in paths:
         if not is_named(path, "batch"):
             continue
@@ -62,16 +62,16 @@ def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
         from animtool.batch.file import load_batch
 
         try:
-            given = scene_values(load_batch(path))
+            values_of_scenes = scene_values(load_batch(path))
         except AnimtoolError:
             continue
-        for scene, values in given.items():
-            found.setdefault(scene.resolve(), values)
-    return found
+        for scene, values in values_of_scenes.items():
+            by_scene.setdefault(scene.resolve(), values)
+    return by_scene
 
 
 def open_map(document: Document) -> CheckedFile:
-    """Return a map file; which skeletons it is for, it does not say."""
+    """Return the subject of a map file; its skeletons are unknown."""
     from animtool.retarget.file import map_of_document  # loads the kernels
 
     return CheckedFile(Kind.MAP, [], map_of_document(document))
@@ -92,7 +92,7 @@ def open_markers(document: Document) -> CheckedFile:
 
 
 def open_landmarks(document: Document) -> CheckedFile:
-    """Return a landmarks file, on its rig where it names one."""
+    """Return a landmarks file, checked against its rig if it names one."""
     from animtool.capture.face.file import face_model, landmarks_of_document
 
     file = landmarks_of_document(document)
@@ -102,14 +102,14 @@ def open_landmarks(document: Document) -> CheckedFile:
 
 
 def open_remap(document: Document) -> CheckedFile:
-    """Return a remap file; which faces it is for, it does not say."""
+    """Return the subject of a remap file; its faces are unknown."""
     from animtool.rig.remap import remap_of_document
 
     return CheckedFile(Kind.REMAP, [], remap_of_document(document))
 
 
 def open_cameras(document: Document) -> CheckedFile:
-    """Return a camera file."""
+    """Return the subject of a camera file."""
     from animtool.capture.cameras.file import cameras_of_document
 
     return CheckedFile(Kind.CAMERAS, [], cameras_of_document(document))
@@ -168,8 +168,8 @@ _READ_AS = {
 }
 
 
-def open_file(path: Path, given: SceneValues | None = None) -> CheckedFile:
-    """Return a file as rules look at it, with every fault of its reader.
+def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
+    """Return the subject of a file, with every reader fault.
 
     ``given`` are values of variables, of a scene.
     """
@@ -186,14 +186,14 @@ def open_file(path: Path, given: SceneValues | None = None) -> CheckedFile:
         hint = f"supported: {', '.join(readable_suffixes())}"
         message = "is not a kind of file that is checked"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
-    return open_document(read_document(path), given)
+    return open_document(read_document(path), values)
 
 
-def open_document(document: Document, given: SceneValues | None = None) -> CheckedFile:
-    """Return a file that a person wrote as rules look at it, as `open_file` does."""
+def open_document(document: Document, values: SceneValues | None = None) -> CheckedFile:
+    """Return the subject of a text document, like `open_file`."""
     kind = Kind(version_of(document, STEPS)[0])
-    if kind is Kind.SCENE and given is not None:
-        checked = _open(kind, document, given)
+    if kind is Kind.SCENE and values is not None:
+        checked = _open(kind, document, values)
     else:
         checked = _open(kind, document)
     checked.document = document

@@ -1,4 +1,4 @@
-"""Robot files as their rules see them: what their readers find."""
+"""Robot files as subjects: reader faults."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from animtool.validation.subjects.subject import CheckedFile
 
 
 def open_urdf(path: Path) -> CheckedFile:
-    """Return what is wrong with a URDF."""
+    """Return the faults of a URDF file."""
     return _open(Kind.URDF, path)
 
 
 def open_mjcf(path: Path) -> CheckedFile:
-    """Return what is wrong with an MJCF."""
+    """Return the faults of an MJCF file."""
     return _open(Kind.MJCF, path)
 
 

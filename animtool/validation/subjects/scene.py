@@ -1,4 +1,4 @@
-"""A scene file as its rules see it."""
+"""Scene files as subjects."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ REFUSED, OF_OPTIONS = "SCN207", {"CLI002", "CLI004"}
 
 @dataclass(frozen=True, eq=False)
 class SceneSubject(DocumentSubject):
-    """A scene, and what comes of its source and passes."""
+    """A scene with its source and the result of its passes."""
 
     scene: Scene  # what the file makes
     take: Take  # its source with all passes done
@@ -47,22 +47,22 @@ class SceneSubject(DocumentSubject):
 
     @cached_property
     def asked(self) -> list[tuple[Take, TargetTracks]]:
-        """Takes that are solved, with their rigs, and what is asked of them."""
+        """Takes of IK passes, with their rigs and sampled targets."""
         folder = self.scene.path.resolve().parent
         takes = []
-        for i, given in self.solved.items():
-            take, tracks = asked_of(given, self.scene.passes[i].options, folder)
+        for i, solved in self.solved.items():
+            take, tracks = asked_of(solved, self.scene.passes[i].options, folder)
             takes.append((take, tracks.placed(take.clock)))
         return takes
 
     @property
     def targets(self) -> set[str]:
-        """The targets files that its passes name, as their faults have them."""
+        """The targets files of its passes, as named in faults."""
         return {str(tracks.path) for _, tracks in self.asked}
 
     @cached_property
     def outputs(self) -> list[tuple[Location, SceneOutput]]:
-        """What is written, and where the file says it."""
+        """Output files, and their locations in the scene file."""
         several = isinstance(self.document.value.get("output"), list)
         return [
             (("output", i) if several else ("output",), output)
@@ -70,16 +70,18 @@ class SceneSubject(DocumentSubject):
         ]
 
     def at_pass(self, i: int) -> Location:
-        """Return where a pass stands."""
+        """Return the location of a pass."""
         return ("passes", i, self.scene.passes[i].pass_.name)
 
 
-def open_scene(document: Document, given: SceneValues | None = None) -> CheckedFile:
-    """Return a scene file as its rules see it; its source is read, its passes done.
+def open_scene(
+    document: Document, batch_values: SceneValues | None = None
+) -> CheckedFile:
+    """Return the subject of a scene file; reads its source and runs its passes.
 
     ``given`` are values of its variables that a batch gives.
     """
-    values = SceneValues() if given is None else given
+    values = SceneValues() if batch_values is None else batch_values
     scene = scene_of_document(document, values.values, parts=values.parts)
     path = str(document.path)
     checked = CheckedFile(Kind.SCENE)
@@ -103,7 +105,7 @@ def open_scene(document: Document, given: SceneValues | None = None) -> CheckedF
 
 
 def _refused(scene: Scene, take: Take | None) -> list[Fault]:
-    """Return what a bake would refuse, and what is odd about how systems begin."""
+    """Return the errors of a bake, and warnings about initial states of systems."""
     from animtool.scene.bake.outline import outlined  # loads USD
     from animtool.scene.bake.plan import refusals
 
@@ -115,15 +117,15 @@ def _refused(scene: Scene, take: Take | None) -> list[Fault]:
 
 
 def _simulated(scene: Scene, take: Take | None) -> list[Fault]:
-    """Return what keeps systems from beginning, and what is odd about how they do."""
+    """Return errors and warnings of initializing the systems."""
     if not scene.systems:
         return []
     from animtool.scene.systems.run import SystemRun  # loads USD
 
-    own = None if take is None else motion_of(scene.path, take)
+    motion = None if take is None else motion_of(scene.path, take)
     rig = None if take is None else take.rig
     try:
-        run = SystemRun(scene.systems, _seconds(scene, take), own, main_rig=rig)
+        run = SystemRun(scene.systems, _seconds(scene, take), motion, main_rig=rig)
     except AnimtoolError as error:
         return list(error.faults)
     # Notes are of how it will be simulated.
@@ -131,7 +133,7 @@ def _simulated(scene: Scene, take: Take | None) -> list[Fault]:
 
 
 def _seconds(scene: Scene, take: Take | None) -> float:
-    """Return how long systems are simulated [s]."""
+    """Return the duration of the simulation [s]."""
     if take is not None:
         return float(take.clock.duration)
     from animtool.scene.systems.bake import FPS
@@ -143,7 +145,7 @@ def _seconds(scene: Scene, take: Take | None) -> float:
 
 
 def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
-    """Return a scene with what its passes do, and what is noticed on the way."""
+    """Return a scene with its passes run, and their notices."""
     idle: list[int] = []
     solved: dict[int, Take] = {}
     with recorded_inputs() as inputs:
@@ -153,7 +155,7 @@ def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]
             after, stream = step
             if isinstance(scene.passes[i].options, IkPassOptions):
                 solved[i] = take
-            if _alike(take, after):
+            if _equal_sources(take, after):
                 idle.append(i)
             take = after
     subject = SceneSubject(
@@ -169,8 +171,8 @@ def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]
     return subject, stream.notices
 
 
-def _alike(before: Take, after: Take) -> bool:
-    """Return whether a pass left a take as it was."""
+def _equal_sources(before: Take, after: Take) -> bool:
+    """Return whether a pass left a take unchanged."""
     if before.clock != after.clock or before.rig.names != after.rig.names:
         return False
     parts = [f.name for f in fields(Motion) if f.name != "points"]

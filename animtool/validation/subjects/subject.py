@@ -1,4 +1,4 @@
-"""Files as the rules see them, and what reading them found."""
+"""Base types of subjects, and reader findings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class CheckedFile:
-    """A file that was read, as far as that went."""
+    """A file that was read as far as possible."""
 
     kind: Kind  # what it is
     # What its reader refused and noticed.
@@ -32,12 +32,12 @@ class CheckedFile:
 
 @dataclass(frozen=True, eq=False)
 class DocumentSubject:
-    """What a file says, and where."""
+    """Content of a document, with locations."""
 
     document: Document  # the file
 
     def fault(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> Fault:
-        """Return a fault at a place of the file, or the nearest around it."""
+        """Return a fault at a location of the file, or the nearest parent."""
         return self.document.fault(code, location, message, hint)

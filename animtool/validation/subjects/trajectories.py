@@ -1,4 +1,4 @@
-"""Files of markers and of joint coordinates as their rules see them."""
+"""Marker and joint coordinate files as subjects."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.validation.subjects.subject import CheckedFile
 
 @dataclass(frozen=True, eq=False)
 class MarkersSubject:
-    """Markers, and the file that they were read from."""
+    """Markers and their file."""
 
     path: Path  # the file
     markers: Markers  # all of it
@@ -22,12 +22,12 @@ class MarkersSubject:
     def fault(
         self, code: str, message: str, hint: str | None = None, where: str | None = None
     ) -> Fault:
-        """Return a fault of the file, or of a marker of it."""
+        """Return a fault of the file, or of a marker."""
         return Fault(code, message, str(self.path), (), hint, where=where)
 
 
 def open_trajectories(path: Path) -> CheckedFile:
-    """Return a C3D, TRC or npz file of markers, every frame read."""
+    """Return the subject of a C3D, TRC or npz marker file, every frame read."""
     from animtool.formats.marker_files import open_markers
 
     markers = open_markers(path)
@@ -36,7 +36,7 @@ def open_trajectories(path: Path) -> CheckedFile:
 
 
 def open_coordinates(path: Path) -> CheckedFile:
-    """Return what is wrong with a MOT or STO file, which may hold markers."""
+    """Return the faults of a MOT or STO file, which may contain markers."""
     from animtool.formats.marker_files import is_marker_file
     from animtool.scene.sources.open import open_source
 

@@ -11,7 +11,7 @@ import numpy as np
 from clock import timed
 
 from animtool.sim.colliders import Colliders, Poses
-from animtool.systems.crowds.crowd import Crowd
+from animtool.systems.crowds.building import build
 from animtool.systems.crowds.spec import CrowdsModel
 
 
@@ -63,7 +63,7 @@ def main(source: str, runs: str, output: str, headway: str = "") -> None:
             parts=parts,
             budget=None,
         )
-        crowd = Crowd(CrowdsModel.model_validate(entry), context)
+        crowd = build(CrowdsModel.model_validate(entry), context)
         state = crowd.initial()
         track[0] = state.points
         for k in range(int(steps)):

@@ -61,7 +61,7 @@ def main(scene: str, runs: str, output: str) -> None:
         layer = Sdf.Layer.CreateNew(output + "/whole.usdc")
         layer.Clear()
         types = Sdf.ValueTypeNames
-        turns = np.stack([frame.turns[0] for frame in frames]).astype(np.float32)
+        turns = np.stack([frame.rotations[0] for frame in frames]).astype(np.float32)
         for i in range(len(frames[0].ids)):
             spec = Sdf.CreatePrimInLayer(layer, f"/agent_{i}")
             poses, place, heading = (

@@ -12,7 +12,7 @@ import numpy as np
 from clock import timed
 
 from animtool.sim.colliders import Box, Collider, Colliders, Poses
-from animtool.systems.fluid.fluid import Fluid
+from animtool.systems.fluid.fluid import build
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.particles.forces.table import find_force
 
@@ -45,7 +45,7 @@ def main(source: str, runs: str, output: str) -> None:
     parted = [0]
 
     def work() -> None:
-        fluid = Fluid(spec, context)
+        fluid = build(spec, context)
         state = fluid.initial()
         shown.clear()
         parted[0] = 0
@@ -55,7 +55,7 @@ def main(source: str, runs: str, output: str) -> None:
             if k % STEPS == STEPS - 1:
                 shown.append(state.motion[0])
 
-    warm = Fluid(spec, context)
+    warm = build(spec, context)
     warm.step(warm.initial(), 0.0, step)
     taken = [timed(work) for _ in range(int(runs))]
     np.save(output, np.array(shown))

@@ -7,7 +7,7 @@ import numpy as np
 from clock import timed
 
 from animtool.sim.colliders import Colliders
-from animtool.systems.molecules.molecules import Molecules
+from animtool.systems.molecules.molecules import build
 from animtool.systems.molecules.spec import MoleculesModel
 
 
@@ -33,7 +33,7 @@ def main(source: str, runs: str, steps: str, method: str = "velocity_verlet") ->
             "method": method,
         }
     )
-    made = Molecules(spec, _Context())
+    made = build(spec, _Context())
     state = made.initial()
     first = made.values(state, 0.0)
 

@@ -8,7 +8,7 @@ import numpy as np
 from clock import timed
 
 from animtool.sim.colliders import Colliders
-from animtool.systems.nbody.nbody import Nbody
+from animtool.systems.nbody.nbody import Nbody, build
 from animtool.systems.nbody.spec import NbodyModel
 
 GALAXY = {
@@ -31,7 +31,7 @@ def main(until: str, *settings: str) -> None:
         method, step = setting.split(":")
         spec = {"name": "it", "galaxies": [GALAXY], "softening": 0.1, "accuracy": 0}
         spec |= {"method": method, "step": float(step), "substeps": 1}
-        made = Nbody(NbodyModel.model_validate(spec), _Context())
+        made = build(NbodyModel.model_validate(spec), _Context())
 
         states = [made.initial()]
 

@@ -19,8 +19,8 @@ from animtool.capture.cameras import (
 )
 from animtool.capture.cameras.camera import Cameras, camera_numbers, rays
 from animtool.capture.cameras.observations import Observations
-from animtool.capture.cameras.stale import Moved
-from animtool.capture.cameras.triangulate import _Run
+from animtool.capture.cameras.stale import PoseShift
+from animtool.capture.cameras.triangulate import _TriangulationRun
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError
 from animtool.maths.so3 import exp, to_matrix
@@ -38,7 +38,7 @@ def test_without_noise_the_points_are_exact() -> None:
     found = triangulate(observed(cameras, POINTS, noise=0.0), cameras)
     assert off(found.markers.positions).max() < 1e-6
     assert found.error_px < 1e-6
-    assert (found.found, found.seen) == (90 * 12, 90 * 12)
+    assert (found.triangulated, found.visible) == (90 * 12, 90 * 12)
     assert not found.notices
 
 
@@ -111,8 +111,8 @@ def test_a_stale_camera_is_named_and_left_out(count: int) -> None:
     found = triangulate(seen, Cameras(tuple(given)))
     assert [f.code for f in found.notices if f.code != "CAM105"] == ["CAM101"]
     assert "'cam1'" in found.notices[0].message
-    assert [bool(c.moved) for c in found.cameras] == [i == 1 for i in range(count)]
-    change = found.cameras[1].moved[0].change
+    assert [bool(c.shifts) for c in found.cameras] == [i == 1 for i in range(count)]
+    change = found.cameras[1].shifts[0].change
     assert change is not None
     assert change.angle == pytest.approx(np.hypot(0.004, 0.01), rel=0.1)
     assert np.isfinite(found.markers.positions).mean() > 0.97
@@ -126,14 +126,14 @@ def test_a_camera_that_moves_midway_is_named_with_its_frames() -> None:
     pixels = seen.stored.copy()
     pixels[100:180, 4] += [9.0, 6.0]
     found = triangulate(changed(seen, pixels), cameras)
-    (moved,) = found.cameras[4].moved
+    (moved,) = found.cameras[4].shifts
     assert abs(moved.first - 100) <= 2
     assert abs(moved.end - 180) <= 2
     assert off(found.markers.positions, points).max() < 6
     kept = triangulate(
         changed(seen, pixels), cameras, TriangulateOptions(keep_moved=True)
     )
-    assert [bool(c.moved) for c in kept.cameras] == [False] * 4 + [True, False]
+    assert [bool(c.shifts) for c in kept.cameras] == [False] * 4 + [True, False]
 
 
 @pytest.mark.parametrize("count", [3, 4, 6])
@@ -148,7 +148,7 @@ def test_a_view_that_disagrees_in_single_frames_is_named(count: int) -> None:
     named = [[each.frame for each in c.disagrees] for c in found.cameras]
     assert named == [bumped if i == 1 else [] for i in range(count)]
     assert "CAM111" in [f.code for f in found.notices]
-    assert not found.cameras[1].moved
+    assert not found.cameras[1].shifts
     assert np.nanmax(off(found.markers.positions)) < 8
 
 
@@ -189,9 +189,9 @@ def test_a_moved_camera_left_out_is_no_worse_than_kept(count: int, first: int) -
         return float(np.sqrt(np.mean([c.error_px**2 for c in found.cameras[:-1]])))
 
     assert others(left_out) <= 1.005 * others(kept)
-    assert left_out.found >= kept.found
+    assert left_out.triangulated >= kept.triangulated
     if count > 3:
-        ranges = [(m.first, m.end, m.kept) for m in left_out.cameras[-1].moved]
+        ranges = [(m.first, m.end, m.kept) for m in left_out.cameras[-1].shifts]
         assert ranges == [(first, 240, False)]
 
 
@@ -210,7 +210,7 @@ def test_a_camera_of_wrong_scale_is_left_out(count: int, what: str) -> None:
         pixels[:, -1] *= 0.5
     given = Cameras((*cameras.cameras[:-1], last))
     found = triangulate(changed(seen, pixels), given)
-    assert [[(m.first, m.end) for m in c.moved] for c in found.cameras] == [
+    assert [[(m.first, m.end) for m in c.shifts] for c in found.cameras] == [
         *[[]] * (count - 1),
         [(0, len(POINTS))],
     ]
@@ -307,7 +307,7 @@ def test_cameras_that_disagree_are_named_and_nothing_is_empty() -> None:
     for given in (swapped, (first, turned, third)):
         found = triangulate(seen, Cameras(given))
         assert "CAM108" in [f.code for f in found.notices]
-        assert found.found > 0.9 * found.seen
+        assert found.triangulated > 0.9 * found.visible
     tilted = replace(first, rotation=to_matrix(exp([0, 0, 1.2])) @ first.rotation)
     pair = replace(seen, stored=seen.stored[:, :2], cameras=("cam0", "cam1"))
     with pytest.raises(AnimtoolError) as caught:
@@ -395,7 +395,7 @@ def test_a_long_range_is_judged_by_fifty_of_its_frames_and_their_confidences() -
             return super().trust(*frames)
 
     given = Asked(seen.names, seen.clock, pixels, seen.cameras, confidences=sure)
-    run = _Run(given, cameras, TriangulateOptions(), None)
+    run = _TriangulationRun(given, cameras, TriangulateOptions(), None)
     run.noise[:] = 0.4
-    assert run._better_without(1, Moved(20, 220, 1.0))
+    assert run._better_excluded(1, PoseShift(20, 220, 1.0))
     assert asked == [(20, 220, 4)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from animtool.capture.face.poses import head_poses, held
+from animtool.capture.face.poses import head_poses, last_good_poses
 from animtool.maths import so3
 
 FLAT = np.array(
@@ -33,6 +33,13 @@ def test_poses_are_exact_whatever_the_turn() -> None:
 def test_poses_are_held_and_the_first_good_one_before_it_too() -> None:
     poses = np.arange(6.0)[:, None] * np.ones(7)
     good = np.array([False, False, True, False, True, False])
-    assert held(poses, good)[:, 0].tolist() == [2, 2, 2, 2, 4, 4]
-    assert held(poses, ~good)[:, 0].tolist() == [0, 1, 1, 3, 3, 5]
-    assert held(poses, np.zeros(6, np.bool_))[:, 0].tolist() == [0, 1, 2, 3, 4, 5]
+    assert last_good_poses(poses, good)[:, 0].tolist() == [2, 2, 2, 2, 4, 4]
+    assert last_good_poses(poses, ~good)[:, 0].tolist() == [0, 1, 1, 3, 3, 5]
+    assert last_good_poses(poses, np.zeros(6, np.bool_))[:, 0].tolist() == [
+        0,
+        1,
+        2,
+        3,
+        4,
+        5,
+    ]

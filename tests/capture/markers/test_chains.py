@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool.capture.markers import chains
-from animtool.capture.markers.chains import alike_of, chained, evidence, merged
-from animtool.capture.markers.geometry import Distances
+from animtool.capture.markers.chains import chained, evidence, likelihoods, merged
+from animtool.capture.markers.geometry import MarkerDistances
 
 
 @pytest.mark.parametrize(
@@ -32,10 +32,10 @@ def test_runs_are_joined_that_are_surely_and_clearly_one(
     table = np.zeros((4, 4))
     for (a, b), value in alike.items():
         table[a, b] = table[b, a] = value
-    monkeypatch.setattr(chains, "alike_of", lambda *_: table.copy())
+    monkeypatch.setattr(chains, "likelihoods", lambda *_: table.copy())
     overlap = np.eye(4)
     overlap[0, 2] = overlap[2, 0] = 5
-    nothing = Distances(table, table)
+    nothing = MarkerDistances(table, table)
     assert chained(nothing, overlap).tolist() == joined
 
 
@@ -54,12 +54,12 @@ def test_two_are_alike_by_all_that_is_seen_along_with_both() -> None:
     mean = np.array([[np.nan, np.nan, 0.3], [np.nan, np.nan, 0.3], [0.3, 0.3, np.nan]])
     spread = np.full((3, 3), 0.001)
     overlap = np.array([[90.0, 0, 60], [0, 90, 60], [60, 60, 90]])
-    whole = alike_of(Distances(mean, spread), overlap)
+    whole = likelihoods(MarkerDistances(mean, spread), overlap)
     own = evidence(np.array([0.3]), np.array([0.001]), np.array([0.3]))[0, 0]
     assert_allclose(whole[0, 1], own)
     assert_allclose(whole, whole.T)
     overlap[0, 2] = overlap[2, 0] = 30
-    assert_allclose(alike_of(Distances(mean, spread), overlap)[0, 1], own / 2)
+    assert_allclose(likelihoods(MarkerDistances(mean, spread), overlap)[0, 1], own / 2)
 
 
 def test_positions_of_a_chain_are_those_of_its_runs() -> None:

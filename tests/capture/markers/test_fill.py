@@ -128,7 +128,7 @@ def test_points_get_names_whatever_their_order() -> None:
     named, report = label(cloud, static)
     assert named.names == static.names
     right = (named.positions == truth).all(axis=-1)
-    assert right[named.seen].all()
+    assert right[named.visible].all()
     assert right.mean() > 0.995
     assert report.rejected >= 40
 

@@ -13,7 +13,7 @@ from support.figures import check_figures
 from support.named import scores_of
 from support.suite import is_full
 
-from animtool.capture.markers.geometry import Distances
+from animtool.capture.markers.geometry import MarkerDistances
 from animtool.capture.markers.label import (
     COMPANY,
     RIGID,
@@ -22,13 +22,13 @@ from animtool.capture.markers.label import (
     _exchange_parts,
     _fours,
     _matches,
-    _misfit,
+    _shape_error,
     _window,
     label,
 )
 from animtool.capture.markers.runs import RunLabels
 from animtool.capture.markers.tracklets import Tracklets
-from animtool.capture.markers.twins import exchanged_in, told_apart
+from animtool.capture.markers.twins import distinguish_twins, exchanged_in
 from animtool.core.errors import OptionError
 from animtool.maths import so3
 
@@ -92,7 +92,7 @@ def test_markers_that_lie_alike_are_named_with_their_frames() -> None:
     positions[:, 3, 1:] = turned[:, 1:]
     positions[:, 4, 1:] = -turned[:, 1:]
     positions += rng.normal(0.0, 3e-4, positions.shape)
-    names, doubts, _ = told_apart(positions, shape)
+    names, doubts, _ = distinguish_twins(positions, shape)
     assert names.tolist() == [0, 1, 2, 3, 4]
     assert (3, 4) in {doubt.markers for doubt in doubts}
     assert all(doubt.score <= 0.0 for doubt in doubts)
@@ -127,7 +127,7 @@ def test_exchanged_twins_are_put_right() -> None:
     wrong = np.arange(len(names))
     a, b = names.index("LWRA"), names.index("LWRB")
     wrong[[a, b]] = b, a
-    told, _, _ = told_apart(true[:, wrong], rest)
+    told, _, _ = distinguish_twins(true[:, wrong], rest)
     assert told[a] == b
     assert told[b] == a
     assert (np.delete(told, [a, b]) == np.delete(np.arange(len(names)), [a, b])).all()
@@ -139,7 +139,7 @@ def test_groups_of_four_are_of_the_most_rigid_company() -> None:
     spread = 1e-4 * np.abs(np.arange(count)[:, None] - np.arange(count)) * 1.0
     spread[3, 5] = spread[5, 3] = RIGID
     spread[6, 7] = spread[7, 6] = np.nan
-    found = _fours(Distances(spread, spread))
+    found = _fours(MarkerDistances(spread, spread))
     worst = [max(spread[a, b] for a in g for b in g) for g in map(list, found)]
     assert worst == sorted(worst)
     assert found[0] == (0, 1, 2, 3)  # the worst 3e-4, as of others that come later
@@ -165,14 +165,14 @@ def test_a_shape_is_off_by_the_median_of_what_frames_leave() -> None:
     shape = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]])
     turned = so3.rotate(so3.exp(np.array([0.3, -1.0, 0.5])), shape)
     turned += np.array([1.0, 2, 3])
-    assert _misfit(np.stack([turned] * 9), shape) < 1e-9
+    assert _shape_error(np.stack([turned] * 9), shape) < 1e-9
     pair = np.array([[0.0, 0, 0], [1.0, 0, 0]])
     # Each end of a longer pair is off by half of what it is longer.
     points = np.stack([1.2 * pair] * 17)
-    assert _misfit(points, pair) == pytest.approx(0.1)
+    assert _shape_error(points, pair) == pytest.approx(0.1)
     points[8:] = 1.4 * pair
-    assert _misfit(points, pair) == pytest.approx(0.2)
-    assert _misfit(np.full((9, 2, 3), np.nan), pair) == np.inf
+    assert _shape_error(points, pair) == pytest.approx(0.2)
+    assert _shape_error(np.full((9, 2, 3), np.nan), pair) == np.inf
 
 
 def test_groups_that_contradict_a_better_one_are_left_out() -> None:
@@ -237,7 +237,7 @@ def test_names_are_exchanged_in_parts(
     assert seen == [(4, 0.0, (0, 2)), (3, 45.0, (0, 2))]
     swapped = [[0, 2], [2, 0]]
     wanted = [*swapped[said[0]], *swapped[said[1]], 1]
-    assert work.given.tolist() == wanted
+    assert work.names_of.tolist() == wanted
     # A single part has nothing to be exchanged with.
     alone = Tracklets(ids, np.array([0, 0, 3, 5, 0]), np.array([3, 3, 7, 7, 7]))
     work = RunLabels(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.capture.markers.geometry import Distances
+from animtool.capture.markers.geometry import MarkerDistances
 from animtool.capture.markers.naming import Naming
 
 SHAPE = np.random.default_rng(6).uniform(-0.15, 0.15, (7, 3))
@@ -17,7 +17,7 @@ def naming(order: list[int], seen: float = 100.0) -> Naming:
     mean = REST[np.ix_(order, order)] + 1e-4
     spread = np.full_like(mean, 5e-4)
     np.fill_diagonal(mean, np.nan)
-    return Naming(Distances(mean, spread), np.full(mean.shape, seen), REST)
+    return Naming(MarkerDistances(mean, spread), np.full(mean.shape, seen), REST)
 
 
 ORDER = [4, 0, 6, 2, 1, 5, 3]
@@ -25,18 +25,18 @@ ORDER = [4, 0, 6, 2, 1, 5, 3]
 
 def test_points_of_a_rigid_shape_get_the_names_of_those_about_them() -> None:
     own = naming(ORDER)
-    assert (own.given == -1).all()
+    assert (own.names_of == -1).all()
     for point in (0, 1, 2):
-        own.put(point, ORDER[point])
+        own.assign(point, ORDER[point])
     own.grow()
-    assert own.given.tolist() == ORDER
+    assert own.names_of.tolist() == ORDER
     other = own.copy()
-    other.put(0, -1)
-    assert own.given.tolist() == ORDER
-    assert other.given.tolist() == [-1, *ORDER[1:]]
+    other.assign(0, -1)
+    assert own.names_of.tolist() == ORDER
+    assert other.names_of.tolist() == [-1, *ORDER[1:]]
     assert other.total() < own.total()
     other.grow()
-    assert other.given.tolist() == ORDER
+    assert other.names_of.tolist() == ORDER
     assert own.total() == pytest.approx(other.total(), rel=1e-5)
 
 
@@ -46,10 +46,10 @@ def test_names_that_are_exchanged_are_put_right(a: int, b: int) -> None:
     own = naming(ORDER)
     wrong = [b if m == a else a if m == b else m for m in ORDER]
     for point, marker in enumerate(wrong):
-        own.put(point, marker)
+        own.assign(point, marker)
     before = own.total()
     own.improve()
-    assert own.given.tolist() == ORDER
+    assert own.names_of.tolist() == ORDER
     assert own.total() > before + 1
 
 
@@ -57,24 +57,24 @@ def test_two_pairs_and_three_are_exchanged_at_once() -> None:
     for change in ({0: 1, 1: 2, 2: 0}, {0: 1, 1: 0, 2: 3, 3: 2}):
         own = naming(ORDER)
         for point, marker in enumerate(ORDER):
-            own.put(point, change.get(marker, marker))
+            own.assign(point, change.get(marker, marker))
         own.improve()
-        assert own.given.tolist() == ORDER
+        assert own.names_of.tolist() == ORDER
 
 
 def test_names_in_doubt_and_markers_that_lack_points() -> None:
     own = naming(ORDER)
     for point, marker in enumerate(ORDER):
-        own.put(point, marker)
+        own.assign(point, marker)
     assert own.doubt(set()) is None
     assert not len(own.lacking())
     wrong = naming(ORDER)
     for point, marker in enumerate([0, 4, *ORDER[2:]]):
-        wrong.put(point, marker)
+        wrong.assign(point, marker)
     found = wrong.doubt(set())
     assert found in {(0, 4), (1, 0)}
     assert wrong.doubt({(0, 4), (1, 0)}) not in {(0, 4), (1, 0)}
-    own.put(3, -1)
+    own.assign(3, -1)
     assert own.lacking().tolist() == [2]
 
 
@@ -84,11 +84,13 @@ def test_who_gets_a_name_takes_it_from_those_who_are_seen_with_him() -> None:
     for around in (nowhere, nowhere | (np.arange(7) == ORDER[5])):
         own = naming(ORDER)
         for point, marker in enumerate(ORDER):
-            own.put(point, {ORDER[0]: ORDER[3], ORDER[3]: ORDER[0]}.get(marker, marker))
+            own.assign(
+                point, {ORDER[0]: ORDER[3], ORDER[3]: ORDER[0]}.get(marker, marker)
+            )
         own.eject(0, ORDER[0], around)
-        assert own.given.tolist() == ORDER
+        assert own.names_of.tolist() == ORDER
     apart = naming(ORDER)
     apart.together = np.zeros_like(apart.together)
-    apart.put(3, 4)
+    apart.assign(3, 4)
     apart.eject(0, 4, nowhere)
-    assert (apart.given[0], apart.given[3]) == (4, 4)
+    assert (apart.names_of[0], apart.names_of[3]) == (4, 4)

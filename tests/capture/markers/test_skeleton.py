@@ -9,7 +9,7 @@ import pytest
 from support.marked import FIGURE, TEMPLATE, captured, column, moving
 
 from animtool.capture.markers.fill import fill
-from animtool.capture.markers.skeleton import Subject
+from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.capture.options import FillOptions
 from animtool.capture.templates import MarkerTemplate
 from animtool.core.array_types import FloatArray
@@ -20,7 +20,7 @@ from animtool.motion.markers import Markers
 FPS, FRAMES = 100.0, 160
 GONE = slice(60, 90)
 TRUTH = captured(moving(FRAMES, FPS, 4), FPS).markers
-SUBJECT = Subject(FIGURE, TEMPLATE)
+SUBJECT = MarkerSubject(FIGURE, TEMPLATE)
 # Elbows that reach their limits turn at a corner, which is near a spike.
 KEEP = FillOptions(keep_spikes=True)
 
@@ -43,7 +43,7 @@ def test_all_but_one_marker_of_a_segment() -> None:
     assert [gap.method for gap in report.gaps] == ["skeleton"] * 2
     for name in ("LWRA", "LELB"):
         assert off(whole, name)[GONE].max() < 0.003
-    assert whole.seen.all()
+    assert whole.visible.all()
     assert not report.notices
 
 
@@ -80,7 +80,7 @@ def test_a_pose_that_nothing_shows_is_not_made_up() -> None:
     """Frames with two markers are no pose, and their gaps are left."""
     gapped = without(*TEMPLATE.names[2:])
     whole, report = fill(gapped, options=KEEP, subject=SUBJECT)
-    assert not whole.seen[GONE, 2:].any()
+    assert not whole.visible[GONE, 2:].any()
     assert {gap.method for gap in report.gaps} == {""}
     assert [n.code for n in report.notices] == ["SOL101", "MKR111"]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from capture.markers.test_fill import FRAMES, made, paths
 
-from animtool.capture.markers.swaps import unswapped
+from animtool.capture.markers.swaps import repair_swaps
 
 
 def exchanged(
@@ -36,7 +36,7 @@ def test_a_swap_next_to_gaps(
 ) -> None:
     gone = [(pair[which], frames) for which, frames in gaps]
     wrong, right = exchanged(115, 160, pair, gone)
-    whole, swaps = unswapped(made(wrong))
+    whole, swaps = repair_swaps(made(wrong))
     np.testing.assert_array_equal(whole.positions, right)
     assert [swap.markers for swap in swaps] == [(f"M{pair[0]}", f"M{pair[1]}")]
 
@@ -44,7 +44,7 @@ def test_a_swap_next_to_gaps(
 @pytest.mark.parametrize(("first", "end"), [(0, 40), (250, FRAMES)])
 def test_the_shorter_part_is_exchanged(first: int, end: int) -> None:
     wrong, right = exchanged(first, end, (2, 6), [])
-    whole, swaps = unswapped(made(wrong))
+    whole, swaps = repair_swaps(made(wrong))
     np.testing.assert_array_equal(whole.positions, right)
     assert [(s.first, s.last) for s in swaps] == [(first, end - 1)]
 
@@ -52,7 +52,7 @@ def test_the_shorter_part_is_exchanged(first: int, end: int) -> None:
 def test_one_marker_in_two_swaps() -> None:
     wrong, right = exchanged(60, 100, (2, 6), [])
     wrong[150:190, [6, 8]] = wrong[150:190, [8, 6]]
-    whole, swaps = unswapped(made(wrong))
+    whole, swaps = repair_swaps(made(wrong))
     np.testing.assert_array_equal(whole.positions, right)
     assert len(swaps) == 2
 
@@ -60,7 +60,7 @@ def test_one_marker_in_two_swaps() -> None:
 def test_an_end_that_nobody_saw_is_in_the_middle_of_what_was_not_seen() -> None:
     unseen = [(2, slice(90, 131)), (6, slice(90, 131))]
     wrong, right = exchanged(100, 180, (2, 6), unseen)
-    whole, swaps = unswapped(made(wrong))
+    whole, swaps = repair_swaps(made(wrong))
     np.testing.assert_array_equal(whole.positions, right)
     assert [(s.first, s.last) for s in swaps] == [(111, 179)]
 
@@ -69,4 +69,4 @@ def test_a_spike_is_no_swap() -> None:
     positions = paths()
     positions[100:103, 1] += 0.05
     positions[100:101, 4] -= 0.04
-    assert unswapped(made(positions))[1] == []
+    assert repair_swaps(made(positions))[1] == []

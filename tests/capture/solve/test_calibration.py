@@ -19,8 +19,8 @@ from animtool.capture.solve.calibration import (
     OVERALL,
     SIDES,
     _Calibrating,
+    unlimited_rig,
     with_bones,
-    without_limits,
 )
 from animtool.capture.solve.model import marker_model
 from animtool.capture.templates import MarkerTemplate
@@ -73,7 +73,7 @@ def test_bones_are_those_of_the_subject() -> None:
             "rest": found.rig.rest_translations,
             "notices": [notice.message for notice in found.notices],
             "bones": found.bones,
-            "moved": found.moved,
+            "moved": found.marker_shifts,
             "rounds": found.rounds,
         },
     )
@@ -174,7 +174,7 @@ def test_pins_have_no_limits_where_markers_tell_their_angle() -> None:
     generic = template("body41")
     rig, markers = rig_of(generic, "generic"), template_of(generic)
     model = marker_model(rig, markers, np.arange(len(markers.markers)))
-    free = without_limits(model)
+    free = unlimited_rig(model)
     freed = {
         given.name
         for given, joint in zip(model.rig.joints, free.joints, strict=True)

@@ -124,7 +124,7 @@ def _slerp(rng: Rng) -> dict[str, Any]:
 CALLS: dict[str, Maker] = {
     "evaluate_rotations": _rotations,
     "slerp": _slerp,
-    "turn_steps": _steps,
+    "rotation_steps": _steps,
     "parse_bvh_rows": _parse,
     "format_bvh_rows": _format,
     "evaluate_curves": _evaluate,

@@ -308,7 +308,7 @@ def _branches(rng: Rng) -> dict[str, Any]:
 
 
 CALLS: dict[str, Maker] = {
-    "place_ik_targets": _place,
+    "to_chain_targets": _place,
     "solve_ik": _solve,
     "extend_ik_limbs": _extend,
     "arm_kind": _arm,

@@ -45,7 +45,7 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
     path, rig = folder / "take.mot", folder / "leg.rig.yaml"
     rig.write_text(rig_text(RIG), "utf-8")
     still = Motion(
-        Channel.still(RIG.rest_translations, 4), Channel.still(RIG.rest_rotations, 4)
+        Channel.static(RIG.rest_translations, 4), Channel.static(RIG.rest_rotations, 4)
     )
     write_mot(Take(RIG, Clock(100, 1, 1, 4), still), path)
     semicolons = UNEVEN.replace("\t", ";")

@@ -23,7 +23,7 @@ from animtool.usd.caches.info import describe_points
 from animtool.usd.checks.run import inspect_layer
 from animtool.usd.layers.sdf import compute_alone, forget_layers
 from animtool.usd.rigs.mesh_read import source_meshes
-from animtool.usd.rigs.stored import read_whole_rig
+from animtool.usd.rigs.stored import read_rig_with_data
 from animtool.usd.rigs.target import open_target
 from animtool.usd.takes.read import read_usd
 from fuzz.mutations import pick, spoil
@@ -225,7 +225,7 @@ def _checked(path: Path) -> str:
 
 
 def _rig(path: Path) -> str:
-    rig, _ = read_whole_rig(path)
+    rig, _ = read_rig_with_data(path)
     assert np.isfinite(rig.rest_translations).all()
     return "rig"
 

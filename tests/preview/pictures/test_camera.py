@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.preview.pictures.camera import PRESETS, Box, View
+from animtool.preview.pictures.camera import PRESETS, Bounds, CameraView
 
 RNG = np.random.default_rng(5)
 
@@ -15,9 +15,9 @@ def test_what_is_framed_is_in_the_picture_beneath_the_text(
     preset: str, wide: int, high: int, inset: int
 ) -> None:
     points = RNG.normal(size=(40, 3)) * [1.0, 2.0, 0.4] + [3.0, 1.0, -2.0]
-    box = Box()
+    box = Bounds()
     box.add(points)
-    view = View(wide, high, inset)
+    view = CameraView(wide, high, inset)
     view.yaw, view.pitch = PRESETS[preset]
     view.frame(box)
     clip = (
@@ -35,7 +35,7 @@ def test_what_is_framed_is_in_the_picture_beneath_the_text(
 
 
 def test_a_camera_goes_along_level() -> None:
-    view = View(100, 100, follow=True)
+    view = CameraView(100, 100, follow=True)
     view.track(np.zeros(3))
     before = view.target
     view.track(np.array([1.0, 5.0, -2.0]))
@@ -43,7 +43,7 @@ def test_a_camera_goes_along_level() -> None:
 
 
 def test_depths_of_a_part_of_the_range() -> None:
-    view = View(100, 100)
+    view = CameraView(100, 100)
     points = np.column_stack([RNG.normal(size=(20, 3)), np.ones(20)])
     eye = view.eye()
     clip, near = (points @ e.view_projection.T for e in (eye, eye.between(0.0, 0.1)))

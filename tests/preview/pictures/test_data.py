@@ -8,7 +8,7 @@ from preview.pages import ReadPage
 from animtool.preview.build import make_page
 from animtool.preview.options import PreviewOptions
 from animtool.preview.pictures.data import Streams
-from animtool.preview.pictures.pose import Pose
+from animtool.preview.pictures.pose import DrawnPose
 from animtool.rig.kinematics import forward
 
 
@@ -30,7 +30,7 @@ def test_poses_are_where_kinematics_puts_them(walk: Path) -> None:
     page = make_page([walk], PreviewOptions(findings=False))
     streams = Streams(page.manifest["streams"], page.blocks)
     (record,) = page.manifest["takes"]
-    pose = Pose(streams, record, 0)
+    pose = DrawnPose(streams, record, 0)
     take = animtool.read_bvh(walk).collect()
     t, r = ReadPage(page.html()).locals()
     r /= np.linalg.norm(r, axis=-1, keepdims=True)

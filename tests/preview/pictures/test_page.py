@@ -14,9 +14,9 @@ from support.browser import Array, Browser, Opened, chromium
 from support.drawing import drawing
 
 from animtool.preview.build import write_page
-from animtool.preview.pictures.camera import View
+from animtool.preview.pictures.camera import CameraView
 from animtool.preview.pictures.device import Device, Picture
-from animtool.preview.pictures.scene import Scene
+from animtool.preview.pictures.scene import DrawnScene
 from animtool.preview.pictures.sources import HEAD, shader
 
 # Levels of 255 that rasterisers differ by inside of surfaces, and the part of pixels
@@ -62,7 +62,7 @@ def test_a_picture_is_what_the_canvas_of_the_page_shows(
     path = tmp_path / "page.html"
     page = write_page([root / name], path).page
     time = page.manifest["time"]
-    scene = Scene(device, page.manifest, page.blocks)
+    scene = DrawnScene(device, page.manifest, page.blocks)
     for sample in sorted({0, time["count"] // 3, time["count"] - 1}):
         frame = time["first"] + sample * time["step"]
         with browser.open(path, size=(800, 700), fragment=f"#f={frame}") as opened:
@@ -70,7 +70,7 @@ def test_a_picture_is_what_the_canvas_of_the_page_shows(
             expected = canvas(opened)
             inset = opened.run("animtool.app.inset")
         high, wide = expected.shape[:2]
-        view = View(wide, high, inset)
+        view = CameraView(wide, high, inset)
         scene.look(view, sample)
         drawn = scene.draw(view, sample, Picture(device, wide, high))
         apart = np.abs(drawn - expected).max(axis=-1)

@@ -7,7 +7,7 @@ import pytest
 
 from animtool.core.errors import AnimtoolError
 from animtool.preview.options import PictureOptions
-from animtool.preview.pictures.camera import PRESETS, View
+from animtool.preview.pictures.camera import PRESETS, CameraView
 from animtool.preview.pictures.request import camera_of, light_of
 from animtool.preview.pictures.sources import shader, theme_colors
 
@@ -20,9 +20,9 @@ def test_cameras_are_named_turned_or_copied_from_a_page() -> None:
     turned = camera_of("90,-10", names)
     assert (turned.yaw, turned.pitch) == (math.radians(90), math.radians(-10))
     copied = camera_of("0.6,0.18,4.5,1,0.9,-2", names)
-    view = View(10, 10)
+    view = CameraView(10, 10)
     copied.aim(view)
-    copied.place(view)
+    copied.position(view)
     assert (view.yaw, view.pitch, view.distance) == (0.6, 0.18, 4.5)
     assert view.target.tolist() == [1, 0.9, -2]
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from support.drawing import drawing
 
-from animtool.preview.build import Page, make_page
+from animtool.preview.build import PreviewPage, make_page
 from animtool.preview.options import PreviewOptions
-from animtool.preview.pictures.camera import LIGHT, PRESETS, View
+from animtool.preview.pictures.camera import LIGHT, PRESETS, CameraView
 from animtool.preview.pictures.device import Device, Picture
-from animtool.preview.pictures.scene import Scene
+from animtool.preview.pictures.scene import DrawnScene
 
 STAGE = """#usda 1.0
 (
@@ -43,7 +43,7 @@ def device() -> Iterator[Device]:
         yield made
 
 
-def page_of(tmp_path: Path, height: float = 0.5) -> Page:
+def page_of(tmp_path: Path, height: float = 0.5) -> PreviewPage:
     path = tmp_path / "box.usda"
     path.write_text(STAGE % height, "utf-8")
     return make_page([path], PreviewOptions(findings=False))
@@ -51,14 +51,14 @@ def page_of(tmp_path: Path, height: float = 0.5) -> Page:
 
 def drawn(
     device: Device,
-    page: Page,
+    page: PreviewPage,
     *shown: str,
     shot: int | None = None,
     light: np.ndarray = LIGHT,
 ) -> np.ndarray:
-    view = View(80, 60, light=light / np.linalg.norm(light))
+    view = CameraView(80, 60, light=light / np.linalg.norm(light))
     view.yaw, view.pitch = PRESETS["home"][0], 0.5
-    scene = Scene(device, page.manifest, page.blocks, frozenset(shown))
+    scene = DrawnScene(device, page.manifest, page.blocks, frozenset(shown))
     scene.look(view, 0)
     return scene.draw(view, 0, Picture(device, 80, 60), shot).astype(int)
 

@@ -19,7 +19,7 @@ from animtool.core.units import UpAxis
 from animtool.motion.reorient import reorient
 from animtool.preview.build import make_page, write_page
 from animtool.preview.options import PreviewOptions
-from animtool.preview.serve import ADDRESS, PageServer, Watched
+from animtool.preview.serve import ADDRESS, PageServer, WatchedPage
 from animtool.scene.sources.open import SourceOptions
 
 pytestmark = pytest.mark.slow(seconds=25)
@@ -67,7 +67,7 @@ def test_a_capture_is_drawn_where_it_is(
 
 
 @contextmanager
-def served(watched: Watched) -> Iterator[str]:
+def served(watched: WatchedPage) -> Iterator[str]:
     with PageServer(watched) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.01,))
         thread.start()
@@ -81,7 +81,7 @@ def served(watched: Watched) -> Iterator[str]:
 def test_a_served_page_shows_what_changed(tmp_path: Path, browser: Browser) -> None:
     path = tmp_path / "take.bvh"
     path.write_text(small_bvh(random_rows(3)))
-    watched = Watched(lambda: make_page([path], PLAIN))
+    watched = WatchedPage(lambda: make_page([path], PLAIN))
     watched.build()
     with served(watched) as address, browser.visit(address + "#f=2") as opened:
         assert opened.frame == 2

@@ -155,7 +155,7 @@ def test_particles_run_into_characters(root: Path, tmp_path: Path) -> None:
     hit = particles.simulation.setup.colliders  # type: ignore[attr-defined]
     assert len(hit) > 6
     assert hit[2].name
-    assert len(hit[2].poses.moments) > 10
+    assert len(hit[2].poses.sample_times) > 10
 
 
 def test_a_character_without_capsules_is_said(walk: Path, tmp_path: Path) -> None:

@@ -38,8 +38,8 @@ def test_many_times_are_each_as_it_is_alone(
 @settings(max_examples=examples(50), deadline=None)
 def test_its_own_times_have_its_own_poses(seed: int, count: int) -> None:
     poses = wandering(seed, count)
-    assert_allclose(poses.over(poses.moments), poses.rows, atol=1e-12)
-    outside = np.array([poses.moments[-1] + 1, poses.moments[0] - 1])
+    assert_allclose(poses.over(poses.sample_times), poses.rows, atol=1e-12)
+    outside = np.array([poses.sample_times[-1] + 1, poses.sample_times[0] - 1])
     assert_array_equal(poses.over(outside), poses.rows[[-1, 0]])
 
 

@@ -17,10 +17,10 @@ from animtool.sim.trials.trial import (
     FINER,
     ErrorMeasure,
     Figure,
-    Outcome,
     Setting,
-    Shot,
+    Snapshot,
     Trial,
+    TrialOutcome,
     ladder,
 )
 
@@ -59,15 +59,15 @@ class Known:
             self.run,
         )
 
-    def run(self, given: Setting) -> Outcome:
+    def run(self, given: Setting) -> TrialOutcome:
         self.ran.append(given)
         step = dict(given.options)["step"]
         off = self.off(given.method, step)
         points = [np.array([[x, off * x, 0.0]]) for x in (0.0, 0.5, 1.0)]
         count = round(1 / step)
         energies = [Energy(1.0 + off * k, 0.0) for k in range(3)]
-        return Outcome(
-            1e-6 * count, count, [Shot(p) for p in points], energies=energies
+        return TrialOutcome(
+            1e-6 * count, count, [Snapshot(p) for p in points], energies=energies
         )
 
 
@@ -147,12 +147,12 @@ def test_what_is_nowhere_near_has_blown_up() -> None:
 class Unfit(Known):
     """Methods that are not for it, or that blow up."""
 
-    def run(self, given: Setting) -> Outcome:
+    def run(self, given: Setting) -> TrialOutcome:
         step = dict(given.options)["step"]
         if given.method == "first":
             raise OptionError(Fault("SIM006", "it is not for such things"))
         if given.method == "fourth" and step > self.limit:
-            return Outcome(0.1, 3, [], Status.UNSTABLE, "too far", self.limit)
+            return TrialOutcome(0.1, 3, [], Status.UNSTABLE, "too far", self.limit)
         return super().run(given)
 
     limit = 0.01
@@ -230,7 +230,7 @@ def test_what_is_present_is_asked_for_by_no_lines() -> None:
 def test_a_method_that_takes_too_long_is_tried_no_finer() -> None:
     known = Known(converging)
 
-    def run(given: Setting) -> Outcome:
+    def run(given: Setting) -> TrialOutcome:
         slow = 50.0 if given.method == "first" else 1e-3
         return replace(known.run(given), seconds=slow)
 
@@ -248,7 +248,7 @@ def test_sensitive_motions_are_marked_by_their_figures() -> None:
     stretch = {0.4: 0.5, 0.2: 0.1, 0.1: 0.1005, 0.05: 0.1}
     known = Known(lambda _, step: 1.0 + (hash_of(step) % 2))
 
-    def run(given: Setting) -> Outcome:
+    def run(given: Setting) -> TrialOutcome:
         done = known.run(given)
         figures = {Figure.STRETCH: stretch.get(given["step"], 0.1)}
         return replace(done, figures=figures, energies=None)
@@ -272,10 +272,10 @@ def test_turns_count_as_far_as_what_is_placed_reaches() -> None:
     still, turned = np.array([[0.0, 0, 0, 1]]), np.array([[0.0, 0, half, half]])
     here = np.zeros((1, 3))
 
-    def run(given: Setting) -> Outcome:
+    def run(given: Setting) -> TrialOutcome:
         off = given.method == "first"
-        shot = Shot(here, orientations=turned if off else still, reach=0.5)
-        return Outcome(1e-3, 1, [shot])
+        shot = Snapshot(here, orientations=turned if off else still, reach=0.5)
+        return TrialOutcome(1e-3, 1, [shot])
 
     trial = replace(Known(converging).trial(), run=run)
     table = measure(replace(trial, references=lambda: [[trial.chosen]]), budget=0.7)

@@ -14,7 +14,7 @@ from animtool.sim.colliders import Poses
 from animtool.systems.crowds.agents import _drawn, _problems
 from animtool.systems.crowds.ground import Frame
 from animtool.systems.crowds.spec import PopulationModel
-from animtool.systems.particles import BoxPlace
+from animtool.systems.particles import BoxShape
 
 FRAME = Frame(np.array([1.0, 0, 2]), so3.IDENTITY)
 
@@ -23,7 +23,7 @@ def drawn(**keys: Any) -> tuple[Any, ...]:
     population = PopulationModel.model_validate(
         {"name": "all", "route": ["a"], "radius": 0.25, **keys}
     )
-    parts = {"place": BoxPlace((40.0, 1.0, 40.0)), "poses": Poses.fixed()}
+    parts = {"place": BoxShape((40.0, 1.0, 40.0)), "poses": Poses.fixed()}
     return _drawn(population, parts, 0.0, FRAME)
 
 

@@ -18,8 +18,8 @@ from animtool.maths import so3
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.systems.gaits import GaitsSource
-from animtool.systems.crowds.agents import Going
-from animtool.systems.crowds.bodies import Bodies
+from animtool.systems.crowds.agents import AgentMotion
+from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.cast import CastGroup, Casting, part
 from animtool.systems.crowds.cycles import gaits_of
 from animtool.systems.crowds.footing import BodyState
@@ -56,7 +56,7 @@ def bumpy(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return 0.08 * np.sin(x) * np.cos(z), normals
 
 
-def path(step: float, count: int) -> list[Going]:
+def path(step: float, count: int) -> list[AgentMotion]:
     """Return who stands, walks, turns, runs, stops, turns on the spot, and leaves."""
     t = np.arange(0, 13 + step / 2, step)
     speeds = np.interp(
@@ -69,17 +69,20 @@ def path(step: float, count: int) -> list[Going]:
     v = speeds[:, None] * np.stack([np.sin(headings), np.cos(headings)], axis=1)
     x = np.cumsum(v, axis=0) * step
     return [
-        Going(*(np.tile(one, (count, 1)) for one in (x[i], v[i])), np.full(count, turn))
+        AgentMotion(
+            *(np.tile(one, (count, 1)) for one in (x[i], v[i])), np.full(count, turn)
+        )
         for i, turn in enumerate(headings)
     ]  # fmt: skip
 
 
-def joints(bodies: Bodies, state: BodyState, going: Going) -> np.ndarray:
+def joints(bodies: AgentBodies, state: BodyState, going: AgentMotion) -> np.ndarray:
     """Return joints in the world ``(N, J, 3)`` [m]."""
     rig, made = bodies.gaits.walker.rig, poses_of(bodies, state, going)
-    places = np.repeat(rig.rest_translations[None], len(made.turns), axis=0)
+    places = np.repeat(rig.rest_translations[None], len(made.rotations), axis=0)
     places[:, 0] = made.roots
-    local = forward(rig, places, made.turns).positions * bodies.scales[:, None, None]
+    local = forward(rig, places, made.rotations).positions
+    local = local * bodies.scales[:, None, None]
     heights = bodies.ground(going.points)[0]
     origin = np.insert(going.points, 1, heights, axis=1)
     return so3.rotate(about_up(going.headings)[:, None], local) + origin[:, None]
@@ -89,9 +92,9 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
     """Of three of two rigs, by a frame that is turned about x and off."""
     gaits = library("walk", "stand")
     own = np.array([0, 2])
-    bodies = Bodies(gaits, np.array([0.9, 1.2]), bumpy)
-    other = Bodies(gaits, np.array([1.0]), bumpy)
-    going = Going(
+    bodies = AgentBodies(gaits, np.array([0.9, 1.2]), bumpy)
+    other = AgentBodies(gaits, np.array([1.0]), bumpy)
+    going = AgentMotion(
         np.array([[1.0, 2.0], [0, 0], [-3.0, 0.5]]),
         np.zeros((3, 2)),
         np.array([0.0, 1.0, 2.2]),
@@ -112,13 +115,15 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
     found = casting.world(of_all, going, frame, bumpy, 2)
     wanted = so3.rotate(frame.rotation, joints(bodies, state, some)[1])
     np.testing.assert_allclose(found.positions[0], wanted + frame.origin, atol=1e-12)
-    root = so3.multiply(turn, made.turns[1, 0])
+    root = so3.multiply(turn, made.rotations[1, 0])
     np.testing.assert_allclose(found.linear[0, 0], so3.to_matrix(root), atol=1e-12)
 
 
 def test_at_first_both_feet_stand_and_nobody_reacts() -> None:
-    bodies = Bodies(library("walk", "stand"), np.array([1.0, 1.2]), level)
-    going = Going(np.array([[1.0, 2], [3, 4]]), np.zeros((2, 2)), np.array([0.0, 1.0]))
+    bodies = AgentBodies(library("walk", "stand"), np.array([1.0, 1.2]), level)
+    going = AgentMotion(
+        np.array([[1.0, 2], [3, 4]]), np.zeros((2, 2)), np.array([0.0, 1.0])
+    )
     state = bodies.first(going, np.array([0.25, 0.5]))
     assert state.phases.tolist() == [0.25, 0.5]
     assert (state.swings == -1).all()
@@ -136,7 +141,9 @@ def test_at_first_both_feet_stand_and_nobody_reacts() -> None:
 
 def test_who_spins_takes_steps_that_turn_by_eight_tenths_at_most() -> None:
     """Nor go to a side by more than a quarter of a leg, nor back by 0.3 of one."""
-    bodies = Bodies(library("walk", "stand"), np.array([1.0, 1.0, 1.25, 1.25]), level)
+    bodies = AgentBodies(
+        library("walk", "stand"), np.array([1.0, 1.0, 1.25, 1.25]), level
+    )
     leg = bodies.gaits.walker.leg
     paces = np.array([[0, 0.3, 0], [0, 2.0, 0], [0, 0, 1.0], [-1.0, 0, 0]])
     blend = bodies.blend(paces)
@@ -150,7 +157,7 @@ def test_who_spins_takes_steps_that_turn_by_eight_tenths_at_most() -> None:
     assert (blend.rate > blend.free).tolist() == [False, True, True, True]
 
 
-def toe_height(bodies: Bodies, k: int) -> float:
+def toe_height(bodies: AgentBodies, k: int) -> float:
     """Return how high the joint of a toe is where its foot stands [m]."""
     walker = bodies.gaits.walker
     return float(walker.ankle[k] + walker.ball[k, 1])
@@ -158,13 +165,13 @@ def toe_height(bodies: Bodies, k: int) -> float:
 
 def test_people_stand_on_the_ends_of_their_toes() -> None:
     """On the biped these are 2 cm below the joint."""
-    bodies = Bodies(library("walk", "stand"), np.ones(1), level)
+    bodies = AgentBodies(library("walk", "stand"), np.ones(1), level)
     assert bodies.gaits.walker.ankle == pytest.approx(0.08)
     assert toe_height(bodies, 0) == pytest.approx(0.02)
 
 
 def walked(
-    bodies: Bodies, goings: list[Going], step: float
+    bodies: AgentBodies, goings: list[AgentMotion], step: float
 ) -> tuple[list[BodyState], np.ndarray]:
     """Return states, and joints in the world ``(F, N, J, 3)``."""
     count = len(goings[0].points)
@@ -209,7 +216,7 @@ def test_clips_are_what_they_show() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("ground", [level, bumpy])
 def test_feet_stay_where_they_stand_and_never_cross(ground: Any) -> None:
-    bodies = Bodies(
+    bodies = AgentBodies(
         library("walk", "run", "turn", "stand"), np.array([1.0, 1.1]), ground
     )
     step = 0.04
@@ -241,19 +248,22 @@ def test_a_clip_at_its_own_speed_is_the_clip() -> None:
     """But for legs, whose feet go as the ground has them: within 5 cm in the air."""
     gaits = library("walk", "stand")
     walk = gaits.moving[0]
-    bodies = Bodies(gaits, np.ones(1), level)
+    bodies = AgentBodies(gaits, np.ones(1), level)
     step = 1 / 60
     goings = [
-        Going(*(np.array([[0.0, walk.speed * s]]) for s in (step * i, 1)), np.zeros(1))
+        AgentMotion(
+            *(np.array([[0.0, walk.speed * s]]) for s in (step * i, 1)), np.zeros(1)
+        )
         for i in range(300)
     ]  # fmt: skip
     states, places = walked(bodies, goings, step)
-    rig, phases = gaits.walker.rig, len(walk.turns)
+    rig, phases = gaits.walker.rig, len(walk.rotations)
     errors = []
     for i in range(200, 299):
         at = states[i].phases[0] * phases
         low, share = int(at), at % 1
-        turns = so3.slerp(walk.turns[[low]], walk.turns[[(low + 1) % phases]], share)
+        steps = walk.rotations[[low]], walk.rotations[[(low + 1) % phases]]
+        turns = so3.slerp(*steps, share)
         root = walk.hips[low] + share * (walk.hips[(low + 1) % phases] - walk.hips[low])
         rest = rig.rest_translations[None].copy()
         rest[0, 0] = root
@@ -269,10 +279,10 @@ def test_a_clip_at_its_own_speed_is_the_clip() -> None:
 
 @pytest.mark.slow(0.5)
 def test_part_of_a_crowd_moves_as_in_the_whole() -> None:
-    bodies = Bodies(
+    bodies = AgentBodies(
         library("walk", "run", "turn", "stand"), np.array([1, 1.1, 0.9]), level
     )
-    alone = Bodies(bodies.gaits, bodies.scales[[1]], level)
+    alone = AgentBodies(bodies.gaits, bodies.scales[[1]], level)
     goings = path(0.05, 3)[:120]
     row = np.array([1])
     state = bodies.first(goings[0], np.array([0.1, 0.4, 0.7]))
@@ -284,19 +294,19 @@ def test_part_of_a_crowd_moves_as_in_the_whole() -> None:
         poses_of(bodies, state, goings[-1]),
         poses_of(alone, own, part(goings[-1], row)),
     )
-    np.testing.assert_array_equal(whole.turns[1], single.turns[0])
+    np.testing.assert_array_equal(whole.rotations[1], single.rotations[0])
     np.testing.assert_array_equal(whole.roots[1], single.roots[0])
 
 
 def test_who_is_hit_plays_the_reaction_once() -> None:
-    bodies = Bodies(library("walk", "stand", "stumble"), np.ones(2), level)
-    here = Going(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2))
+    bodies = AgentBodies(library("walk", "stand", "stumble"), np.ones(2), level)
+    here = AgentMotion(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2))
     state = bodies.first(here, np.zeros(2))
-    quiet = poses_of(bodies, state, here).turns
+    quiet = poses_of(bodies, state, here).rotations
     state = bodies.next(state, here, here, 0.1, np.array([True, False]))
     for _ in range(4):
         state = bodies.next(state, here, here, 0.1)
-    hit = poses_of(bodies, state, here).turns
+    hit = poses_of(bodies, state, here).rotations
     off = np.degrees(2 * np.arccos(np.clip(np.abs((hit * quiet).sum(axis=-1)), 0, 1)))
     assert off[0].max() > 15
     assert off[1].max() < 5
@@ -335,13 +345,13 @@ def test_a_sole_is_turned_as_the_ground_is() -> None:
 @pytest.mark.parametrize("speed", [0.5, 1.0, 1.5])
 def test_pushed_people_step_and_stay_up(way: float, speed: float) -> None:
     """Who stands and is pushed any way from one second on, for two."""
-    bodies = Bodies(library("walk", "stand"), np.ones(1), level)
+    bodies = AgentBodies(library("walk", "stand"), np.ones(1), level)
     step = 1 / 24
     t = np.arange(0, 4, step)
     pushed = np.where((t > 1) & (t < 3), speed, 0.0)
     v = pushed[:, None] * np.array([np.sin(way), np.cos(way)])
     x = np.cumsum(v, axis=0) * step
-    goings = [Going(x[[i]], v[[i]], np.zeros(1)) for i in range(len(t))]
+    goings = [AgentMotion(x[[i]], v[[i]], np.zeros(1)) for i in range(len(t))]
     states, places = walked(bodies, goings, step)
     hips = places[:, 0, 0, 1]
     assert hips.min() > 0.8 * hips[0]
@@ -367,7 +377,7 @@ def _landed(states: list[BodyState], k: int) -> np.ndarray:
 
 @pytest.mark.slow
 def test_soles_are_off_the_ground_until_they_are_where_they_land() -> None:
-    bodies = Bodies(library("walk", "run", "stand"), np.ones(1), level)
+    bodies = AgentBodies(library("walk", "run", "stand"), np.ones(1), level)
     step = 1 / 24
     states, places = walked(bodies, path(step, 1), step)
     for k, (_, _, _, toe) in enumerate(bodies.gaits.walker.legs):
@@ -380,7 +390,7 @@ def test_soles_are_off_the_ground_until_they_are_where_they_land() -> None:
 @pytest.mark.slow
 def test_where_a_foot_lands_is_settled_in_its_swing() -> None:
     """It lands where it was to, whatever its body does last, within reach."""
-    bodies = Bodies(library("walk", "stand"), np.ones(1), level)
+    bodies = AgentBodies(library("walk", "stand"), np.ones(1), level)
     step = 1 / 50
     states, _ = walked(bodies, path(step, 1), step)
     count = 0
@@ -410,14 +420,14 @@ def test_feet_that_swing_go_around_those_that_stand(
     """Of legs of 1 m, halfway of a swing; turned by 1 rad."""
     side = 1 - 2 * k
     gaits: Any = SimpleNamespace(walker=SimpleNamespace(leg=1.0))
-    going = Going(np.zeros((1, 2)), np.zeros((1, 2)), np.array([1.0]))
+    going = AgentMotion(np.zeros((1, 2)), np.zeros((1, 2)), np.array([1.0]))
     x, z = np.array([np.cos(1.0), -np.sin(1.0)]), np.array([np.sin(1.0), np.cos(1.0)])
     places = np.zeros((1, 2, 3))
     places[0, k, :2] = side * across * x + ahead * z
     swings = np.full((1, 2), -1.0)
     swings[0, k] = 0.5
     before = places.copy()
-    bodies = Bodies(gaits, np.ones(1), level)
+    bodies = AgentBodies(gaits, np.ones(1), level)
     state: Any = SimpleNamespace(swings=swings)
     found = bodies._pass(state, going, places)
     np.testing.assert_allclose(found[0, [k, 1 - k]], [around, 0.0], atol=1e-12)

@@ -514,8 +514,8 @@ def test_who_is_knocked_down_falls_as_he_stood_and_was_about_to_walk() -> None:
         return "walked"
 
     own: Any = SimpleNamespace(
-        _casting=SimpleNamespace(next=next_),
-        _falling=SimpleNamespace(begun=lambda *given: given),
+        casting=SimpleNamespace(next=next_),
+        falling=SimpleNamespace(begun=lambda *given: given),
         _world=lambda bodies, going, i: (bodies, going.points[i].tolist()),
     )
     made: Any = crowds.Crowd._begun(own, state, "falls", np.array([0, 2]), 0.5)  # type: ignore[arg-type]

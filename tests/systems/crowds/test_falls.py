@@ -21,12 +21,12 @@ from animtool.systems.crowds.falls import (
     FASTEST,
     GRAVITY,
     REST_TIME,
-    Falling,
     Falls,
+    FallSimulator,
     _moved,
     resting,
 )
-from animtool.systems.crowds.ground import Frame, Ground
+from animtool.systems.crowds.ground import Frame, Terrain
 
 STEP = 1 / 96
 
@@ -36,11 +36,11 @@ def biped(root: Path) -> Rig:
     return Rig.load(root / "rigs/biped/biped.rig.yaml")
 
 
-def falling(rig: Rig, size: float = 1.0) -> Falling:
+def falling(rig: Rig, size: float = 1.0) -> FallSimulator:
     """Return what moves two of a rig over a level ground that is turned about y."""
     frame = Frame(np.array([1.0, 0.0, 2.0]), so3.exp(np.array([0.0, 0.7, 0.0])))
-    return Falling(
-        [rig, rig], np.array([1.0, size]), frame, Ground(), Colliders([]), STEP
+    return FallSimulator(
+        [rig, rig], np.array([1.0, size]), frame, Terrain(), Colliders([]), STEP
     )
 
 
@@ -52,7 +52,7 @@ def pose(rig: Rig, place: list[float]) -> WorldTransforms:
     return forward(rig, places[None], turns[None])
 
 
-def thrown(rig: Rig, speed: list[float]) -> tuple[Falling, Falls]:
+def thrown(rig: Rig, speed: list[float]) -> tuple[FallSimulator, Falls]:
     """Return one who begins to fall high up with a speed [m/s]."""
     own = falling(rig)
     first = np.array([3.0, 50.0, -2.0])
@@ -61,7 +61,7 @@ def thrown(rig: Rig, speed: list[float]) -> tuple[Falling, Falls]:
     return own, begun
 
 
-def world(rig: Rig, own: Falling, falls: Falls) -> np.ndarray:
+def world(rig: Rig, own: FallSimulator, falls: Falls) -> np.ndarray:
     places, turns = own.poses(falls, 0)
     return np.asarray(forward(rig, places[None], turns[None]).positions[0])
 

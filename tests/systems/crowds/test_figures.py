@@ -14,8 +14,8 @@ from systems.crowds.test_bodies import CLIPS, TAKES, bumpy, library
 
 from animtool.maths import so3
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.crowds.agents import Going
-from animtool.systems.crowds.bodies import Bodies
+from animtool.systems.crowds.agents import AgentMotion
+from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.poses import poses_of
 from animtool.systems.framework.run import SimulationRun
 
@@ -23,7 +23,7 @@ BIPED = Path(__file__).parents[3] / "rigs/biped/biped.rig.yaml"
 STEP = 0.1
 
 
-def goings(count: int) -> list[Going]:
+def goings(count: int) -> list[AgentMotion]:
     """Return five who walk, run in a circle, spin, are pushed to a side, and back."""
     t = np.arange(count) * STEP
     headings = np.stack([0.3 * t, 0.9 * t - 2, 3.4 * t, 0 * t + 1, 0.4 + 0 * t])
@@ -34,12 +34,12 @@ def goings(count: int) -> list[Going]:
     sine, cosine = np.sin(headings), np.cos(headings)
     v = np.stack([ahead * sine + left * cosine, ahead * cosine - left * sine], axis=-1)
     x = np.cumsum(v, axis=1) * STEP + np.arange(5)[:, None, None] * [2.0, -1.0]
-    return [Going(x[:, i], v[:, i], headings[:, i]) for i in range(count)]
+    return [AgentMotion(x[:, i], v[:, i], headings[:, i]) for i in range(count)]
 
 
 def test_bodies_that_are_pushed_and_turn_on_bumpy_ground() -> None:
     gaits = library("walk", "run", "turn", "stand", "stumble")
-    bodies = Bodies(gaits, np.array([1.0, 1.1, 0.9, 1.05, 0.97]), bumpy)
+    bodies = AgentBodies(gaits, np.array([1.0, 1.1, 0.9, 1.05, 0.97]), bumpy)
     ways = goings(42)
     state = bodies.first(ways[0], np.array([0.1, 0.35, 0.5, 0.77, 0.9]))
     states, poses, feet = [], [], []

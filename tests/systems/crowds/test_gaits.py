@@ -18,7 +18,7 @@ def test_the_ground_is_below_the_lowest_joint_or_the_end_of_a_bone() -> None:
     positions = np.array([[-5.0, 1.0, -7.0], [-6.0, 0.5, 0.0], [-8.0, 0.75, -9.0]])
     turns = np.tile(so3.IDENTITY, (3, 1))
     turns[1] = so3.exp(np.array([0.0, 0.0, np.pi / 2]))
-    person = SimpleNamespace(rig=Rig("r", joints), positions=positions, turns=turns)
+    person = SimpleNamespace(rig=Rig("r", joints), positions=positions, rotations=turns)
     assert _ground(person) == 0.5  # type: ignore[arg-type]
     for tip, height in (((-0.3, 0.0, 0.0), 0.2), ((0.3, 0.0, 0.0), 0.5)):
         tipped = (joints[0], Joint("b", 0, tips=(tip,)), joints[2])

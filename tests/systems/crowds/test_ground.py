@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from animtool.maths import so3
-from animtool.systems.crowds.ground import Frame, Ground, about_up, walkable
+from animtool.systems.crowds.ground import Frame, Terrain, about_up, walkable
 
 # A slope of 1 in 2 along x from (0, 0) to (4, 2), a floor over a part, and a wall.
 SLOPE = [
@@ -19,7 +19,7 @@ SLOPE = [
 
 def test_the_ground_is_the_highest_of_what_is_there() -> None:
     """Its edges are of it; beyond them there is none."""
-    ground = Ground(np.array(SLOPE, float))
+    ground = Terrain(np.array(SLOPE, float))
     points = [[3.5, 1], [0, 0], [4, 2], [2, 1.5], [1.5, 0.25], [4.001, 1], [2, -0.1]]
     heights, normals = ground(np.array(points, float))
     assert_allclose(heights, [1.75, 0, 2, 1, 5, np.nan, np.nan])
@@ -29,8 +29,8 @@ def test_the_ground_is_the_highest_of_what_is_there() -> None:
     assert_allclose(normals[[4, 5, 6]], [up] * 3, atol=1e-12)
     assert_allclose(ground.bounds, [[0, 0], [4, 2]])
     assert not ground.flat
-    assert Ground().flat
-    heights, normals = Ground()(np.array([[7.0, -3]]))
+    assert Terrain().flat
+    heights, normals = Terrain()(np.array([[7.0, -3]]))
     assert (heights.tolist(), normals.tolist()) == ([0], [up])
 
 
@@ -43,7 +43,7 @@ def test_many_triangles_are_found_by_their_cells() -> None:
             a, b, c, d = ([x[p], z[q] ** 2, z[q]] for p, q in
                           ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)))  # fmt: skip
             made += [[a, b, c], [a, c, d]]
-    ground = Ground(np.array(made))
+    ground = Terrain(np.array(made))
     points = np.random.default_rng(4).uniform([0, 0], [3, 5], (200, 2))
     first = np.floor(points[:, 1])
     wanted = first**2 + (points[:, 1] - first) * (2 * first + 1)
@@ -55,7 +55,7 @@ def test_many_triangles_are_found_by_their_cells() -> None:
 
 
 def test_agents_walk_up_to_a_slope_and_not_where_there_is_no_ground() -> None:
-    ground = Ground(np.array(SLOPE[:2], float))
+    ground = Terrain(np.array(SLOPE[:2], float))
     nodes = np.array([[a, b] for a in range(6) for b in range(3)], float)
     for slope, free in ((0.47, True), (0.46, False)):
         heights, walked = walkable(ground, nodes, (6, 3), 1.0, slope)

@@ -12,14 +12,14 @@ from systems.crowds.test_bodies import level, library
 
 from animtool.maths import so3
 from animtool.sim.colliders import Box, Collider, Plane, Poses, Sphere
-from animtool.systems.crowds.agents import Going
-from animtool.systems.crowds.bodies import Bodies, _weights
+from animtool.systems.crowds.agents import AgentMotion
+from animtool.systems.crowds.bodies import AgentBodies, _weights
 from animtool.systems.crowds.footing import Footing, followed
 from animtool.systems.crowds.gaits import about_side, eased, rows, standing_ankle
 from animtool.systems.crowds.ground import Frame
 from animtool.systems.crowds.obstacles import _about, lost
 from animtool.systems.crowds.reach import Reach, Stances, _hurry, hurried
-from animtool.systems.crowds.routes import Grid
+from animtool.systems.crowds.routes import NavGrid
 from animtool.systems.crowds.shoulders import turned_shoulders
 
 TURNED = so3.exp(np.array([0.0, np.pi / 2, 0.0]))
@@ -193,7 +193,7 @@ def test_what_is_near_obstacles_is_looked_at() -> None:
 
 def test_who_is_off_the_grid_is_lost() -> None:
     free = np.array([[True, False], [True, True]])
-    grid = Grid(np.zeros(2), 1.0, free)
+    grid = NavGrid(np.zeros(2), 1.0, free)
     x = np.array([[0.0, 0.1], [0.1, 0.9], [1.0, 1.0], [-9.0, 0.0]])
     assert lost(grid, x).tolist() == [False, True, False, False]
 
@@ -205,13 +205,13 @@ def test_agents_stand_as_the_first_clip_that_stands() -> None:
 
 
 def test_a_step_leaves_the_state_before_as_it_was() -> None:
-    bodies = Bodies(library("walk", "stand"), np.ones(2), level)
+    bodies = AgentBodies(library("walk", "stand"), np.ones(2), level)
     x = np.zeros((2, 2))
-    before = Going(x, x, np.array([0.0, 1.0]))
+    before = AgentMotion(x, x, np.array([0.0, 1.0]))
     state = bodies.first(before, np.array([0.1, 0.6]))
     for k in range(12):
         v = np.tile([0.0, 1.0], (2, 1))
-        after = Going(before.points + 0.1 * v, v, before.headings)
+        after = AgentMotion(before.points + 0.1 * v, v, before.headings)
         kept = {name: getattr(state, name).copy() for name in type(state).__slots__}
         made = bodies.next(state, before, after, 0.1, np.array([k == 3, False]))
         for name, values in kept.items():

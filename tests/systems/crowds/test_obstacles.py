@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.sim.colliders import Colliders
-from animtool.systems.crowds.ground import Frame, Ground
+from animtool.systems.crowds.ground import Frame, Terrain
 from animtool.systems.crowds.obstacles import Obstacles
 from animtool.systems.crowds.spec import DoorModel
 
@@ -24,7 +24,7 @@ def shut(*opens: list[float]) -> Obstacles:
     return Obstacles(
         agents,  # type: ignore[arg-type]
         Frame(np.zeros(3), so3.IDENTITY),
-        Ground(),
+        Terrain(),
         Colliders([]),
         [door],
         ends=np.array([[[0.0, 0], [3, 4]]]),

@@ -68,10 +68,10 @@ def test_soles_lean_as_the_ground_does_up_to_a_limit() -> None:
 
 def test_who_stands_goes_there_and_back_again() -> None:
     """A clip of 2 s and five rows."""
-    idle: Any = SimpleNamespace(turns=np.zeros((5, 1, 4)), period=2.0)
+    idle: Any = SimpleNamespace(rotations=np.zeros((5, 1, 4)), period=2.0)
     clocks = np.array([0.0, 0.5, 2.0, 2.5, 3.5, 4.0, 9.0])
     assert_allclose(idle_rows(idle, clocks), [0, 1, 4, 3, 1, 0, 2])
-    idle.turns = idle.turns[:1]
+    idle.rotations = idle.rotations[:1]
     assert_allclose(idle_rows(idle, clocks), 0)
 
 

@@ -5,24 +5,25 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from animtool.systems.crowds.routes import Grid, Route, route_to
+from animtool.systems.crowds.routes import FlowField, NavGrid, route_to
 
 LOW = np.array([10.0, -4.0])
 
 
-def grid(*rows: str) -> Grid:
+def grid(*rows: str) -> NavGrid:
     """Return a grid of half a metre from (10, -4) on; ``#`` is not free."""
     free = np.array([[node != "#" for node in row] for row in rows])
-    return Grid(LOW, 0.5, free)
+    return NavGrid(LOW, 0.5, free)
 
 
 def test_nodes_are_numbered_along_z_and_then_x() -> None:
     own = grid("....", "....", "....")
     assert_allclose(
-        Grid.nodes(LOW, 0.5, (2, 2)), [[10, -4], [10, -3.5], [10.5, -4], [10.5, -3.5]]
+        NavGrid.nodes(LOW, 0.5, (2, 2)),
+        [[10, -4], [10, -3.5], [10.5, -4], [10.5, -3.5]],
     )
     assert_allclose(
-        own.place(np.array([0, 3, 4, 11])),
+        own.positions_of(np.array([0, 3, 4, 11])),
         [[10, -4], [10, -2.5], [10.5, -4], [11, -2.5]],
     )
     assert_allclose(own.high, [11, -2.5])
@@ -70,8 +71,8 @@ def test_ways_go_round_walls_and_end_at_the_goal_or_the_node_next_to_it() -> Non
     assert route.distances[0, 0] == 0
     # Along the wall, round its end, and back: 4 cells, a turn, and 4 cells.
     assert 8 * 0.5 < route.distances[2, 0] < 10 * 0.5 + 1e-9
-    assert_allclose(route.ways[0, 2], [0, -1], atol=1e-9)
-    assert_allclose(route.ways[2, 1], [0, 1], atol=1e-9)
+    assert_allclose(route.gradient[0, 2], [0, -1], atol=1e-9)
+    assert_allclose(route.gradient[2, 1], [0, 1], atol=1e-9)
     assert_allclose(route.goal(np.array([[11.0, -3.9], [11, -1]])), [goal, [10, -1]])
     # Straight ahead what is seen, and along the wall what is not.
     points = np.array([[10.0, -3.0], [11.0, -4.0]])
@@ -91,5 +92,5 @@ def test_a_way_longer_by_up_to_a_cell_and_a_half_is_straight() -> None:
         far -= 0.1 * np.arange(5)
         far[0, 0] = np.sqrt(2) + longer * 0.5
         goals = np.array([[0.0, 0.0], goal[0]])
-        found = Route(own, goals, far).directions(point, goal)
+        found = FlowField(own, goals, far).directions(point, goal)
         assert_allclose(found, [way], atol=1e-9)

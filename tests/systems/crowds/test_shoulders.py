@@ -9,7 +9,7 @@ from systems.crowds.test_bodies import level, library
 from animtool import _kernels
 from animtool.maths import so3
 from animtool.rig.kinematics import forward
-from animtool.systems.crowds.bodies import Bodies
+from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.shoulders import (
     DEPTH,
     MOST,
@@ -89,11 +89,11 @@ def test_lines_are_as_long_as_shoulders_are_turned() -> None:
 
 def test_the_chest_turns_as_far_and_the_head_looks_ahead() -> None:
     gaits = library("stand", "walk")
-    bodies = Bodies(gaits, np.ones(2), level)
+    bodies = AgentBodies(gaits, np.ones(2), level)
     rig = gaits.walker.rig
     turns = np.repeat(rig.rest_rotations[None], 2, axis=0)
     angles = np.array([0.0, MOST])
-    bodies.trunk.turn(rig.parents, turns, angles)
+    bodies.trunk.rotate(rig.parents, turns, angles)
     places = np.repeat(rig.rest_translations[None], 2, axis=0)
     world = forward(rig, places, turns).rotations
     names = [joint.name for joint in rig.joints]

@@ -20,7 +20,7 @@ def steering(count: int, then: str = "stay", **keys: Any) -> Steering:
         {"name": "all", "route": ["a", "b"], "then": then, "radius": 0.3}
     )
     given: dict[str, Any] = {
-        "populations": [population],
+        "entries": [population],
         "ends": [count],
         "starts": np.zeros((count, 2)),
         "speeds": np.full(count, 1.2),

@@ -17,9 +17,11 @@ from animtool.systems.flocks.flock import (
     FlockForces,
     FlockState,
     Heading,
+    build,
     first_heading,
     next_heading,
     shown,
+    wrapped,
 )
 from animtool.systems.flocks.members import (
     Members,
@@ -28,11 +30,11 @@ from animtool.systems.flocks.members import (
     farthest,
     max_speed,
 )
-from animtool.systems.flocks.rules import Rule, flocking, max_pairs, rules_of
+from animtool.systems.flocks.rules import FlockRule, flocking, max_pairs, rules_of
 from animtool.systems.flocks.spacing import Spacing
 from animtool.systems.flocks.spec import FlocksModel, SpeciesModel
 from animtool.systems.flocks.steering import steered
-from animtool.systems.particles import BoxPlace, Point, find_force
+from animtool.systems.particles import BoxShape, Point, find_force
 from animtool.systems.particles.emitter import uniforms
 
 QUIET = {k: {"weight": 0} for k in ("attraction", "alignment", "repulsion", "speed")}
@@ -48,7 +50,7 @@ def members(points: Any, *models: SpeciesModel, parts: Any = None) -> Members:
     x = np.asarray(points, float)
     ends = (np.arange(len(models)) + 1) * (len(x) // len(models))
     given = parts or [{}] * len(models)
-    return Members(list(models), given, ends.tolist(), 2.0, x, 0 * x)
+    return Members(list(models), ends.tolist(), given, 2.0, x, 0 * x)
 
 
 def up_of(heading: Heading) -> np.ndarray:
@@ -122,7 +124,7 @@ def test_members_are_counted_by_their_species() -> None:
     assert own.named(2) == "member 0 of 'big'"
     twice = members([[0, 0, 0], [1, 0, 0], [2, 0, 0], [1, 0, 0]], species(), big)
     with pytest.raises(AnimtoolError, match="member 1 of 's' and member 1 of 'big'"):
-        twice.check_apart()
+        twice.check_distinct()
 
 
 def test_who_begins_in_a_collider_is_moved_out_to_its_surface_and_no_more() -> None:
@@ -166,7 +168,7 @@ def test_what_members_are_moved_by_is_told_from_a_share_of_their_radius_on(
 
 def test_those_of_a_place_go_their_way_by_their_cruise() -> None:
     model = species(count=3, seed=5, speed={"cruise": 4}, direction=[3, 0, 4], spread=0)
-    parts = {"place": BoxPlace((2, 2, 2)), "poses": Poses.fixed((7, 8, 9))}
+    parts = {"place": BoxShape((2, 2, 2)), "poses": Poses.fixed((7, 8, 9))}
     x, v = _drawn(model, parts, 1.5)
     assert_allclose(x, [7, 8, 9] + 2 * uniforms(5, 2**40 + np.arange(3), 8)[:, :3] - 1)
     assert_allclose(v, [[2.4, 0, 3.2]] * 3)
@@ -256,7 +258,7 @@ def test_rules_without_an_effect_are_left_out() -> None:
     assert other.others is not None
     assert other.others.tolist() == [2, 3]
     # Nobody is there to heed.
-    empty = Members(friends, [{}] * 2, [4, 4], 0.0, rows, rows)
+    empty = Members(friends, [4, 4], [{}] * 2, 0.0, rows, rows)
     (first,) = rules_of(empty)
     assert first.members is not None
     assert first.members.tolist() == [0, 1, 2, 3]
@@ -266,9 +268,11 @@ def test_pulls_of_all_rules_add_up_for_those_that_they_are_of() -> None:
     """Each to the one within 2 m by its way; a second rule is of the second alone."""
     x = np.array([[0.0, 0, 0], [1, 0, 0], [9, 9, 9]])
     pull, none = (2.0, 2.0), (0.0, 0.0)
-    every = Rule(None, None, 2.0, -1.0, 0, pull, none, none, 0.0)
+    every = FlockRule(None, None, 2.0, -1.0, 0, pull, none, none, 0.0)
     second = np.array([1], np.int32)
-    own = Rule(second, np.array([0], np.int32), 2.0, -1.0, 0, pull, none, none, 0.0)
+    own = FlockRule(
+        second, np.array([0], np.int32), 2.0, -1.0, 0, pull, none, none, 0.0
+    )
     found = flocking([every, own], None, x, 0 * x)
     assert_allclose(found, [[2, 0, 0], [-4, 0, 0], [0, 0, 0]], atol=1e-12)
 
@@ -290,13 +294,13 @@ def test_nobody_keeps_a_distance_alone_or_without_a_size() -> None:
     for model, each in ((species(radius=0.3), 0.6), (species(**least), 0.4)):
         own = Spacing.of(members(rows, model), None)
         assert own is not None
-        assert own.own.tolist() == [each] * 2
+        assert own.distances.tolist() == [each] * 2
     mixed = Spacing.of(members(rows, species(), species(name="b", radius=0.3)), None)
     assert mixed is not None
-    assert mixed.own.tolist() == [0, 0.6]
+    assert mixed.distances.tolist() == [0, 0.6]
     # Of two the mean of both, and a hair more; each goes half of the way.
     own = Spacing(np.array([1.0, 0.5]), np.zeros((2, 3)))
-    x, overlap = own.moved_apart(np.array([[5.0, 0, 0], [5.5, 0, 0]]), 400)
+    x, overlap = own.separated(np.array([[5.0, 0, 0], [5.5, 0, 0]]), 400)
     assert x[1, 0] - x[0, 0] == pytest.approx(0.75, rel=2e-4)
     assert x[1, 0] - x[0, 0] >= 0.75
     assert x[:, 0].mean() == pytest.approx(5.25)
@@ -323,7 +327,7 @@ def flock(rows: Any, v: Any, *, shows: Any = None, **keys: Any) -> Flock:
     }  # fmt: skip
     if shows is not None:
         parts["shows"] = shows
-    return Flock(spec, _Context(parts, colliders=colliders, forces=forces))  # type: ignore[arg-type]
+    return build(spec, _Context(parts, colliders=colliders, forces=forces))  # type: ignore[arg-type]
 
 
 def test_who_leaves_a_domain_comes_in_again_on_the_other_side() -> None:
@@ -332,11 +336,11 @@ def test_who_leaves_a_domain_comes_in_again_on_the_other_side() -> None:
     rows = [[3.5, 0, 0], [-1.5, 2, 0], [1, 10, -4.5]]
     made = flock(rows, np.ones((3, 3)), domain=domain)
     motion = np.stack([[[21.5, 0, 0], [-19.5, 31, 0], [1, 100, -45]], np.ones((3, 3))])
-    found = made._within(motion)
+    found = wrapped(motion, made.system.domain)
     assert_allclose(found[0], [[-18.5, 0, 0], [20.5, -29, 0], [1, -20, 35]])
     assert_array_equal(found[1], motion[1])
     within = np.stack([np.zeros((3, 3)), np.ones((3, 3))])
-    assert made._within(within) is within
+    assert wrapped(within, made.system.domain) is within
 
 
 def test_members_show_points_and_the_order_of_those_that_move() -> None:
@@ -408,7 +412,7 @@ def test_who_sees_a_narrow_part_sees_no_more() -> None:
 def test_all_species_that_cannot_begin_are_told_at_once() -> None:
     kinds = [{"name": name, "count": 2, "seed": i} for i, name in enumerate("abc")]
     spec = FlocksModel.model_validate({"name": "it", "species": kinds})
-    place = {"place": BoxPlace((9.0, 9.0, 9.0)), "poses": Poses.fixed()}
+    place = {"place": BoxShape((9.0, 9.0, 9.0)), "poses": Poses.fixed()}
     wrong = {**place, "velocities": np.zeros((2, 3)), "points": np.zeros((3, 3))}
     with pytest.raises(AnimtoolError) as error:
         Members.of(spec, [wrong, place, wrong], 0.0)

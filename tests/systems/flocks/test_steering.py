@@ -15,7 +15,12 @@ from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.rules import rules_of, wrapping
 from animtool.systems.flocks.spacing import Spacing
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
-from animtool.systems.flocks.steering import avoidance, kept_speeds, own_ways, steered
+from animtool.systems.flocks.steering import (
+    avoidance,
+    goal_accelerations,
+    kept_speeds,
+    steered,
+)
 
 
 def members(*species: dict[str, Any], count: int = 1, goals: int = 0) -> Members:
@@ -27,12 +32,12 @@ def members(*species: dict[str, Any], count: int = 1, goals: int = 0) -> Members
     places = {"goals": [{"poses": Poses.fixed((1.0, 0.0, 0.0))}] * goals}
     ends = (np.arange(len(models)) + 1) * count
     rows = np.zeros((len(models) * count, 3))
-    return Members(models, [places] * len(models), ends.tolist(), 0.0, rows, rows)
+    return Members(models, ends.tolist(), [places] * len(models), 0.0, rows, rows)
 
 
 def ways(x: list[float], v: list[float], goals: int = 0, **keys: Any) -> np.ndarray:
     own = members(keys, goals=goals)
-    return own_ways(own, 0.0, np.array([x], float), np.array([v], float))[0]
+    return goal_accelerations(own, 0.0, np.array([x], float), np.array([v], float))[0]
 
 
 @pytest.mark.parametrize(("speed", "gain"), [(2.0, 3.0), (3.0, 0.0), (5.0, -24.0)])
@@ -59,7 +64,7 @@ def test_a_goal_pulls_by_what_is_beyond_its_radius(
 ) -> None:
     quiet = {"weight": 0}
     own = members({"speed": quiet, "goals": [{"at": [1, 0, 0], **goal}]}, goals=1)
-    found = own_ways(own, 0.0, np.array([[x, 0.0, 0.0]]), np.zeros((1, 3)))
+    found = goal_accelerations(own, 0.0, np.array([[x, 0.0, 0.0]]), np.zeros((1, 3)))
     assert_allclose(found, [[pull, 0, 0]], atol=1e-12)
 
 
@@ -204,7 +209,7 @@ def test_who_is_moved_apart_is_named_where_a_file_gave_the_place() -> None:
     model = SpeciesModel.model_validate({"name": "s", "radius": 0.1})
     rows = np.array([[0.0, 0, 0], [1, 0, 0], [1.05, 0, 0]])
     for parts, codes in (({"points": rows}, ["SIM147"]), ({}, [])):
-        own = Members([model], [parts], [3], 0.0, rows, 0 * rows)
+        own = Members([model], [3], [parts], 0.0, rows, 0 * rows)
         moved = rows + np.array([[0.0, 0, 0], [0, 0, 0], [0.15, 0, 0]])
         found = own.spread(moved, 0.0)
         assert [fault.code for fault in found] == codes

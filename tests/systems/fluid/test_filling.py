@@ -21,8 +21,8 @@ from animtool.sim.colliders import (
 )
 from animtool.systems.fluid.filling import (
     Nozzle,
-    _check_apart,
     _check_count,
+    _check_distinct,
     _check_outside,
     _lattice,
     coarse_drops,
@@ -106,16 +106,16 @@ def test_two_nearer_than_a_quarter_of_the_spacing_are_named_by_their_fills() -> 
     own = spec(fills=[{"name": "a", "points": "x"}, {"points": "y"}, {"points": "z"}])
     x = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [2, 0.024, 0]])
     with pytest.raises(AnimtoolError) as error:
-        _check_apart(own, x, np.array([2, 3, 5]))
+        _check_distinct(own, x, np.array([2, 3, 5]))
     message = error.value.faults[0].message
     assert message.startswith("particle 0 of fill 1 and particle 1 of fill 2 start")
     assert "start 0.024 m apart, but the spacing is 0.1 m" in message
     x[4] = [0.02, 0, 0]
     with pytest.raises(AnimtoolError, match="particle 0 of 'a' and particle 1 of fil"):
-        _check_apart(own, x, np.array([2, 3, 5]))
+        _check_distinct(own, x, np.array([2, 3, 5]))
     x[4] = [0.026, 0, 0]
-    _check_apart(own, x, np.array([2, 3, 5]))
-    _check_apart(own, x[:1], np.array([1]))
+    _check_distinct(own, x, np.array([2, 3, 5]))
+    _check_distinct(own, x[:1], np.array([1]))
 
 
 def test_as_many_as_are_allowed_are() -> None:

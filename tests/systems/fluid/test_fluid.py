@@ -21,7 +21,7 @@ from animtool.sim.colliders.shapes import bounds
 from animtool.systems.fluid.filling import (
     JET,
     Nozzle,
-    _given_points,
+    _points_of_file,
     coarse_drops,
 )
 from animtool.systems.fluid.fluid import Fluid, Pressed
@@ -540,9 +540,9 @@ def test_points_of_a_file_that_are_no_numbers_are_named_by_their_row() -> None:
         {"name": "it", "spacing": 0.1, "fills": [{"points": "a.npz"}]}
     ).fills
     with pytest.raises(AnimtoolError, match="points of pool: row 2 is not") as error:
-        _given_points(fill, {"points": points}, "pool")
+        _points_of_file(fill, {"points": points}, "pool")
     assert error.value.faults[0].code == "SIM064"
-    found = _given_points(fill, {"points": points[:2]}, "pool")
+    found = _points_of_file(fill, {"points": points[:2]}, "pool")
     assert_array_equal(found, np.stack([points[:2], 0 * points[:2]]))
 
 

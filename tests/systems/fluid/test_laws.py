@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from animtool import _kernels
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses, Sphere
-from animtool.systems.fluid.fluid import Fluid, FluidState, Pressed
+from animtool.systems.fluid.fluid import Fluid, FluidState, Pressed, build
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
 from animtool.systems.fluid.surface import field, surface_of
@@ -46,7 +46,7 @@ def fluid(
         "forces": list(forces), "drains": list(drains),
         "emitters": [{"poses": Poses.fixed((20.0, 0, 0))}] * len(spec.emitters),
     }  # fmt: skip
-    return Fluid(spec, _Context(parts, colliders))  # type: ignore[arg-type]
+    return build(spec, _Context(parts, colliders))  # type: ignore[arg-type]
 
 
 def test_it_begins_with_the_energy_that_forces_give_it() -> None:

@@ -10,7 +10,7 @@ import pytest
 from animtool.core.errors import OptionError
 from animtool.sim.colliders import Colliders
 from animtool.systems.fluid import surface
-from animtool.systems.fluid.fluid import Fluid
+from animtool.systems.fluid.fluid import Fluid, build
 from animtool.systems.fluid.spec import FluidModel
 
 BOX = {"shape": {"box": {"size": [1, 1, 1]}}}
@@ -85,7 +85,7 @@ def test_a_surface_needs_what_makes_it_and_points_do_not(
 
     def made(**keys: Any) -> Fluid:
         given = {"name": "it", "spacing": 0.1, "fills": [{"points": "a"}], **keys}
-        return Fluid(FluidModel.model_validate(given), Context())  # type: ignore[arg-type]
+        return build(FluidModel.model_validate(given), Context())  # type: ignore[arg-type]
 
     assert made()
     with pytest.raises(OptionError) as error:

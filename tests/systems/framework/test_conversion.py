@@ -25,8 +25,8 @@ from animtool.systems.framework.conversion import (
     powers,
 )
 from animtool.systems.framework.kinds import SYSTEM_KINDS
+from animtool.systems.particles.emitter_shapes import EMITTER_SHAPES
 from animtool.systems.particles.forces.table import FORCES, find_force
-from animtool.systems.particles.places import PLACES
 
 
 def assert_close(one: Any, other: Any, where: str = "") -> None:
@@ -72,7 +72,7 @@ def entry(kind: str) -> list[dict[str, Any]]:
 
 
 def records() -> Iterator[tuple[str, Any]]:
-    for table in (SHAPES, PLACES):
+    for table in (SHAPES, EMITTER_SHAPES):
         yield from ((name, kind) for name, kind in table.items() if name != "mesh")
     yield from ((name, find_force(name)) for name in FORCES)
 

@@ -21,7 +21,7 @@ from animtool.systems.molecules.atoms import (
     BOLTZMANN,
     COULOMB,
     Atoms,
-    Box,
+    PeriodicBox,
     _read,
     mixed,
 )
@@ -31,6 +31,7 @@ from animtool.systems.molecules.molecules import (
     Molecules,
     MoleculeState,
     bath_factor,
+    build,
 )
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel
 
@@ -49,7 +50,7 @@ def molecules(**keys: Any) -> Molecules:
     spec = MoleculesModel.model_validate({**given, "step": 0.01, **keys})
     parts = {"species": [{}] * len(spec.species), "traps": [{"poses": Poses.fixed()}]}
     parts["traps"] *= len(spec.traps)
-    return Molecules(spec, _Context(parts))
+    return build(spec, _Context(parts))
 
 
 def after(made: Molecules, steps: int, dt: float) -> list[MoleculeState]:
@@ -320,7 +321,7 @@ def test_two_kinds_act_by_the_mean_sigma_and_the_geometric_mean_epsilon() -> Non
     assert_allclose(c6 / c12, np.array([[0.3, 0.35], [0.35, 0.4]]) ** -6.0)
     assert_allclose(c6**2 / (4 * c12), [[1, 2], [2, 4]])
     # At the sixth root of 2 of sigma they rest, and that far down.
-    placing = Box(spec)
+    placing = PeriodicBox(spec)
     for (i, j), depth in (((0, 0), 1.0), ((0, 1), 2.0), ((1, 1), 4.0)):
         near = 2 ** (1 / 6) * (kinds[i]["sigma"] + kinds[j]["sigma"]) / 2
         atoms = Atoms(
@@ -342,7 +343,7 @@ def test_atoms_of_unequal_mass_are_as_warm_and_rest_as_a_whole() -> None:
     spec = MoleculesModel(
         name="it", species=kinds, box=[4, 4, 4], step=0.001, temperature=120
     )
-    atoms = Atoms.of(spec, [{}, {}], Box(spec))
+    atoms = Atoms.of(spec, [{}, {}], PeriodicBox(spec))
     m, v = atoms.masses, atoms.velocities
     assert np.abs(m @ v).max() < 1e-10 * (m @ np.abs(v)).max()
     twice = m * (v**2).sum(axis=1)
@@ -390,7 +391,9 @@ def test_a_step_is_judged_by_the_stiffest_kind() -> None:
         for off in (-1e-6, 1e-6):
             x = np.array([[2.0, 2, 2], [2, 2 + near + off, 2]])
             atoms = Atoms(x, 0 * x, np.ones(2), two, np.zeros(2), np.ones(2))
-            pulls.append(Interactions(spec, atoms, Box(spec)).acting(x, x).forces[1, 1])
+            pulls.append(
+                Interactions(spec, atoms, PeriodicBox(spec)).acting(x, x).forces[1, 1]
+            )
         square = 8 * (pulls[0] - pulls[1]) / 2e-6 / one["mass"]
         stiffest = max(stiffest, np.sqrt(square))
         made = molecules(species=[one], box=[4, 4, 4], cutoff=1.9)
@@ -438,7 +441,7 @@ def test_one_atom_outside_of_the_box_is_refused(out: list[float]) -> None:
     )
     points = np.array([[1.5, 0, 0], [0, -1.5, 0.4], out], float)
     with raises(AnimtoolError, "SIM071"):
-        _read(spec.species[0], {"points": points}, Box(spec))
-    found, speeds = _read(spec.species[0], {"points": points[:2]}, Box(spec))
+        _read(spec.species[0], {"points": points}, PeriodicBox(spec))
+    found, speeds = _read(spec.species[0], {"points": points[:2]}, PeriodicBox(spec))
     assert speeds is None
     assert_allclose(found, points[:2] + 1.5)

@@ -15,7 +15,7 @@ from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.framework import matter
 from animtool.systems.nbody.galaxies import (
-    Profile,
+    MassProfile,
     _from_outside,
     build_galaxy,
     built_galaxies,
@@ -25,7 +25,7 @@ from animtool.systems.nbody.galaxies import (
     enclosed,
     on_orbit,
 )
-from animtool.systems.nbody.nbody import BARE_PHASE, PHASE, Nbody, Pulls
+from animtool.systems.nbody.nbody import BARE_PHASE, PHASE, Pulls, build
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
 from animtool.systems.particles.emitter import uniforms
 
@@ -153,7 +153,7 @@ def test_what_is_kept_is_told_over_what_there_is() -> None:
         "bodies": [{"points": X}],
         "attractors": [{"poses": Poses.fixed((9, 9, 9))}],
     }
-    outside = Nbody(placed, _Context(parts))
+    outside = build(placed, _Context(parts))
     assert "energy_drift" not in outside._values(outside.initial(), 0.0)
     # At an attractor without softening nothing is infinite.
     found = outside.from_placed(placed.attractors[0], X[0], X[:1])
@@ -174,7 +174,7 @@ def test_integrals_from_outside_are_those_of_trapezoids() -> None:
 def test_pulls_and_speeds_about_a_point_are_keplers(softening: float) -> None:
     """Softened as a sphere of Plummer; radii are tabulated far beyond the mass."""
     disc = {"mass": 1e-9, "radius": 0.5, "cutoff": 6, "count": 9}
-    own = Profile(galaxy(nucleus=3, disc=disc), 2.0, softening)
+    own = MassProfile(galaxy(nucleus=3, disc=disc), 2.0, softening)
     r = own.r
     assert (r[0], r[-1], len(r)) == pytest.approx((5e-5, 12, 4096))
     squares = 2 * 3 * r**2 / (r**2 + softening**2) ** 1.5
@@ -182,14 +182,14 @@ def test_pulls_and_speeds_about_a_point_are_keplers(softening: float) -> None:
     assert_allclose(own.pull, squares / r, rtol=1e-6)
     if not softening:
         assert_allclose(own.escape**2, 2 * 2 * 3 / r, rtol=1e-4)
-    alone = Profile(galaxy(nucleus=3), 2.0, 0.0)
+    alone = MassProfile(galaxy(nucleus=3), 2.0, 0.0)
     assert (alone.r[0], alone.r[-1]) == pytest.approx((1e-4, 4))
 
 
 def test_all_parts_of_a_galaxy_pull() -> None:
     ball = {"mass": 2, "radius": 1, "cutoff": 4, "count": 9}
     parts = {"bulge": ball, "halo": {**ball, "mass": 5}, "disc": {**ball, "mass": 3}}
-    own = Profile(galaxy(nucleus=1, **parts), 2.0, 0.0)
+    own = MassProfile(galaxy(nucleus=1, **parts), 2.0, 0.0)
     at = [np.interp(9.0, own.r, each) for each in (own.pull, own.circular)]
     assert at[0] == pytest.approx(2 * 11 / 81, rel=1e-4)
     far = own.r[-1]
@@ -222,7 +222,7 @@ def test_bodies_of_a_disc_are_where_their_numbers_say() -> None:
     disc = {"mass": 3, "radius": 0.5, "cutoff": 4, "thickness": 0.2, "count": 50}
     own = galaxy(nucleus=2, disc={**disc, "stability": 1.2})
     made = build_galaxy(own, 2.0, 0.1)
-    profile = Profile(own, 2.0, 0.1)
+    profile = MassProfile(own, 2.0, 0.1)
     u = uniforms(4, np.arange(50), 6)
     x = made.points[1:] - made.points[0]
     v = made.velocities[1:] - made.velocities[0]
@@ -261,7 +261,7 @@ def test_bodies_of_a_spheroid_are_bound_and_drawn_by_their_own_seed(kind: str) -
     part = {"mass": 3, "radius": 0.5, "cutoff": 6, "count": 60}
     own = galaxy(**{kind: part})
     made = build_galaxy(own, 2.0, 0.1)
-    profile = Profile(own, 2.0, 0.1)
+    profile = MassProfile(own, 2.0, 0.1)
     u = uniforms(4 + (1000 if kind == "bulge" else 2000), np.arange(60), 6)
     model = getattr(own, kind)
     r = np.interp(u[:, 0] * 3, enclosed(model, profile.r), profile.r)
@@ -301,7 +301,7 @@ def test_galaxies_are_turned_and_put_and_moved() -> None:
     moved = so3.rotate(turn, own.velocities) + np.array([4, 5, 6])
     assert_allclose(first.velocities, moved, atol=1e-12)
     assert second.masses.tolist() == [7]
-    made = Nbody(spec, _Context({}))
+    made = build(spec, _Context({}))
     assert made.several
     assert made.species.tolist() == [0] * 20 + [1]
     assert_array_equal(made.shown, np.arange(21))

@@ -19,13 +19,13 @@ from animtool.sim.colliders import Poses
 from animtool.systems.framework.matter import Bodies
 from animtool.systems.framework.run import Reached, SimulationRun
 from animtool.systems.nbody.galaxies import (
-    Profile,
+    MassProfile,
     build_galaxy,
     disc_velocities,
     enclosed,
     on_orbit,
 )
-from animtool.systems.nbody.nbody import ADVISED, PHASE, Nbody
+from animtool.systems.nbody.nbody import ADVISED, PHASE, build
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
 
 DISC = {"count": 700, "mass": 1, "radius": 1, "cutoff": 4}
@@ -77,7 +77,7 @@ def test_the_rotation_curve_is_that_of_its_mass() -> None:
         | {"halo": {**HALO, "count": 8000}, "bulge": {**BULGE, "count": 2000}}
     )
     made = build_galaxy(galaxy, 2.0, 0.05)
-    profile = Profile(galaxy, 2.0, 0.05)
+    profile = MassProfile(galaxy, 2.0, 0.05)
     from animtool import _kernels
 
     pulls = _kernels.gravity(made.points, made.masses, 2.0, 0.05, 1e-3)[0]
@@ -263,9 +263,9 @@ def test_a_galaxy_is_where_its_centre_of_mass_is() -> None:
         assert np.abs(each[0]).max() > 1e-3
 
 
-def profile_of(softening: float = 0.0, **parts: Any) -> Profile:
+def profile_of(softening: float = 0.0, **parts: Any) -> MassProfile:
     galaxy = GalaxyModel.model_validate({"name": "it", "nucleus": 0, **parts})
-    return Profile(galaxy, 2.0, softening)
+    return MassProfile(galaxy, 2.0, softening)
 
 
 def test_spheroids_have_the_mass_and_the_dispersion_of_their_profile() -> None:
@@ -404,7 +404,7 @@ def test_what_attracts_from_outside_counts_in_energies_and_accelerations() -> No
         "bodies": [{"points": x, "velocities": v}],
         "attractors": [{"poses": Poses.fixed((3.0, 0.0, 0.0))}],
     }
-    made = Nbody(spec, _Context(parts))
+    made = build(spec, _Context(parts))
     state = made.initial()
     found = made._quantities(state, 0.0)
     far = np.array([5.0, np.sqrt(9 + 64 + 16)])
@@ -455,7 +455,7 @@ def test_one_body_beyond_numbers_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
     far = Bodies(np.array([[np.inf, 0, 0]]), np.zeros((1, 3)), np.ones(1))
     monkeypatch.setattr("animtool.systems.nbody.nbody.built_galaxies", lambda _: [far])
     with pytest.raises(AnimtoolError, match="numbers overflow") as error:
-        Nbody(spec, context)
+        build(spec, context)
     assert error.value.faults[0].code == "SIM070"
 
 

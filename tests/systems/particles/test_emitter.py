@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool.maths import so3
 from animtool.sim.colliders import Mesh, Poses
-from animtool.systems.particles import BoxPlace, Disc, Emitter, MeshSurface, SpherePlace
+from animtool.systems.particles import BoxShape, Disc, Emitter, MeshSurface, SphereShape
 from animtool.systems.particles.emitter import Births, mixed, uniforms
 
 
@@ -145,7 +145,7 @@ def test_places_and_speeds_are_of_the_emitters_frame() -> None:
 
 
 def test_a_burst_of_its_own_is_drawn_at_a_time() -> None:
-    emitter = Emitter(rate=50.0, speed=2.0, place=BoxPlace((1, 1, 1)), seed=4)
+    emitter = Emitter(rate=50.0, speed=2.0, place=BoxShape((1, 1, 1)), seed=4)
     x, v = emitter.drawn_at(3.0, 5)
     u = uniforms(4, 2**40 + np.arange(5), 8)
     assert_allclose(x, u[:, :3] - 0.5)
@@ -169,7 +169,7 @@ def test_a_burst_of_its_own_is_drawn_at_a_time() -> None:
         ({"bursts": [(0.0, 1), (1.0, 10**12 + 1)]}, ["bursts"]),
         ({"bursts": [(0.0, -1), (math.inf, 2)]}, ["bursts", "bursts"]),
         ({"place": Disc(0.0)}, ["place"]),
-        ({"place": BoxPlace((0, 0, 0))}, []),
+        ({"place": BoxShape((0, 0, 0))}, []),
     ],
 )
 def test_ends_of_what_an_emitter_may_be(keys: Any, options: list[str]) -> None:
@@ -184,13 +184,13 @@ def test_places_by_their_chances() -> None:
     assert_allclose(x, [[0, 0, 1], [-2, 0, 0]], atol=1e-12)
     assert out is None
     chances = np.array([[0.5, 0.0, 0.125], [1.0, 0.3, 1.0], [0.8, 0.25, 1.0]])
-    x, out = SpherePlace(2.0).points(chances)
+    x, out = SphereShape(2.0).points(chances)
     assert_allclose(x, [[1, 0, 0], [0, 2, 0], [0, 1.2, 1.6]], atol=1e-12)
     assert out is None
-    x, out = SpherePlace(2.0, hollow=True).points(chances)
+    x, out = SphereShape(2.0, hollow=True).points(chances)
     assert_allclose(x, [[2, 0, 0], [0, 2, 0], [0, 1.2, 1.6]], atol=1e-12)
     assert_allclose(out, x / 2, atol=1e-12)
-    x, _ = BoxPlace((2, 4, 6)).points(np.array([[0.0, 0.5, 1.0]]))
+    x, _ = BoxShape((2, 4, 6)).points(np.array([[0.0, 0.5, 1.0]]))
     assert_allclose(x, [[-1, 0, 3]])
     # One of an area of 1, and one of 3 that is turned the other way.
     corners = [[0, 0, 0], [0, 0, 2], [1, 0, 0], [0, 0, -6]]

@@ -126,7 +126,7 @@ def test_bodies_take_what_meets_their_own_shapes(
         took.append((own.name, t, shapes.tolist(), free, masses))
         return state + 1.0, f"taken {own.name}"
 
-    monkeypatch.setattr(moving, "share_impulses", share)
+    monkeypatch.setattr(moving, "exchange_impulses", share)
     monkeypatch.setattr(Wrenches, "sum", staticmethod(tuple))
     whole = SimpleNamespace(
         _colliders=type("Walls", (list,), {"bodies": bodies})([0, 0]),

@@ -17,7 +17,7 @@ from animtool.sim import INTEGRATORS, IntegrateOptions, find_integrator
 from animtool.sim.colliders import Box, Collider, Mesh, Plane, Poses, Sphere
 from animtool.sim.integrators.integrator import Control, Form
 from animtool.systems.particles import (
-    BoxPlace,
+    BoxShape,
     Disc,
     Emitter,
     KillRegion,
@@ -26,7 +26,7 @@ from animtool.systems.particles import (
     ParticleRun,
     Particles,
     Point,
-    SpherePlace,
+    SphereShape,
     VelocityField,
     find_force,
 )
@@ -45,7 +45,7 @@ FOUNTAIN = Particles(
             lifetime_spread=0.3,
             seed=5,
         ),
-        Emitter(place=SpherePlace(0.2), rate=31.7, speed=1, spread=np.pi, lifetime=0.5),
+        Emitter(place=SphereShape(0.2), rate=31.7, speed=1, spread=np.pi, lifetime=0.5),
     ],
     [GRAVITY, find_force("turbulence")(), find_force("drag")(linear=1e-3)],
     colliders=[Collider(Plane(), restitution=0.4, friction=0.3)],
@@ -129,7 +129,7 @@ def test_kill_regions_remove() -> None:
     below = KillRegion(Collider(Plane((0, 1, 0), -0.5)))
     outside = KillRegion(Collider(Box((2, 4, 2)), container=True))
     falling = Particles(
-        [Emitter(rate=50, place=BoxPlace((1.9, 0, 0)), speed=1)],
+        [Emitter(rate=50, place=BoxShape((1.9, 0, 0)), speed=1)],
         [GRAVITY],
         kills=[below, outside],
     )
@@ -151,9 +151,9 @@ def test_what_there_is_no_room_for_is_not_born() -> None:
     [
         Point(),
         Disc(0.5),
-        SpherePlace(0.5),
-        SpherePlace(0.5, hollow=True),
-        BoxPlace((1, 2, 0)),
+        SphereShape(0.5),
+        SphereShape(0.5, hollow=True),
+        BoxShape((1, 2, 0)),
         MeshSurface(Mesh([[0, 0, 0], [0, 0, 1], [1, 0, 0]], [[0, 1, 2]])),
     ],
 )
@@ -164,13 +164,13 @@ def test_places_are_filled_evenly(place: object) -> None:
     middle = [1 / 3, 0, 1 / 3] if isinstance(place, MeshSurface) else [0, 0, 0]
     assert_allclose(points.mean(axis=0), middle, atol=0.05)
     radius = np.linalg.norm(points, axis=1)
-    if isinstance(place, SpherePlace):
+    if isinstance(place, SphereShape):
         share = 0.0 if place.hollow else 0.5
         inner = (radius < 0.5 * 0.5 ** (1 / 3)).mean()
         assert inner == pytest.approx(share, abs=0.05)
     if isinstance(place, Disc):
         assert (radius < 0.5 * 0.5**0.5).mean() == pytest.approx(0.5, abs=0.05)
-    if isinstance(place, BoxPlace):
+    if isinstance(place, BoxShape):
         assert_allclose(high - low, [1, 2, 0], atol=0.01)
 
 
@@ -185,7 +185,7 @@ def test_directions_fill_their_cone() -> None:
 
 
 def test_surfaces_and_hollow_balls_throw_outwards() -> None:
-    ball = Emitter(place=SpherePlace(1, hollow=True), bursts=[(0, 100)], speed=1)
+    ball = Emitter(place=SphereShape(1, hollow=True), bursts=[(0, 100)], speed=1)
     frame = last(Particles([ball]), 0.0)
     assert_allclose(frame.velocities, frame.points, atol=1e-12)
 

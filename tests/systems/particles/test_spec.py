@@ -10,7 +10,8 @@ import pytest
 
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses
 from animtool.systems.particles import Emitter, KillRegion, Particles, find_force
-from animtool.systems.particles.spec import ParticlesModel, build
+from animtool.systems.particles.simulation import build
+from animtool.systems.particles.spec import ParticlesModel
 
 
 def test_what_an_emitter_is_where_nothing_is_given() -> None:

@@ -9,7 +9,13 @@ from scipy.integrate import quad
 
 from animtool.maths import so3
 from animtool.sim.colliders import Box, Capsule, Mesh, Sphere
-from animtool.systems.rigid.cores import Solid, core_of, filled, solid_of, together
+from animtool.systems.rigid.cores import (
+    SolidProperties,
+    core_of,
+    filled,
+    solid_of,
+    together,
+)
 
 
 @pytest.mark.parametrize(("radius", "length"), [(0.3, 1.0), (0.5, 0.2), (0.2, 0.0)])
@@ -59,8 +65,8 @@ def test_boxes_and_balls_and_filled_meshes() -> None:
 
 def test_several_are_about_their_centre_of_mass() -> None:
     """Balls of 1 and 3 kg, 4 m apart: it is a metre from the heavy one."""
-    light = Solid(0.5, np.array([0.0, 0.0, 0.0]), 0.1 * np.eye(3))
-    heavy = Solid(1.0, np.array([0.0, 4.0, 0.0]), 0.2 * np.eye(3))
+    light = SolidProperties(0.5, np.array([0.0, 0.0, 0.0]), 0.1 * np.eye(3))
+    heavy = SolidProperties(1.0, np.array([0.0, 4.0, 0.0]), 0.2 * np.eye(3))
     found = together([light, heavy], [2.0, 3.0])
     assert found.volume == pytest.approx(4.0)
     assert_allclose(found.centre, [0, 3, 0])
@@ -68,13 +74,13 @@ def test_several_are_about_their_centre_of_mass() -> None:
     apart = 1 * 9.0 + 3 * 1.0
     assert_allclose(found.inertia, np.diag([own + apart, own, own + apart]))
     # Off the axes: products of inertia have the other sign.
-    aslant = Solid(1.0, np.array([2.0, 4.0, 0.0]), 0.2 * np.eye(3))
+    aslant = SolidProperties(1.0, np.array([2.0, 4.0, 0.0]), 0.2 * np.eye(3))
     found = together([light, aslant], [2.0, 1.0])
     assert found.inertia[0, 1] == pytest.approx(-0.5 * 2 * 4)
 
 
 def test_a_solid_is_turned_about_its_frame() -> None:
-    solid = Solid(2.0, np.array([1.0, 0.0, 0.0]), np.diag([1.0, 2.0, 3.0]))
+    solid = SolidProperties(2.0, np.array([1.0, 0.0, 0.0]), np.diag([1.0, 2.0, 3.0]))
     turn = so3.from_axis_angle(np.array([0.0, 0.0, 1.0]), np.pi / 2)
     found = solid.placed(np.array([0.0, 0.0, 5.0]), turn)
     assert_allclose(found.centre, [0, 1, 5], atol=1e-15)

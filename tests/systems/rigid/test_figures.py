@@ -31,7 +31,7 @@ from animtool.systems.rigid.locked import locked_joints
 from animtool.systems.rigid.physics import (
     body_entries,
     stage_joints,
-    still_colliders,
+    static_colliders,
 )
 from animtool.systems.rigid.ragdoll import RagdollOptions, bodies_of_rig, joints_of_rig
 from animtool.systems.rigid.ragdoll_motion import ragdoll_speeds
@@ -182,7 +182,7 @@ def test_what_is_described_and_read_again(tmp_path: Path) -> None:
     physics = replace(physics, joints=[*physics.joints, back])
     models, parts = body_entries(physics, "bodies")
     read = stage_joints(physics, own.bodies, 0)
-    still = still_colliders(physics)
+    still = static_colliders(physics)
     check_figures(
         __file__,
         "read",
@@ -307,7 +307,7 @@ def test_bodies_of_a_rig_and_their_speeds() -> None:
         {
             "above": own.above,
             "frames": own.frames,
-            "turns": own.turns,
+            "turns": own.axes,
             "rows": joints.rows,
             "numbers": joints.numbers,
             "pairs": joints.pairs,

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses, Sheet
-from animtool.systems.rigid.surroundings import Surroundings, _going
+from animtool.systems.rigid.surroundings import StepColliders, _going
 
 SQUARE = np.array([[1.0, 2, 3], [2, 2, 3], [2, 2, 5], [1, 2, 5]])
 TURN = np.array([0.3, -0.2, 0.5])
@@ -58,13 +58,13 @@ def test_a_surface_that_rests_is_a_collider_that_rests() -> None:
 def test_bodies_run_into_surfaces_and_into_what_is_there_without_any() -> None:
     """As into the surface as it goes, behind the other colliders."""
     floor = Collider(Plane(), Poses.fixed())
-    alone = Surroundings(Colliders([floor]))
+    alone = StepColliders(Colliders([floor]))
     for found, wanted in zip(
         alone.arrays(0.5, 1.0), Colliders([floor]).arrays(0.5, 1.0), strict=True
     ):
         assert_allclose(found, wanted)
     sheet = Sheet(Moved(), radius=0.01)
-    both = Surroundings(Colliders([floor], [sheet]))
+    both = StepColliders(Colliders([floor], [sheet]))
     wanted = Colliders([floor, _going(sheet, 0.5, 1.0)]).arrays(0.5, 1.0)
     for _ in range(2):  # what was made is known the second time
         for found, own in zip(both.arrays(0.5, 1.0), wanted, strict=True):

@@ -23,7 +23,13 @@ from animtool.sim.colliders import Collider as Obstacle
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.rigid.ragdoll import RagdollOptions
 from animtool.systems.rigid.take_pass import ragdoll
-from animtool.systems.rigid.tone import GRAVITY, RATIO, SHARE, passive, with_digits
+from animtool.systems.rigid.tone import (
+    DAMPING_RATIO,
+    GRAVITY,
+    STIFFNESS_FRACTION,
+    passive,
+    with_digits,
+)
 
 BONE = 0.04
 
@@ -112,10 +118,10 @@ def test_tone_goes_with_the_weight_that_hangs_on_a_joint() -> None:
     centres = np.array([[0.0, 0, 0], [0.5, 0, 0], [1.5, 0, 0]])
     pivots = np.array([[0.0, 0, 0], [0.25, 0, 0], [1.0, 0, 0]])
     found = passive(above, masses, centres, pivots)
-    assert_allclose(found[2, 0], SHARE * 1.0 * GRAVITY * 0.5)
-    assert_allclose(found[1, 0], SHARE * 4.0 * GRAVITY * (0.75 - 0.25))
+    assert_allclose(found[2, 0], STIFFNESS_FRACTION * 1.0 * GRAVITY * 0.5)
+    assert_allclose(found[1, 0], STIFFNESS_FRACTION * 4.0 * GRAVITY * (0.75 - 0.25))
     # Of a spring that turns 4 kg on an arm of half a metre, about a kg m².
-    assert_allclose(found[1, 1], 2 * RATIO * np.sqrt(found[1, 0] * 4 * 0.5**2))
+    assert_allclose(found[1, 1], 2 * DAMPING_RATIO * np.sqrt(found[1, 0] * 4 * 0.5**2))
 
 
 @pytest.mark.parametrize("tone", [3.0, 12.0])
@@ -127,5 +133,5 @@ def test_a_hand_sags_by_its_weight_over_its_tone(tone: float) -> None:
     made = fallen(heavy, 96, tone=tone, damping=0.02, colliders=[floor])
     assert made.motion is not None
     turn = made.motion.rotations.dense()[-1, 1]
-    sag = brentq(lambda a: tone * SHARE * a - np.cos(a), 0, np.pi / 2)
+    sag = brentq(lambda a: tone * STIFFNESS_FRACTION * a - np.cos(a), 0, np.pi / 2)
     assert so3.angle_between(turn, so3.IDENTITY) == pytest.approx(sag, rel=0.03)

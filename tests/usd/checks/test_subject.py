@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pxr import Sdf, Usd, Vt
 from support.suite import examples
 
-from animtool.usd.checks.subject import Sampled, Subject, at_samples
+from animtool.usd.checks.subject import SampledArray, StageSubject, at_samples
 
 TYPES = Sdf.ValueTypeNames
 
@@ -45,7 +45,7 @@ def test_samples_are_those_of_usd(
 ) -> None:
     stage = layered(offset, scale, rate, counts)
     attr = stage.GetAttributeAtPath("/A.x")
-    found = Subject(stage).sampled(attr)
+    found = StageSubject(stage).sampled(attr)
     assert found.times.tolist() == attr.GetTimeSamples()
     for time, array, count in zip(found.times, found.arrays, found.counts, strict=True):
         theirs = attr.Get(time)
@@ -60,10 +60,12 @@ def test_samples_are_those_of_usd(
 
 
 def test_a_sample_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    subject = Subject(layered(0, 1, 24, [1, 1, 1]))
+    subject = StageSubject(layered(0, 1, 24, [1, 1, 1]))
     attr = subject.stage.GetAttributeAtPath("/A.x")
     reads: list[object] = []
-    monkeypatch.setattr(Subject, "read", lambda _, attr: reads.append(attr) or attr)
+    monkeypatch.setattr(
+        StageSubject, "read", lambda _, attr: reads.append(attr) or attr
+    )
     subject.sampled(attr)
     subject.sampled(attr)
     assert len(reads) == 1
@@ -78,7 +80,7 @@ def test_a_sample_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_places_are_said(times: list[float], bad: list[int], text: str) -> None:
-    sampled = Sampled(np.array(times), [], np.zeros(len(times), np.int64))
+    sampled = SampledArray(np.array(times), [], np.zeros(len(times), np.int64))
     assert at_samples(sampled, np.array(bad)) == text
     mask = np.isin(np.arange(len(times)), bad)
     assert at_samples(sampled, mask) == text

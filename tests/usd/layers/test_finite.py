@@ -18,7 +18,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.caches.writer import Block, CachedMesh, PointWriter
 from animtool.usd.layers.finite import Labels, narrowed, rounded
-from animtool.usd.layers.sdf import Samples, attribute, new_layer, prim
+from animtool.usd.layers.sdf import SampleWriter, attribute, new_layer, prim
 from animtool.usd.takes.joint_writer import round_blocks
 from animtool.usd.takes.splines import author_curve
 
@@ -153,7 +153,7 @@ def test_a_default_that_is_not_finite_is_refused(kind: object, value: object) ->
 def test_samples_of_any_attribute_are_checked() -> None:
     layer = new_layer(Path("o.usda"))
     spec = prim(layer, "/a", "Xform")
-    samples = Samples(attribute(spec, "x", TYPES.Float), lambda row: float(row[0]))
+    samples = SampleWriter(attribute(spec, "x", TYPES.Float), lambda row: float(row[0]))
     samples.add(np.array([1.0]), np.array([[1.0]]))
     with raises(OutputError, "USD170", match=r"/a\.x: a value at frame 2 is 1e\+39"):
         samples.add(np.array([2.0]), np.array([[1e39]]))

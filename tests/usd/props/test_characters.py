@@ -82,7 +82,7 @@ def baked(folder: Path, name: str, **options: Any) -> Any:
 
 def expected(frame: CharactersFrame) -> np.ndarray:
     """Return joints of characters in the world ``(N, J, 3)`` [m]."""
-    (cast,), (turns,) = frame.casts, frame.turns
+    (cast,), (turns,) = frame.casts, frame.rotations
     local = np.repeat(cast.rig.rest_rotations[None], len(turns), axis=0)
     local[:, cast.moves] = turns
     places = np.repeat(cast.rig.rest_translations[None], len(turns), axis=0)

@@ -18,7 +18,7 @@ from support.usd import validation_errors
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.usd.rigs.layer import PhysicsJoint, author_physics, read_physics
+from animtool.usd.rigs.layer import JointDescription, author_physics, read_physics
 
 TURNED = (0.6, 0.0, 0.0, 0.8)
 SLANTED = (0.48, 0.64, 0.6)
@@ -56,7 +56,7 @@ def stage_of(rig: Rig, meters: float = 0.01) -> Any:
     return Usd.Stage.Open(layer)
 
 
-def same(found: PhysicsJoint, joint: Joint) -> None:
+def same(found: JointDescription, joint: Joint) -> None:
     """Assert that a joint is read as it was, within float32."""
     assert found.type is joint.type
     if joint.type in {JointType.PIN, JointType.PRISMATIC}:
@@ -168,7 +168,7 @@ TYPES = {
 }
 
 
-def as_its_prim_says(found: PhysicsJoint, made: UsdPhysics.Joint) -> None:
+def as_its_prim_says(found: JointDescription, made: UsdPhysics.Joint) -> None:
     """Assert that a joint has the type, axis and limits of a prim in metres."""
     prim = made.GetPrim()
     assert found.type is TYPES[prim.GetTypeName()]

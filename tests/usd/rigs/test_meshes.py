@@ -27,7 +27,7 @@ from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 from animtool.usd.rigs.layer import write_rig_layer
 from animtool.usd.rigs.meshes import bone_segments
-from animtool.usd.rigs.stored import read_rig, read_whole_rig
+from animtool.usd.rigs.stored import read_rig, read_rig_with_data
 
 Floats = npt.NDArray[np.float64]
 
@@ -154,7 +154,7 @@ def test_they_come_back(tmp_path: Path, suffix: str) -> None:
     rig = shaped_rig(3)
     _, notices = write_rig_layer(rig, tmp_path / f"hero.{suffix}")
     assert notices == []
-    found, said = read_whole_rig(tmp_path / f"hero.{suffix}")
+    found, said = read_rig_with_data(tmp_path / f"hero.{suffix}")
     assert said == []
     same_arrays(rig, found)
     a, b = (skin_matrix(r.meshes[0], rig.names) for r in (rig, found))

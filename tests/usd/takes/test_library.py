@@ -25,7 +25,7 @@ from animtool.motion.take import Take
 from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.prims import BakeReport
-from animtool.usd.layers.jobs import Form, UsdJob, UsdTake
+from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdTake
 from animtool.usd.layers.names import RigPaths, joint_names
 from animtool.usd.takes.author import author, write_usd
 from animtool.usd.takes.joint_writer import round_blocks
@@ -546,7 +546,7 @@ def test_any_takes_come_back_as_if_alone(
 
     def job(output: Path) -> UsdJob:
         return UsdJob(
-            form=Form.STAGE,
+            form=LayerForm.STAGE,
             output=output,
             rig=one.rig,
             names=names,

@@ -1,4 +1,4 @@
-"""Forces of what particles move through: drag, viscosity, wind, friction."""
+"""Forces of a medium: drag, viscosity, wind, friction."""
 
 from __future__ import annotations
 
@@ -18,12 +18,10 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Drag(Force):
-    """Drag against the velocity, by the speed and by its square."""
+    """Drag against the velocity, linear and quadratic."""
 
     linear: NotNegative = 0.0  # [kg/s]
-    quadratic: NotNegative = (
-        0.0  # half of density, area and coefficient together [kg/m]
-    )
+    quadratic: NotNegative = 0.0  # density · area · coefficient / 2 [kg/m]
 
     drains = True
 
@@ -39,7 +37,7 @@ class Drag(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how it grows with positions and velocities: see `Force`."""
+        """Return its Jacobians: see `Force`."""
         speed = np.linalg.norm(v, axis=1)[:, None]
         along = np.divide(v, speed, out=np.zeros_like(v), where=speed > 0)
         across = (self.linear + self.quadratic * speed)[:, :, None] * np.eye(3)
@@ -47,16 +45,16 @@ class Drag(Force):
         return np.zeros_like(across), -across - grown * along[:, None]
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return how much it grows with velocity [kg/s]."""
+        """Return its damping coefficient [kg/s]."""
         speed = float(np.linalg.norm(v, axis=1).max(initial=0.0))
         return self.linear + 2 * self.quadratic * speed
 
 
 @dataclass(frozen=True)
 class Viscosity(Force):
-    """Stokes's law: ``6 π η r v`` against the velocity of small, slow balls."""
+    """Stokes drag: ``6 π η r v``, for small, slow spheres."""
 
-    viscosity: NotNegative = 1e-3  # of the fluid [Pa s]; of water 1e-3, of air 1.8e-5
+    viscosity: NotNegative = 1e-3  # of the medium [Pa s]; water 1e-3, air 1.8e-5
 
     drains = True
 
@@ -69,21 +67,21 @@ class Viscosity(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how it grows with positions and velocities: see `Force`."""
+        """Return its Jacobians: see `Force`."""
         drag = (6 * np.pi * self.viscosity * particles.radii)[:, None, None] * np.eye(3)
         return np.zeros_like(drag), -drag
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return how much it grows with velocity [kg/s]."""
+        """Return its damping coefficient [kg/s]."""
         return 6 * np.pi * self.viscosity * float(particles.radii.max(initial=0.0))
 
 
 @dataclass(frozen=True)
 class Wind(Force):
-    """Air that moves and takes particles along."""
+    """Drag relative to moving air."""
 
     velocity: Vector = (0.0, 0.0, 0.0)  # of the air [m/s]
-    drag: NotNegative = 0.0  # of particles in it [kg/s]
+    drag: NotNegative = 0.0  # drag coefficient [kg/s]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -94,24 +92,24 @@ class Wind(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how it grows with positions and velocities: see `Force`."""
+        """Return its Jacobians: see `Force`."""
         drag = np.broadcast_to(self.drag * np.eye(3), (len(x), 3, 3))
         return np.zeros_like(drag), -drag
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return how much it grows with velocity [kg/s]."""
+        """Return its damping coefficient [kg/s]."""
         return self.drag
 
 
 @dataclass(frozen=True)
 class Friction(Force):
-    """A brake against the velocity, as of what slides on a table everywhere.
+    """Dry friction against the velocity, everywhere.
 
     Of surfaces that particles touch, the colliders have their own.
     """
 
     deceleration: NotNegative = 0.0  # [m/s²]
-    # Speed below which it goes to 0, so that nothing is pushed back [m/s].
+    # Below this speed it fades to 0, so that it never reverses the motion [m/s].
     smooth: Positive = 0.01
 
     drains = True
@@ -127,12 +125,12 @@ class Friction(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return it over the velocity, so that it never turns back: see `Force`."""
+        """Return it divided by the velocity, so that it never reverses: see `Force`."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
         pull = (self.deceleration * particles.masses / speed)[:, None, None] * np.eye(3)
         return np.zeros_like(pull), -pull
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return how much it grows with velocity [kg/s]."""
+        """Return its damping coefficient [kg/s]."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
         return float((self.deceleration * particles.masses / speed).max(initial=0.0))

@@ -1,4 +1,4 @@
-"""What a force on particles is."""
+"""The base class of forces on particles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.options import Range, at_least, range_faults
 from animtool.systems.particles.state import ParticleState
 
-# What options may be.
+# Types of options.
 _THREE = Range("three finite numbers", "SIM022", -math.inf, finite=True, count=3)
 Vector: TypeAlias = Annotated[tuple[float, float, float], _THREE]
 AnyVector: TypeAlias = Annotated[tuple[float, float, float] | None, _THREE]
@@ -21,16 +21,16 @@ NotNegative: TypeAlias = Annotated[float, at_least(0.0, "SIM022", finite=True)]
 Positive: TypeAlias = Annotated[
     float, Range("above 0", "SIM022", 0.0, reached=False, finite=True)
 ]
-# One for all particles, or one each ``(N,)`` [s].
+# One for all particles, or one per particle ``(N,)`` [s].
 Time: TypeAlias = "float | FloatArray"
 
-# Of positions and velocities, at which forces are compared for their slopes; at least
-# of one [m], [m/s].
+# Relative step of finite differences, of positions and velocities of at least 1 [m],
+# [m/s].
 DIFFERENCE = 1e-6
 
 
 class Force(ABC):
-    """A force on particles; a record of its options.
+    """A force on particles, and its options.
 
     Attributes:
         pairs: Whether particles act on each other.
@@ -51,41 +51,41 @@ class Force(ABC):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how it grows with positions and with velocities of each particle.
+        """Return its Jacobians by positions and by velocities of each particle.
 
         ``(N, 3, 3)`` [N/m] and [kg/s]; here by differences, and 0 of pairs. They need
         not be exact: methods are stable where they are as steep as the force.
         """
-        by_place, by_speed = np.zeros((2, len(x), 3, 3))
+        by_position, by_speed = np.zeros((2, len(x), 3, 3))
         if self.pairs:
-            return by_place, by_speed
+            return by_position, by_speed
         for k in range(3):
             off = np.zeros_like(x)
             off[:, k] = DIFFERENCE * np.maximum(np.abs(x).max(axis=1), 1.0)
             far, near = (self.force(t, x + s * off, v, particles) for s in (1, -1))
-            by_place[:, :, k] = (far - near) / (2 * off[:, k, None])
+            by_position[:, :, k] = (far - near) / (2 * off[:, k, None])
             off[:, k] = DIFFERENCE * np.maximum(np.abs(v).max(axis=1), 1.0)
             far, near = (self.force(t, x, v + s * off, particles) for s in (1, -1))
             by_speed[:, :, k] = (far - near) / (2 * off[:, k, None])
-        return by_place, by_speed
+        return by_position, by_speed
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
-        """Return energies ``(N,)`` [J], None of a force that has none."""
+        """Return energies ``(N,)`` [J]; None if it has no potential."""
         return np.zeros(len(x)) if self.drains else None
 
     def stiffness(self) -> float:
-        """Return how much it grows with the way from where it is 0 [N/m]."""
+        """Return its stiffness: growth with the distance from equilibrium [N/m]."""
         return 0.0
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return how much it grows with velocity, against it [kg/s]."""
+        """Return its damping coefficient [kg/s]."""
         return 0.0
 
     def turning(self, particles: ParticleState) -> float:
-        """Return how fast it turns velocities [rad/s]."""
+        """Return the rate at which it rotates velocities [rad/s]."""
         return 0.0
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
+        """Return invalid options, each with a message."""
         faults = range_faults(self, "must be {bound}, not {value:g}")
         return [(str(fault.where), fault.message) for fault in faults]

@@ -1,4 +1,4 @@
-"""Forces of fields: expressions, turbulence, electromagnetism, charges.
+"""Force fields: expressions, turbulence, electromagnetism, charges.
 
 References:
     R. Bridson, J. Hourihan, M. Nordenstam, "Curl-noise for procedural fluid flow",
@@ -34,7 +34,7 @@ from animtool.systems.particles.velocity_field import (
 
 @dataclass(frozen=True)
 class Field(Expressions, Force):
-    """Forces as expressions of x, y, z, vx, vy, vz, t, age, mass and charge."""
+    """Forces by expressions of x, y, z, vx, vy, vz, t, age, mass and charge."""
 
     x: str = "0"  # [N]
     y: str = "0"  # [N]
@@ -47,33 +47,33 @@ class Field(Expressions, Force):
         return evaluated(self.expressions, t, x, v, particles)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
+        """Return invalid options, each with a message."""
         return expression_faults(self, VARIABLES)
 
 
 @dataclass(frozen=True)
 class Turbulence(Force):
-    """Accelerations that swirl and go nowhere in the mean."""
+    """Divergence-free noise accelerations, zero on average."""
 
     strength: NotNegative = 1.0  # about the root mean square [m/s²]
-    size: Positive = 1.0  # of the largest swirls [m]
-    change: NotNegative = 0.5  # how often a second they become others [1/s]
-    # Sizes of swirls, each half of the one before and half as strong.
+    size: Positive = 1.0  # of the largest eddies [m]
+    change: NotNegative = 0.5  # rate of change [1/s]
+    # Octaves: each half the size and strength of the previous.
     octaves: Annotated[int, at_least(1, "SIM022", finite=True)] = 2
-    seed: int = 0  # of what is random
+    seed: int = 0  # random seed
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        found = np.zeros_like(x)
+        noise = np.zeros_like(x)
         for octave in range(self.octaves):
             finer = 2.0**octave
-            places = x * (finer / self.size)
+            lattice = x * (finer / self.size)
             times = np.broadcast_to(np.asarray(t, np.float64), len(x)) * self.change
             seed = (self.seed + octave) % 2**64
-            found += _kernels.curl_noise(places, times * finer, seed) / finer
-        return found * (self.strength * particles.masses[:, None])
+            noise += _kernels.curl_noise(lattice, times * finer, seed) / finer
+        return noise * (self.strength * particles.masses[:, None])
 
     def slopes(
         self,
@@ -82,14 +82,14 @@ class Turbulence(Force):
         v: FloatArray,
         particles: ParticleState,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return zeros: it draws nothing back to where it is weaker: see `Force`."""
+        """Return zeros: it has no restoring part: see `Force`."""
         none = np.zeros((len(x), 3, 3))
         return none, none
 
 
 @dataclass(frozen=True)
 class Electromagnetic(Force):
-    """Lorentz's force ``q (E + v ^ B)`` of fields that are the same everywhere."""
+    """Lorentz force ``q (E + v ^ B)`` of uniform fields."""
 
     electric: Vector = (0.0, 0.0, 0.0)  # electric field [V/m]
     magnetic: Vector = (0.0, 0.0, 0.0)  # magnetic flux density [T]
@@ -106,23 +106,23 @@ class Electromagnetic(Force):
         return -particles.charges * (x @ np.asarray(self.electric, np.float64))
 
     def turning(self, particles: ParticleState) -> float:
-        """Return how fast it turns velocities [rad/s]."""
+        """Return the rate at which it rotates velocities [rad/s]."""
         field = float(np.linalg.norm(self.magnetic))
         return field * float(
             (np.abs(particles.charges) / particles.masses).max(initial=0.0)
         )
 
 
-# Pairs at once: this bounds memory.
+# Pairs at once: bounds the memory.
 _ROWS = 256
 
 
 @dataclass(frozen=True)
 class Charges(Force):
-    """Coulomb's law between all particles, softened where they are close."""
+    """Coulomb forces between all particles, softened at short range."""
 
-    constant: NotNegative = 8.9875517862e9  # coulomb's [N m²/C²]
-    softening: Positive = 0.01  # length that keeps it finite [m]
+    constant: NotNegative = 8.9875517862e9  # Coulomb constant [N m²/C²]
+    softening: Positive = 0.01  # softening length [m]
 
     pairs = True
 
@@ -130,11 +130,11 @@ class Charges(Force):
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        found = np.zeros_like(x)
+        fields = np.zeros_like(x)
         for first in range(0, len(x), _ROWS):
             rows = slice(first, first + _ROWS)
             off = x[rows, None] - x
             squared = (off * off).sum(axis=2) + self.softening**2
             weights = particles.charges / squared**1.5
-            found[rows] = (off * weights[:, :, None]).sum(axis=1)
-        return found * (self.constant * particles.charges[:, None])
+            fields[rows] = (off * weights[:, :, None]).sum(axis=1)
+        return fields * (self.constant * particles.charges[:, None])

@@ -1,4 +1,4 @@
-"""Forces towards somewhere: gravity, constant forces, centres, springs, propulsion."""
+"""Gravity, constant and central forces, springs, propulsion."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from animtool.systems.particles.forces.base import (
 )
 from animtool.systems.particles.state import ParticleState
 
-# What a brake has slowed down to this is at rest [m/s].
+# Slower particles count as stopped by a brake [m/s].
 STOPPED = 1e-9
 
 
 @dataclass(frozen=True)
 class Gravity(Force):
-    """The same acceleration everywhere."""
+    """Uniform acceleration."""
 
     acceleration: Vector = (0.0, -9.81, 0.0)  # [m/s²]
 
@@ -45,7 +45,7 @@ class Gravity(Force):
 
 @dataclass(frozen=True)
 class Uniform(Force):
-    """The same force everywhere, whatever the mass."""
+    """Uniform force, independent of mass."""
 
     push: Vector = (0.0, 0.0, 0.0)  # [N]
 
@@ -67,9 +67,9 @@ class Central(Force):
     """Acceleration towards a centre."""
 
     centre: Vector = (0.0, 0.0, 0.0)  # [m]
-    strength: Finite = 1.0  # acceleration at one metre [m/s²]; below 0 it pushes
-    power: Finite = -2.0  # of the distance: -2 is that of gravity and of charges
-    softening: NotNegative = 0.01  # length that keeps it finite at the centre [m]
+    strength: Finite = 1.0  # acceleration at one metre [m/s²]; negative repels
+    power: Finite = -2.0  # exponent of the distance: -2 for gravity and charges
+    softening: NotNegative = 0.01  # softening length [m]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -97,21 +97,21 @@ class Central(Force):
         return np.asarray(particles.masses * self.strength * raised)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        found = super().faults()
+        """Return invalid options, each with a message."""
+        faults = super().faults()
         if self.power < 1 and not self.softening > 0:
-            found.append(("softening", "must be above 0 if the power is below 1"))
-        return found
+            faults.append(("softening", "must be above 0 if the power is below 1"))
+        return faults
 
 
 @dataclass(frozen=True)
 class Spring(Force):
-    """A spring to a point, or to where each particle was born."""
+    """A spring to a point, or to each particle's birth position."""
 
-    anchor: AnyVector = None  # the point [m]; None is where each was born
+    anchor: AnyVector = None  # the point [m]; None for each particle's birth position
     k: NotNegative = 1.0  # stiffness [N/m]
-    rest: NotNegative = 0.0  # length at which it pulls nobody [m]
-    kd: NotNegative = 0.0  # damping against change of its length [kg/s]
+    rest: NotNegative = 0.0  # rest length [m]
+    kd: NotNegative = 0.0  # damping along the spring [kg/s]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -128,20 +128,20 @@ class Spring(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how it grows with positions and velocities: see `Force`."""
+        """Return its Jacobians: see `Force`."""
         unit = np.eye(3)
         off = x - self._anchors(particles)
-        whole = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
+        stiffness = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
         if self.rest == 0 and self.kd == 0:
-            return whole, np.zeros_like(whole)
+            return stiffness, np.zeros_like(stiffness)
         length = np.linalg.norm(off, axis=1)[:, None]
         along = np.divide(off, length, out=np.zeros_like(off), where=length > 0)
         outer = along[:, :, None] * along[:, None]
         short = np.divide(
             self.rest, length, out=np.zeros_like(length), where=length > 0
         )
-        by_place = whole + self.k * short[:, :, None] * (unit - outer)
-        return by_place, -self.kd * outer
+        by_position = stiffness + self.k * short[:, :, None] * (unit - outer)
+        return by_position, -self.kd * outer
 
     def _anchors(self, particles: ParticleState) -> FloatArray:
         return particles.origins if self.anchor is None else np.asarray(self.anchor)
@@ -162,29 +162,29 @@ class Spring(Force):
 
 @dataclass(frozen=True)
 class Propulsion(Force):
-    """A thrust along the velocity, or in a direction."""
+    """Thrust along the velocity, or in a fixed direction."""
 
-    thrust: Finite = 0.0  # [N]; below 0 it brakes
-    direction: AnyVector = None  # of any length above 0; None is along the velocity
-    # From birth on [s].
+    thrust: Finite = 0.0  # [N]; negative brakes
+    direction: AnyVector = None  # of any length above 0; None for along the velocity
+    # Duration after birth [s].
     duration: Annotated[float, Range("finite and at least 0", "SIM022", 0.0)] = math.inf
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        way = v
+        heading = v
         if self.direction is not None:
-            way = np.broadcast_to(np.asarray(self.direction, np.float64), x.shape)
-        length = np.linalg.norm(way, axis=1)[:, None]
-        along = np.divide(way, length, out=np.zeros_like(x), where=length > 0)
+            heading = np.broadcast_to(np.asarray(self.direction, np.float64), x.shape)
+        length = np.linalg.norm(heading, axis=1)[:, None]
+        along = np.divide(heading, length, out=np.zeros_like(x), where=length > 0)
         burns = (t - particles.births <= self.duration)[:, None]
         return np.asarray(self.thrust * along * burns)
 
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return of a brake its force over the velocity, else none: see `Force`."""
+        """Return a brake's force over velocity, else zeros: see `Force`."""
         none = np.zeros((len(x), 3, 3))
         if self.direction is not None or self.thrust >= 0:
             return none, none
@@ -193,8 +193,8 @@ class Propulsion(Force):
         return none, (self.thrust * burns / speed)[:, None, None] * np.eye(3)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        found = super().faults()
+        """Return invalid options, each with a message."""
+        faults = super().faults()
         if self.direction is not None and not any(self.direction):
-            found.append(("direction", "must not be all 0"))
-        return found
+            faults.append(("direction", "must not be all 0"))
+        return faults

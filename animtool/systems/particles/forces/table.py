@@ -1,4 +1,4 @@
-"""The table of forces on particles: a class each, imported when used."""
+"""The table of forces on particles: imported when first used."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FORCES: dict[str, str] = {
 
 
 def find_force(name: str) -> type[Force]:
-    """Return a kind of force by its name.
+    """Return a force class by name.
 
     Raises:
         OptionError: There is none of that name (SIM023).

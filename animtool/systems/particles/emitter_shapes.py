@@ -1,4 +1,4 @@
-"""Where emitters make particles: places in their frames."""
+"""Shapes of emitters, in the emitter's frame."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from animtool.core.options import OF_ENTRY, Range, range_faults
 from animtool.core.record import dataclass
 from animtool.sim.colliders.shapes import Mesh
 
-# Of a place: points ``(N, 3)``, and the way out there or None where there is none.
+# Points ``(N, 3)``, and outward normals or None.
 Placed: TypeAlias = tuple[FloatArray, FloatArray | None]
 
 
 class _Checked:
-    """A place whose fields declare their ranges."""
+    """A shape with ranges declared by its fields."""
 
     __slots__ = ()
 
     def faults(self) -> list[str]:
-        """Return what makes no sense."""
+        """Return messages about invalid values."""
         return [fault.message for fault in range_faults(self, OF_ENTRY)]
 
 
@@ -37,7 +37,7 @@ class Point(_Checked):
 
 @dataclass(frozen=True, slots=True)
 class Disc(_Checked):
-    """A disc at right angles to y.
+    """A disc perpendicular to y.
 
     Attributes:
         radius: [m].
@@ -48,7 +48,7 @@ class Disc(_Checked):
     ]
 
     def points(self, chances: FloatArray) -> Placed:
-        """Return points, evenly by area."""
+        """Return points, uniform by area."""
         radius = self.radius * np.sqrt(chances[:, 0])
         angle = 2 * np.pi * chances[:, 1]
         flat = np.zeros(len(chances))
@@ -58,7 +58,7 @@ class Disc(_Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class SpherePlace(_Checked):
+class SphereShape(_Checked):
     """A ball.
 
     Attributes:
@@ -72,7 +72,7 @@ class SpherePlace(_Checked):
     hollow: bool = False
 
     def points(self, chances: FloatArray) -> Placed:
-        """Return points, evenly by volume or by area."""
+        """Return points, uniform by volume or by area."""
         height = 2 * chances[:, 0] - 1
         across = np.sqrt(np.maximum(1 - height * height, 0))
         angle = 2 * np.pi * chances[:, 1]
@@ -83,8 +83,8 @@ class SpherePlace(_Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class BoxPlace(_Checked):
-    """A box about the origin.
+class BoxShape(_Checked):
+    """A box centred at the origin.
 
     Attributes:
         size: Its three sides, whole [m]; 0 is flat.
@@ -96,13 +96,13 @@ class BoxPlace(_Checked):
     ]
 
     def points(self, chances: FloatArray) -> Placed:
-        """Return points, evenly by volume."""
+        """Return points, uniform by volume."""
         return (chances - 0.5) * np.asarray(self.size, np.float64), None
 
 
 @dataclass(frozen=True, slots=True)
 class MeshSurface:
-    """The surface of a mesh; particles go outwards.
+    """The surface of a mesh; particles leave along its normals.
 
     Attributes:
         mesh: Its triangles.
@@ -111,15 +111,15 @@ class MeshSurface:
     mesh: Mesh
 
     def points(self, chances: FloatArray) -> Placed:
-        """Return points, evenly by area."""
-        places, corners = self.mesh.welded()
-        a, b, c = places[corners].swapaxes(0, 1)
+        """Return points, uniform by area."""
+        welded, corners = self.mesh.welded()
+        a, b, c = welded[corners].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
         areas = np.linalg.norm(normals, axis=1)
         ends = np.cumsum(areas)
         chosen = np.searchsorted(ends, chances[:, 0] * ends[-1], side="right")
         chosen = np.minimum(chosen, len(areas) - 1)
-        # Folded over the diagonal, a square of chances is a triangle.
+        # Folded along the diagonal, the unit square is a triangle.
         u, v = chances[:, 1], chances[:, 2]
         over = u + v > 1
         u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
@@ -127,18 +127,18 @@ class MeshSurface:
         return points, normals[chosen] / areas[chosen, None]
 
     def faults(self) -> list[str]:
-        """Return what makes no sense."""
+        """Return messages about invalid values."""
         return self.mesh.faults()
 
 
-Place: TypeAlias = Point | Disc | SpherePlace | BoxPlace | MeshSurface
+EmitterShape: TypeAlias = Point | Disc | SphereShape | BoxShape | MeshSurface
 
 
-# What entries of places name; a mesh becomes its surface.
-PLACES: dict[str, type[Any]] = {
-    "box": BoxPlace,
+# By their names in files; a mesh becomes its surface.
+EMITTER_SHAPES: dict[str, type[Any]] = {
+    "box": BoxShape,
     "disc": Disc,
     "mesh": Mesh,
     "point": Point,
-    "sphere": SpherePlace,
+    "sphere": SphereShape,
 }

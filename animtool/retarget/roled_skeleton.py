@@ -1,4 +1,4 @@
-"""A skeleton as a person: where its joints rest, and which are its limbs."""
+"""A skeleton with roles: rest positions and rotations, and its limbs."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from animtool.retarget.roles import base_role
 from animtool.rig.kinematics import forward, rest_world
 from animtool.rig.skeleton import Rig
 
-# Bones shorter than this share of the skeleton have no direction [1].
+# Bones shorter than this fraction of the skeleton have no direction [1].
 NO_BONE = 1e-4
-# What leads from a joint of a role to where its bone ends.
+# Role at the end of each role's bone.
 _NEXT = {
     "upper_arm": "forearm",
     "forearm": "hand",
@@ -30,99 +30,104 @@ _NEXT = {
 class Ball:
     """The point that a foot rolls over."""
 
-    joint: int  # the toe that begins there; -1 where no joint does
+    joint: int  # the toe that begins there; -1 for none
     offset: FloatArray  # from the ankle, in the frame of the foot (3,) [m]
 
 
 @dataclass(frozen=True, slots=True)
-class Person:
-    """A skeleton at rest, with the joints of its roles."""
+class RoledSkeleton:
+    """A skeleton at rest, with the role of each joint."""
 
     rig: Rig
     roles: tuple[str, ...]  # of each joint (J,)
     positions: FloatArray  # at rest (J, 3) [m]
-    turns: FloatArray  # at rest, in the world (J, 4)
-    # Where its feet roll, by side; of a skeleton beside another one.
+    rotations: FloatArray  # at rest, in the world (J, 4)
+    # Balls of its feet by side, for a pair of skeletons.
     balls: Mapping[str, Ball] = field(default_factory=dict)
 
     @staticmethod
-    def of(rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None) -> Person:
-        """Return a skeleton; ``pose``: local rotations ``(J, 4)`` in place of rest."""
+    def of(
+        rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None
+    ) -> RoledSkeleton:
+        """Return a skeleton; ``pose``: local rotations ``(J, 4)`` that replace rest."""
         if pose is None:
             rest = rest_world(rig)
         else:
             rest = forward(rig, rig.rest_translations[None], pose[None])
-        return Person(rig, roles, rest.positions[0], rest.rotations[0])
+        return RoledSkeleton(rig, roles, rest.positions[0], rest.rotations[0])
 
     def joint(self, role: str) -> int:
         """Return the last joint of a role; -1 for none."""
-        return max((j for j, own in enumerate(self.roles) if own == role), default=-1)
+        return max((j for j, each in enumerate(self.roles) if each == role), default=-1)
 
     def first(self, role: str) -> int:
         """Return the first joint of a role; -1 for none."""
         return self.roles.index(role) if role in self.roles else -1
 
     def bone(self, joint: int) -> FloatArray | None:
-        """Return the unit direction of a joint's bone at rest ``(3,)``, if any."""
+        """Return the rest direction of a joint's bone, a unit vector ``(3,)``.
+
+        None for a joint without a bone.
+        """
         end, role = -1, self.roles[joint]
-        side, own = role[len(base_role(role)) :], base_role(role)
-        if own in _NEXT:
-            end = self.first(_NEXT[own] + side)
+        side, base = role[len(base_role(role)) :], base_role(role)
+        if base in _NEXT:
+            end = self.first(_NEXT[base] + side)
         if end < 0:
             below = [k for k, p in enumerate(self.rig.parents) if p == joint]
             end = below[0] if len(below) == 1 else -1
-        ball = self.balls.get(role[-1:]) if own == "foot" else None
+        ball = self.balls.get(role[-1:]) if base == "foot" else None
         if end < 0 and ball is not None:
-            way = so3.rotate(self.turns[joint], ball.offset)
-            return np.asarray(way / np.linalg.norm(way))
-        if end < 0 or not self.apart(joint, end):
+            bone = so3.rotate(self.rotations[joint], ball.offset)
+            return np.asarray(bone / np.linalg.norm(bone))
+        if end < 0 or not self.separate(joint, end):
             return None
-        way = self.positions[end] - self.positions[joint]
-        return np.asarray(way / np.linalg.norm(way))
+        bone = self.positions[end] - self.positions[joint]
+        return np.asarray(bone / np.linalg.norm(bone))
 
-    def way(self, joint: int, below: int) -> FloatArray:
-        """Return where a joint below another is at rest, in its frame ``(3,)`` [m]."""
-        way = self.positions[below] - self.positions[joint]
-        return so3.rotate(so3.conjugate(self.turns[joint]), way)
+    def offset(self, joint: int, below: int) -> FloatArray:
+        """Return a joint's rest offset from one above, in its frame ``(3,)`` [m]."""
+        offset = self.positions[below] - self.positions[joint]
+        return so3.rotate(so3.conjugate(self.rotations[joint]), offset)
 
-    def apart(self, joint: int, other: int) -> bool:
-        """Return whether two joints are not at one place at rest."""
-        way = self.positions[other] - self.positions[joint]
-        return float(np.linalg.norm(way)) > NO_BONE * self.size
+    def separate(self, joint: int, other: int) -> bool:
+        """Return whether two joints are at distinct positions at rest."""
+        offset = self.positions[other] - self.positions[joint]
+        return float(np.linalg.norm(offset)) > NO_BONE * self.size
 
     @property
     def size(self) -> float:
-        """How far the joints reach [m]."""
+        """The largest extent of the joints [m]."""
         return float(np.ptp(self.positions, axis=0).max())
 
     @property
-    def ways(self) -> FloatArray:
-        """Lengths of all bones from the hips to each joint at rest ``(J,)`` [m]."""
-        made = np.zeros(len(self.rig.joints))
+    def path_lengths(self) -> FloatArray:
+        """Rest length of the path from the hips to each joint ``(J,)`` [m]."""
+        lengths = np.zeros(len(self.rig.joints))
         hips = self.first("hips")
         for j, parent in enumerate(self.rig.parents.tolist()):
             if parent >= 0 and j != hips:
                 bone = self.positions[j] - self.positions[parent]
-                made[j] = made[parent] + np.linalg.norm(bone)
-        return made
+                lengths[j] = lengths[parent] + np.linalg.norm(bone)
+        return lengths
 
     @property
     def facing(self) -> FloatArray | None:
-        """Left, up and forward of a person who stands, rows ``(3, 3)``, if known."""
-        ways = []
+        """Left, up and forward of the upright body, rows ``(3, 3)``, if known."""
+        directions = []
         for pair in (("thigh_l", "thigh_r"), ("upper_arm_l", "upper_arm_r")):
             left, right = map(self.first, pair)
             if left >= 0 and right >= 0:
-                ways.append(self.positions[left] - self.positions[right])
+                directions.append(self.positions[left] - self.positions[right])
         low, high = self.first("hips"), self.first("head")
         high = high if high >= 0 else self.joint("spine")
-        if not ways or low < 0 or high < 0:
+        if not directions or low < 0 or high < 0:
             return None
-        left = ways[0] / (np.linalg.norm(ways[0]) or 1.0)
+        left = directions[0] / (np.linalg.norm(directions[0]) or 1.0)
         up = self.positions[high] - self.positions[low]
         up = up - (up @ left) * left
         size = float(np.linalg.norm(up))
-        if not np.linalg.norm(ways[0]) or size <= NO_BONE * self.size:
+        if not np.linalg.norm(directions[0]) or size <= NO_BONE * self.size:
             return None
         return np.stack([left, up / size, np.cross(left, up / size)])
 

@@ -1,4 +1,4 @@
-"""Files that a page shows, opened by what they are."""
+"""Opens files for a page by their kind."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ _UNSEEN = {
 
 @dataclass(frozen=True, slots=True)
 class ShownTake:
-    """A take of a file, Y up, with what its joints carry."""
+    """A take of a file, Y up, with its meshes."""
 
     name: str
     stream: TakeStream
@@ -78,7 +78,7 @@ class ShownTake:
 
 @dataclass(slots=True)
 class OpenFile:
-    """A file that is open.
+    """An open file.
 
     Attributes:
         path: The file, as it was named.
@@ -103,7 +103,7 @@ class OpenFile:
     folder: Path | None = None
 
     def located(self, fault: Fault) -> Fault:
-        """Return a fault at the scene, where it is at what was baked of it."""
+        """Return a fault located at the scene instead of its temporary layer."""
         where = fault.path
         if (
             self.folder is None
@@ -115,7 +115,7 @@ class OpenFile:
 
     @property
     def fps(self) -> Fraction | None:
-        """Time codes a second; None of a rig at rest."""
+        """Frame rate; None for a rig at rest."""
         if self.takes:
             return self.takes[0].stream.fps
         if self.markers is not None:
@@ -126,15 +126,15 @@ class OpenFile:
 
 
 def open_file(
-    path: Path, options: PreviewOptions, others: Sequence[Path], held: ExitStack
+    path: Path, options: PreviewOptions, others: Sequence[Path], context: ExitStack
 ) -> OpenFile:
-    """Open a file of any kind that can be seen.
+    """Open a file of any supported kind.
 
     Args:
         path: The file.
         options: How to read it.
         others: All files, for options that fit some of them only.
-        held: Closes what is needed until the page is made.
+        context: Closes what is needed until the page is made.
 
     Raises:
         FormatError: It cannot be read, or is malformed.
@@ -145,7 +145,7 @@ def open_file(
             message = f"is a {kind} file, which has nothing to show by itself"
             raise OptionError(Fault("PRV001", message, str(path), (), hint))
     if is_named(path, "scene"):
-        return _open_scene(path, options, held)
+        return _open_scene(path, options, context)
     if is_named(path, "rig"):
         return _open_rig(path)
     if is_named(path, "targets"):
@@ -160,7 +160,9 @@ def open_file(
     if is_usd(path):
         shown = path
         if options.over:
-            folder = Path(held.enter_context(tempfile.TemporaryDirectory("animtool")))
+            folder = Path(
+                context.enter_context(tempfile.TemporaryDirectory("animtool"))
+            )
             shown = _view(folder, path, options)
         opened = _open_stage(shown, path.name, source)
         opened.path = path
@@ -170,12 +172,14 @@ def open_file(
     clip = None
     if is_named(path, "clip"):
         clip = Clip.load(path, stream.rig)
-    opened.takes.append(own_take(source_stem(path), stream, clip))
+    opened.takes.append(take_of_stream(source_stem(path), stream, clip))
     return opened
 
 
-def own_take(name: str, stream: TakeStream, clip: Clip | None = None) -> ShownTake:
-    """Return a take with the meshes of its own rig."""
+def take_of_stream(
+    name: str, stream: TakeStream, clip: Clip | None = None
+) -> ShownTake:
+    """Return a take with the meshes of its rig."""
     stream = reorient(stream, UpAxis.Y)
     rig = stream.rig
     if not rig.meshes and not rig.attach:
@@ -185,13 +189,13 @@ def own_take(name: str, stream: TakeStream, clip: Clip | None = None) -> ShownTa
 
 
 def resting(rig: Rig) -> TakeStream:
-    """Return a take of one frame of a rig at rest."""
-    still = Motion(
+    """Return a one-frame take of a rig at rest."""
+    motion = Motion(
         Channel.from_dense(rig.rest_translations[None]),
         Channel.from_dense(rig.rest_rotations[None]),
     )
     one = Fraction(1)
-    return TakeStream(rig, Fraction(24), one, one, iter([still]))
+    return TakeStream(rig, Fraction(24), one, one, iter([motion]))
 
 
 def _open_rig(path: Path) -> OpenFile:
@@ -199,7 +203,7 @@ def _open_rig(path: Path) -> OpenFile:
     rig = Rig.load(path)
     opened = OpenFile(path, unit_name(rig.meters_per_unit), rig.up)
     opened.notices += rig.notices
-    opened.takes.append(own_take(rig.name, resting(rig)))
+    opened.takes.append(take_of_stream(rig.name, resting(rig)))
     return opened
 
 
@@ -227,7 +231,7 @@ def _open_markers(path: Path, source: SourceOptions) -> OpenFile:
 
 
 def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
-    """Open a USD file: its characters, and what else it shows."""
+    """Open a USD file: characters and other visible prims."""
     from animtool.usd.caches.shown import open_contents
     from animtool.usd.rigs.mesh_read import source_meshes
 
@@ -256,8 +260,10 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         opened.notices += meshes.notices
         bind = meshes.bind if len(meshes.bind) else bind_matrices(turned.rig)
         bones = contents.bone_names
-        own = [surface for surface in meshes.surfaces if surface.name not in bones]
-        surfaces = contents.turned_surfaces(own)
+        unskinned = [
+            surface for surface in meshes.surfaces if surface.name not in bones
+        ]
+        surfaces = contents.turned_surfaces(unskinned)
         colors = contents.bound_colors(prim)
         opened.takes.append(
             ShownTake(
@@ -276,7 +282,7 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
 def _read_characters(
     opened: OpenFile, characters: Mapping[str, Callable[[], TakeStream]]
 ) -> dict[str, TakeStream]:
-    """Read characters; those that are malformed are named, where others are not."""
+    """Read all valid characters; report the malformed ones."""
     streams: dict[str, TakeStream] = {}
     errors: list[FormatError] = []
     for prim, read in characters.items():
@@ -292,7 +298,7 @@ def _read_characters(
 
 
 def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
-    """Say which other takes a clip library has."""
+    """Report the other takes of a clip library."""
     names = stream.details.get("takes")
     if not isinstance(names, list) or len(names) < 2:
         return []
@@ -303,23 +309,23 @@ def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
 
 
 def shown_scene(scene: Scene) -> Scene:
-    """Return a scene with one output, which is shown and not written."""
+    """Return a scene with the output to show, without its file."""
     output = scene.outputs[0]
-    usual = replace(output.bake, form=None, chunk=None, overwrite=False, take=None)
-    return replace(scene, outputs=(replace(output, path=None, bake=usual),))
+    bake = replace(output.bake, form=None, chunk=None, overwrite=False, take=None)
+    return replace(scene, outputs=(replace(output, path=None, bake=bake),))
 
 
 def _view(
     folder: Path, shown: Path, options: PreviewOptions, below: Sequence[Path] = ()
 ) -> Path:
-    """Return a stage of a layer with those over it that are asked for."""
+    """Return a stage that combines a layer with the given stages."""
     from animtool.usd.layers.view import write_view
 
     over = [Path(layer) for layer in options.over]
     return write_view(folder / "view.usda", shown, below, over)
 
 
-def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFile:
+def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> OpenFile:
     """Bake a scene to a temporary layer, and open that."""
     from animtool.scene.bake.bake import bake_outputs
     from animtool.scene.file.read import load_scene
@@ -330,24 +336,24 @@ def _open_scene(path: Path, options: PreviewOptions, held: ExitStack) -> OpenFil
         hint = "bake it, and preview its output"
         raise OptionError(Fault("PRV004", message, str(path), (), hint))
     output = shown_scene(scene).outputs[0]
-    usual = output.bake
-    folder = Path(held.enter_context(tempfile.TemporaryDirectory("animtool")))
+    bake = output.bake
+    folder = Path(context.enter_context(tempfile.TemporaryDirectory("animtool")))
     layer = folder / f"{source_stem(path)}.usdc"
     bones = folder / "bones" / layer.name
-    outputs = [replace(output, path=layer, bake=usual)]
-    if usual.deform and scene.sources:
+    outputs = [replace(output, path=layer, bake=bake)]
+    if bake.deform and scene.sources:
         bones.parent.mkdir()
-        joints = replace(usual, deform=False)
+        joints = replace(bake, deform=False)
         outputs.append(replace(output, path=bones, bake=joints, systems=()))
     reports = bake_outputs(replace(scene, outputs=tuple(outputs)))
     shown = layer
-    if usual.rig_layer is not None or options.over:
-        below = [] if usual.rig_layer is None else [usual.rig_layer]
+    if bake.rig_layer is not None or options.over:
+        below = [] if bake.rig_layer is None else [bake.rig_layer]
         shown = _view(folder, layer, options, below)
     opened = _open_stage(shown, path.name, SourceOptions())
     opened.path, opened.folder = path, folder
     if len(outputs) > 1:
-        # Its meshes are points: the skeleton that moved them is in a layer of its own.
+        # Its meshes are point caches: their skeleton is in a separate layer.
         takes = _open_stage(bones, path.name, SourceOptions()).takes
         opened.takes += [
             replace(one, surfaces=(), strands=(), prim="") for one in takes

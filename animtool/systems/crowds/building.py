@@ -1,0 +1,135 @@
+"""Crowds built from their specs: agents apart, out of obstacles, with bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.errors import refuse
+from animtool.systems.crowds.agents import Agents, agents_of
+from animtool.systems.crowds.beginning import (
+    along_ground,
+    ground_of,
+    outside,
+    unreachable,
+)
+from animtool.systems.crowds.crowd import Crowd
+from animtool.systems.crowds.ground import Frame, Terrain
+from animtool.systems.crowds.obstacles import Obstacles, grids
+from animtool.systems.crowds.spec import CrowdsModel
+from animtool.systems.crowds.steering import Steering
+from animtool.systems.framework.simulation import SimContext
+
+if TYPE_CHECKING:
+    from animtool.systems.crowds.cast import Casting
+    from animtool.systems.crowds.falls import FallSimulator
+
+
+def build(spec: CrowdsModel, context: SimContext) -> Crowd:
+    """Return the crowd of a spec.
+
+    Raises:
+        OptionError: Something of the spec makes no sense (SIM145).
+    """
+    begin, parts = context.begin, context.parts["populations"]
+    frame, ground = ground_of(context)
+    if context.colliders.sheets:
+        message = "crowds avoid shapes, rigid bodies and the capsules of characters"
+        hint = "use its colliders instead of the surface"
+        refuse("SIM145", message, "systems", hint)
+    agents, notices = agents_of(spec, parts, begin, frame)
+    steering, obstacles = _navigation(spec, agents, frame, ground, context)
+    start, moved = outside(agents, steering.grid, obstacles, begin)
+    notices += [*moved, *unreachable(spec, agents, steering, start)]
+    shows = [part.get("shows") for part in parts]
+    cycles = {show: show() for show in shows if show is not None}
+    order = list(cycles)
+    casting, falling = _bodies(spec, agents, frame, ground, context)
+    if casting is not None:
+        for group in casting.groups:
+            notices += group.bodies.gaits.notices
+    return Crowd(
+        spec,
+        begin,
+        frame,
+        ground,
+        agents,
+        steering,
+        obstacles,
+        start,
+        notices,
+        casting,
+        falling,
+        tuple(cycle[0] for cycle in cycles.values()),
+        np.array([order.index(s) if s else 0 for s in shows], np.int64),
+    )
+
+
+def _navigation(
+    spec: CrowdsModel,
+    agents: Agents,
+    frame: Frame,
+    ground: Terrain,
+    context: SimContext,
+) -> tuple[Steering, Obstacles]:
+    """Return the steering towards goals, and the obstacles."""
+    colliders, begin = context.colliders, context.begin
+    goals = _on_ground(frame, [goal.at for goal in spec.goals])
+    grid, edge = grids(spec, agents, frame, ground, colliders, goals, begin)
+    queues = [
+        [0.0, 0.0]
+        if goal.queue is None
+        else along_ground(frame, goal.queue.direction) * goal.queue.spacing
+        for goal in spec.goals
+    ]
+    steering = Steering(
+        agents, spec.goals, goals, np.array(queues).reshape(-1, 2), grid
+    )
+    sides = [[door.begin for door in spec.doors], [door.end for door in spec.doors]]
+    ends = np.stack([_on_ground(frame, one) for one in sides], axis=1)
+    for door, (first, last) in zip(spec.doors, ends, strict=True):
+        if not ((last - first) ** 2).sum() > 0:
+            message = (
+                f"both ends of {door.name!r} are at the same position on the ground"
+            )
+            refuse("SIM145", message, "doors")
+    horizon = spec.avoidance.obstacles
+    obstacles = Obstacles(
+        agents, frame, ground, colliders, spec.doors, edge, horizon, ends
+    )
+    return steering, obstacles
+
+
+def _bodies(
+    spec: CrowdsModel,
+    agents: Agents,
+    frame: Frame,
+    ground: Terrain,
+    context: SimContext,
+) -> tuple[Casting | None, FallSimulator | None]:
+    """Return bodies if populations have gaits, and ragdolls if something can hit."""
+    sources = [part.get("gaits") for part in context.parts["populations"]]
+    gaits = [source for source in sources if source is not None]
+    if not gaits:
+        return None, None
+    from animtool.systems.crowds.cast import Casting
+    from animtool.systems.crowds.falls import FallSimulator
+
+    around = context.colliders
+    moving = bool(around.bodies) or any(len(c.poses.sample_times) > 1 for c in around)
+    casting = Casting.of(agents, gaits, ground, falls=moving)
+    possible = [FallSimulator.possible(group.cast.rig) for group in casting.groups]
+    if not (moving and all(possible) and len(agents)):
+        return casting, None
+    falling = FallSimulator(
+        casting.rigs, agents.sizes, frame, ground, around, spec.step
+    )
+    return casting, falling
+
+
+def _on_ground(frame: Frame, points: Sequence[Sequence[float]]) -> FloatArray:
+    """Project world points on the ground: x and z ``(K, 2)``."""
+    return frame.to_local(np.array(points, float).reshape(-1, 3))[:, [0, 2]]

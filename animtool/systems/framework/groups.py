@@ -1,0 +1,65 @@
+"""Individuals of several entries of a spec, such as species or populations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Problem, excerpt
+from animtool.core.record import dataclass
+
+
+@dataclass(frozen=True)
+class Groups:
+    """N individuals, entry by entry.
+
+    Attributes:
+        noun: What one is called in messages.
+        entries: Models with a name and a radius.
+        ends: End index of each entry.
+    """
+
+    noun: ClassVar[str]
+    entries: Sequence[Any]
+    ends: Sequence[int]
+
+    def __len__(self) -> int:
+        """Return the number of individuals."""
+        return self.ends[-1]
+
+    @cached_property
+    def parted(self) -> list[slice]:
+        """Return the individuals of each entry."""
+        starts = [0, *self.ends[:-1]]
+        return [slice(a, b) for a, b in zip(starts, self.ends, strict=True)]
+
+    @cached_property
+    def kinds(self) -> IntArray:
+        """Return the entry of each ``(N,)``."""
+        return np.repeat(np.arange(len(self.entries)), np.diff([0, *self.ends]))
+
+    def each(self, values: Sequence[float]) -> FloatArray:
+        """Return a value per entry for each individual ``(N,)``."""
+        return np.asarray(values, np.float64)[self.kinds]
+
+    @cached_property
+    def radii(self) -> FloatArray:
+        """Return the radius of each ``(N,)`` [m]."""
+        return self.each([one.radius for one in self.entries])
+
+    def named(self, i: int) -> str:
+        """Return the name of one, for messages."""
+        kind = int(self.kinds[i])
+        number = i - self.parted[kind].start
+        return f"{self.noun} {number} of {self.entries[kind].name!r}"
+
+
+def duplicate_names(key: str, names: Sequence[str]) -> Iterator[Problem]:
+    """Yield entries of a key whose names are not unique."""
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            yield f"two {key} are named {excerpt(name)}", f"{key}[{k}]", None

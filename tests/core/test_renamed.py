@@ -1,0 +1,25 @@
+"""Old names of public attributes and arguments warn, and do what the new ones do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from animtool.core.renamed import renamed_arguments
+from animtool.motion.motion import Channel
+
+
+def test_an_old_attribute_is_the_new_one() -> None:
+    with pytest.warns(DeprecationWarning, match=r"Channel\.still is now called static"):
+        old = Channel.__dict__["still"].__get__(None, Channel)
+    assert old(np.ones((1, 3)), 2).dense().shape == (2, 1, 3)
+
+
+def test_an_old_argument_is_the_new_one() -> None:
+    @renamed_arguments(extent="size")
+    def half(size: float) -> float:
+        return size / 2
+
+    old: dict[str, float] = {"extent": 3.0}
+    with pytest.warns(DeprecationWarning, match="extent"):
+        assert half(**old) == 1.5
