@@ -202,6 +202,21 @@ def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
     return Fault("TAKE006", message, severity=Severity.NOTE)
 
 
+# Faster than cameras of high speed, and than the take by more than slow motion needs.
+MAX_RATE, MAX_RATE_RATIO = 1000, 8
+
+
+def rate_notice(fps: Fraction, source: Fraction, count: int) -> Fault | None:
+    """Return the warning of a rate that was hardly meant (TAKE009), if it is one."""
+    if fps <= MAX_RATE or fps <= MAX_RATE_RATIO * source:
+        return None
+    message = (
+        f"{float(fps):g} fps gives {count} samples of a take at {float(source):g} fps"
+    )
+    hint = "write frames a second, such as 24 or 60"
+    return Fault("TAKE009", message, hint=hint, severity=Severity.WARNING)
+
+
 def sample(
     take: Take | Between, times: SampleTimes, *, smooth: bool = False
 ) -> Iterator[tuple[FloatArray, Motion]]:

@@ -21,6 +21,7 @@ from animtool.edit.resample import (
     SampleTimes,
     dropped_notice,
     plan_samples,
+    rate_notice,
     sample,
 )
 from animtool.edit.straight import straight_notices
@@ -240,6 +241,9 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     """Name what lies between the last frame written and the end asked for."""
     where, frame_range = str(plan.source), plan.options.frame_range
     notices = []
+    rate = rate_notice(plan.fps, plan.stream.fps, len(times.codes))
+    if rate is not None:
+        notices.append(replace(rate, path=where))
     if times.dropped:
         faults = dropped_notice(times.dropped, plan.fps, times.last)
         notices.append(
