@@ -27,6 +27,7 @@ from animtool.documents.placeholders import (
     replaced,
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
+from animtool.documents.yaml_values import flow_value
 
 # Faulty values to replace before checking stops.
 MAX_MENDED = 200
@@ -189,9 +190,10 @@ class _Faults:
         if self._of_another_kind(location):
             return
         message = f"unknown key {excerpt(str(key))}"
-        meant = next((k for k in OTHER_KEYS.get(str(key), ()) if k in names), None)
+        plain = str(key).replace("_", "").lower()
+        meant = next((k for k in OTHER_KEYS.get(plain, ()) if k in names), None)
         hint = f"the key is {meant!r}" if meant else nearest(str(key), names)
-        self.document.add("DOC020", location, message, hint)
+        self.document.add("DOC020", location, message, hint, at_key=True)
         meant = meant or similar(str(key), names)
         if meant and meant not in node:
             # Its names may be referenced, but whether it was meant is unknown.
@@ -411,4 +413,6 @@ def _shown(value: Any) -> str:
         return "nothing"
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, dict | list | tuple):
+        return excerpt(flow_value(value))[1:-1]
     return excerpt(str(value)).strip("'")

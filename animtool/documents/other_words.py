@@ -28,11 +28,20 @@ OTHER_VALUES = {
     "loop": "cycle",
     "repeat": "cycle",
 }
+# In lower case, without underscores.
 OTHER_KEYS = {
+    "rotateorder": ("euler", "channels"),
+    "rotationorder": ("euler", "channels"),
+    "framerate": ("fps",),
+    "rate": ("fps",),
+    "integrator": ("solver",),
+    "timestep": ("step",),
+    "resolution": ("size",),
+    "translation": ("translate",),
+    "rotations": ("rotate",),
     "frame": ("t",),
     "time": ("t", "at"),
     "value": ("v",),
-    "look_at": ("aim",),
     "lookat": ("aim",),
     "start": ("range", "first"),
     "end": ("range", "last"),
@@ -43,6 +52,5 @@ OTHER_KEYS = {
     "bones": ("joints",),
     "controllers": ("controls",),
     "blendshapes": ("shapes",),
-    "blend_shapes": ("shapes",),
     "file": ("source",),
 }

@@ -363,9 +363,9 @@ class _Open:
             for time, position in self.times
             for value in [self.value[f"\0{position}"]]
         ]
-        hint = f"write {TIMED}: {_flow(entries)}"
+        hint = f"write {TIMED}: {flow_value(entries)}"
         if len(hint) > LONGEST_HINT:
-            hint = f"write {TIMED}: {_flow(entries[:1])[:-1]}, …]"
+            hint = f"write {TIMED}: {flow_value(entries[:1])[:-1]}, …]"
         message = f"a key is {self.times[0][0]!r}, not text: {TIMED} must be a list"
         reader.fault("DOC010", message, self.times[0][1], hint[:LONGEST_HINT])
 
@@ -390,17 +390,17 @@ def _cut(name: str) -> str:
     return name if len(name) <= LONGEST_NAME else name[:LONGEST_NAME] + "…"
 
 
-def _flow(value: Any) -> str:
+def flow_value(value: Any) -> str:
     """Return a value as flow YAML without quotes.
 
-    >>> _flow([{"t": 1, "v": [0.5, None]}])
+    >>> flow_value([{"t": 1, "v": [0.5, None]}])
     '[{t: 1, v: [0.5, null]}]'
     """
     if isinstance(value, dict):
-        items = (f"{key}: {_flow(entry)}" for key, entry in value.items())
+        items = (f"{key}: {flow_value(entry)}" for key, entry in value.items())
         return f"{{{', '.join(items)}}}"
     if isinstance(value, list):
-        return f"[{', '.join(map(_flow, value))}]"
+        return f"[{', '.join(map(flow_value, value))}]"
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     return str(value)

@@ -23,9 +23,7 @@ def warn_of_sizes(document: Document, at: Location, values: Mapping[str, Any]) -
     _warn_of_length(document, at, "radius", values)
     stretch = values.get("stretch")
     if isinstance(stretch, int | float) and stretch >= MAX_STRETCH:
-        message = (
-            f"stretch {stretch:g} allows springs {1 + stretch:g} times as long"
-        )
+        message = f"stretch {stretch:g} allows springs {1 + stretch:g} times as long"
         hint = f"for {stretch:g}% write {stretch / 100:g}"
         document.warn("SIM200", (*at, "stretch"), message, hint)
 
@@ -36,9 +34,7 @@ def _warn_of_length(
     for length in _metres(values.get(key)):
         message = f"{key} {length:g} makes the surface {length_text(2 * length)} thick"
         if key == "thickness":
-            message = (
-                f"thickness {length:g} is {length_text(length)}, in metres"
-            )
+            message = f"thickness {length:g} is {length_text(length)}, in metres"
         hint = f"for {length:g} mm write {length / 1000:g}"
         document.warn("SIM200", (*at, key), message, hint)
 
