@@ -396,7 +396,10 @@ rig_layer_options = bake_option("rig_layer", "prim_path", "force_fit")
 source_options = source_option("unit", "up", "fps")
 # Of commands that write no character elsewhere.
 stage_option = click.option(
-    "--prim-path", metavar="PATH", help="The character, where a stage has several."
+    "--source-prim",
+    "prim_path",
+    metavar="PATH",
+    help="The character, where a stage has several.",
 )
 
 

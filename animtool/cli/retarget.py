@@ -133,6 +133,7 @@ Examples:
 @click.argument("source", type=INPUT)
 @click.option(
     "--to",
+    "--rig",
     "rig",
     type=INPUT,
     required=True,

@@ -236,7 +236,8 @@ class _Faults:
             return None
         axis = AXES.get(str(faults[0]["input"]).upper())
         if axis is not None and expected == {_KINDS["list_type"]}:
-            return f"write three numbers: {faults[0]['input']} is {axis}"
+            numbers = flow_value([round(number) for number in axis])
+            return f"write three numbers: {faults[0]['input']} is {numbers}"
         listed = expected & _STRUCTURES == {_KINDS["list_type"]}
         return form_hint(self.model, self.value, location, listed=listed)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 # Directions by axis name.
 AXES = {
-    f"{sign}{name}": str([(-1 if sign else 1) * (i == k) for i in range(3)])
+    f"{sign}{name}": [(-1.0 if sign else 1.0) * (i == k) for i in range(3)]
     for k, name in enumerate("XYZ")
     for sign in ("", "-")
 }

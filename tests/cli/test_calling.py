@@ -21,7 +21,7 @@ from animtool.core.arguments import Argument
         ("source.fps", "24", "--source-fps 24"),
         ("source.unit", None, "--units"),
         ("source.prim_path", None, "--source-prim"),
-        ("prim_path", None, "--prim-path"),
+        ("prim_path", None, "--source-prim"),
         ("form", "layer", "--as layer"),
         ("form", "split", "--split"),
         ("root_motion", "true", "--root-motion skelroot"),
@@ -39,7 +39,7 @@ def test_bake_calls_arguments_by_its_flags(
 
 
 def test_commands_call_one_argument_by_their_own_flags() -> None:
-    assert calling_of(info)(Argument("source.prim_path")) == "--prim-path"
+    assert calling_of(info)(Argument("source.prim_path")) == "--source-prim"
     assert calling_of(convert)(Argument("to_units")) is None
 
 
