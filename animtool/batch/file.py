@@ -361,7 +361,8 @@ class _BatchReader:
             message = "the batch has both a scene and options"
             hint = "move the options into the scene's output"
             self.document.add("BAT001", ("options",), message, hint)
-        if not (model.inputs or self.of_shots or (model.scene and model.variants)):
+        without = not (model.inputs or self.document.is_placeholder(("inputs",)))
+        if without and not (self.of_shots or (model.scene and model.variants)):
             message = "key 'inputs' is missing"
             hint = "files, folders and globs; a scene alone can have variants"
             self.document.add("DOC021", (), message, hint)

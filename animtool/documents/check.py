@@ -210,7 +210,8 @@ class _Faults:
         self._put_placeholder(location)
 
     def _wrong_value(self, location: Location, faults: list[Any]) -> None:
-        texts = dict.fromkeys(_words(fault) for fault in faults)
+        sizes = [fault for fault in faults if fault["type"] in _SIZES]
+        texts = dict.fromkeys(_words(fault) for fault in sizes or faults)
         if faults[0]["type"] == "union_tag_not_found":
             tag = faults[0]["ctx"]["discriminator"].strip("'")
             written = similar(tag, map(str, faults[0]["input"]))
@@ -405,6 +406,8 @@ _KINDS = {
 }
 
 
+# Faults of lists that are of the right type: what else a union takes was not meant.
+_SIZES = {"too_short", "too_long"}
 # Types of containers.
 _STRUCTURES = {"a list", "a mapping of keys"}
 

@@ -27,6 +27,23 @@ OTHER_VALUES = {
     "stepped": "step",
     "loop": "cycle",
     "repeat": "cycle",
+    "meter": "m",
+    "meters": "m",
+    "metre": "m",
+    "metres": "m",
+    "centimeter": "cm",
+    "centimeters": "cm",
+    "centimetres": "cm",
+    "millimeters": "mm",
+    "millimetres": "mm",
+    "inch": "in",
+    "inches": "in",
+    "degree": "deg",
+    "degrees": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "y-up": "Y",
+    "z-up": "Z",
 }
 # In lower case, without underscores.
 OTHER_KEYS = {

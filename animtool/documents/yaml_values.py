@@ -20,7 +20,7 @@ from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.names import VARIABLE_NAME, unreadable
 from animtool.core.record import dataclass
 from animtool.documents.json_values import plain_json
-from animtool.documents.yaml_faults import yaml_fault
+from animtool.documents.yaml_faults import YamlFault, yaml_fault
 
 # Hand-written files nest five or six deep.
 DEEPEST = 50
@@ -118,7 +118,10 @@ def _read_yaml(text: str, path: Path) -> ReadValues:
         fault = yaml_fault(text, problem, *spot)
         hint = fault.hint
         if path.suffix.lower() not in SUFFIXES:
-            hint = f"write the name of a file that ends in {', '.join(SUFFIXES)}"
+            kind = f"a {path.suffix} file" if path.suffix else "this"
+            message = f"{kind} is not YAML or JSON"
+            fault = YamlFault(message, None, 1, 1)
+            hint = f"name a file that ends in {', '.join(SUFFIXES)}"
         elif _is_variable(text, mark):
             hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
         reader.fault("DOC001", fault.message, (fault.line, fault.column), hint)
