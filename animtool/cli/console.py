@@ -141,7 +141,8 @@ class Console:
                     from animtool.core.source_lines import Sources, excerpt_lines
 
                     sources = sources or Sources()
-                    text = "\n".join([text, *excerpt_lines(fault, sources)])
+                    lines = map(escaped, excerpt_lines(fault, sources))
+                    text = "\n".join([text, *lines])
                 self._write(entry, text)
 
     def report(self, form: str, record: object, template: Template) -> None:

@@ -90,7 +90,7 @@ _COMMON = {
     "triangulate": "cameras output units up people overwrite",
     "preview": "output range camera sheet watch take",
     "report": "output budget range rig set format",
-    "retarget": "to output map rest rig-layer feet",
+    "retarget": "rig output map rest rig-layer feet",
     "validate": "select ignore profile strict fix format",
 }
 _MAX_SHORT = 40  # lines of the short help

@@ -132,8 +132,8 @@ Examples:
 )
 @click.argument("source", type=INPUT)
 @click.option(
-    "--to",
     "--rig",
+    "--to",
     "rig",
     type=INPUT,
     required=True,

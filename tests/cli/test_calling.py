@@ -21,7 +21,7 @@ from animtool.core.arguments import Argument
         ("source.fps", "24", "--source-fps 24"),
         ("source.unit", None, "--units"),
         ("source.prim_path", None, "--source-prim"),
-        ("prim_path", None, "--source-prim"),
+        ("prim_path", None, "--prim-path"),
         ("form", "layer", "--as layer"),
         ("form", "split", "--split"),
         ("root_motion", "true", "--root-motion skelroot"),

@@ -33,7 +33,6 @@ SPELLINGS = {
     "map": "--map",
     "static": "--static",
     "subject": "--subject",
-    "unit": "--units",
     "units": "--units",
     "up": "--up",
     "jobs": "--jobs",
