@@ -33,8 +33,8 @@ def check_range(first: float | None, last: float | None) -> None:
     ]
     if ends != sorted(ends):
         message = f"the range from {first:g} to {last:g} is reversed"
-        ends = argument("first", f"{last:g}"), argument("last", f"{first:g}")
-        hint = f"write {' and '.join(ends)}"
+        flags = argument("first", f"{last:g}"), argument("last", f"{first:g}")
+        hint = f"write {' and '.join(flags)}"
         raise frame_refusal(message, hint)
 
 
